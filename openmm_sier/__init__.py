@@ -1,0 +1,20 @@
+"""Symplectic integrators of second and fourth order for rigid molecules in OpenMM."""
+
+from openmm_sier.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.integrator import SIER2Integrator, SIER4Integrator, SIERIntegrator
+from openmm_sier.schemes import SIER2, SIER4, Scheme
+from openmm_sier.version import __version__
+
+
+__all__ = [
+    "SIER2",
+    "SIER4",
+    "BodyState",
+    "RigidBodies",
+    "RigidityError",
+    "SIER2Integrator",
+    "SIER4Integrator",
+    "SIERIntegrator",
+    "Scheme",
+    "__version__",
+]
