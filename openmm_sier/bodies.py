@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,12 +40,16 @@ class BodyState:
         p: momenta, (3, n), dalton nm/ps.
         A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
         L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
+        heat: energy that a heat bath has given to the bodies, kJ/mol.
+        draws: how often a heat bath has drawn noise, which is the counter of its random numbers.
     """
 
     q: np.ndarray
     p: np.ndarray
     A: np.ndarray
     L: np.ndarray
+    heat: float = 0.0
+    draws: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +105,19 @@ class Species:
         return [_as_slice(column) for column in self.atoms.T]
 
     def arms(self, A):
-        """Vectors from the centre of mass to each site, in the lab frame: k arrays of shape (3, m)."""
-        rows = [np.flatnonzero(site) for site in self.sites.T]
-        return [sum(self.sites[row, j] * A[row] for row in used) if used.size else None for j, used in enumerate(rows)]
+        """Vectors from the centre of mass to each site in the lab frame: (3, m) for each, None for a site on it."""
+        return [_combine(site, A) for site in self.sites.T]
+
+
+def _combine(site, A):
+    """A^T r~ without the components of r~ that are zero."""
+    used = np.flatnonzero(site)
+    if not used.size:
+        return None
+    arm = site[used[0]] * A[used[0]]
+    for row in used[1:]:
+        arm += site[row] * A[row]
+    return arm
 
 
 def _as_slice(indices):
@@ -117,8 +132,8 @@ def _as_slice(indices):
 class RigidBodies:
     """The rigid and point bodies of a system.
 
-    Bodies are numbered species by species. Particles that belong to no body (virtual sites, fixed massless particles) are
-    left alone.
+    Bodies are numbered species by species. Particles that belong to no body (virtual sites, fixed massless particles)
+    are left alone.
 
     Attributes:
         species: the kinds of body.
@@ -142,7 +157,7 @@ class RigidBodies:
         self.labels = labels
         starts = np.cumsum([0] + [s.atoms.shape[0] for s in self.species])
         self.n = int(starts[-1])
-        self.parts = tuple(slice(int(a), int(b)) for a, b in zip(starts[:-1], starts[1:], strict=True))
+        self.parts = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
         self._check()
         counts = [s.atoms.shape[0] for s in self.species]
         self.masses = np.repeat([s.mass for s in self.species], counts)
@@ -192,8 +207,8 @@ class RigidBodies:
 
         Args:
             positions: (N, 3), nm.
-            previous: a state whose attitudes are kept, to the bit, if they reproduce the positions to rounding. A barostat
-                that moves bodies rigidly so leaves them as they were.
+            previous: a state whose attitudes are kept, to the bit, if they reproduce the positions to rounding. So
+                a barostat that moves bodies rigidly leaves them as they were.
 
         Returns:
             (q, A), shapes (3, n) and (3, 3, n).

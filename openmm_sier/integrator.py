@@ -1,51 +1,25 @@
-"""The OpenMM face of the package; the only module that touches a Context."""
+"""The integrators that OpenMM users call."""
 
 from __future__ import annotations
 
 import functools
 import math
 import numbers
-import weakref
 
-import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier import propagation, rotor
+from openmm_sier import rotor
 from openmm_sier.bodies import BodyState, RigidBodies
-from openmm_sier.schemes import DRIFT, KICK, SIER2, SIER4, Scheme
-
-#: Forces that change positions, velocities or the box between steps do so in `updateContextState`. These are known not
-#: to; after any other kind the Context is read again each step.
-PASSIVE_FORCES = (
-    openmm.NonbondedForce,
-    openmm.HarmonicBondForce,
-    openmm.HarmonicAngleForce,
-    openmm.PeriodicTorsionForce,
-    openmm.RBTorsionForce,
-    openmm.CMAPTorsionForce,
-    openmm.GBSAOBCForce,
-    openmm.GayBerneForce,
-    openmm.RMSDForce,
-    openmm.CustomBondForce,
-    openmm.CustomAngleForce,
-    openmm.CustomTorsionForce,
-    openmm.CustomExternalForce,
-    openmm.CustomCompoundBondForce,
-    openmm.CustomCentroidBondForce,
-    openmm.CustomNonbondedForce,
-    openmm.CustomGBForce,
-    openmm.CustomHbondForce,
-    openmm.CustomManyParticleForce,
-    openmm.CustomCVForce,
-)
+from openmm_sier.engine import ARMED, DRAWS, HEAT, SEED, STATE_VARIABLES, Engine
+from openmm_sier.schemes import SIER2, SIER4, Scheme
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
     """Symplectic integrator for rigid bodies that uses the exact solution of free rotation.
 
     A drop-in for OpenMM's integrators: give it to a `Simulation` or a `Context` and nothing else is to be called. Rigid
-    molecules are found in the System's constraints when the Context is created; a System that has constraints that form
+    molecules are found in the System's constraints when the Context is created; a System with constraints that form
     no rigid bodies is refused there. Velocities in the Context are those of the whole step.
 
     Source: van Zon and Schofield (2007).
@@ -66,16 +40,35 @@ class SIERIntegrator(openmm.CustomIntegrator):
         if not isinstance(scheme, Scheme):
             raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {scheme!r}")
         super().__init__(_step_size(stepSize))
-        self.addUpdateContextState()
         self._scheme = scheme
         self._given_bodies = bodies
         self._rotation = rotation
-        self._engine: _Engine | None = None
+        self._engine: Engine | None = None
+        self._write_program()
+
+    def _write_program(self) -> None:
+        for name in STATE_VARIABLES:
+            self.addPerDofVariable(name, 0)
+        for name in (HEAT, DRAWS, SEED, ARMED):
+            self.addGlobalVariable(name, 0)
+        self.addUpdateContextState()
+        # A copy that has lost this class, through XML say, would advance the clock and move nothing. It fails instead.
+        self.beginIfBlock(f"{ARMED} < 0.5")
+        self.addComputePerDof("x", f"x + sqrt({ARMED} - 1)")
+        self.addComputeGlobal(ARMED, "energy")
+        self.endBlock()
+
+    # --- what users ask ---
 
     @property
     def scheme(self) -> Scheme:
         """The splitting scheme."""
         return self._scheme
+
+    @property
+    def rotation(self):
+        """The free-rotation map."""
+        return self._rotation
 
     @property
     def bodies(self) -> RigidBodies:
@@ -92,7 +85,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         super().setStepSize(_step_size(size))
 
     def getBodyState(self) -> BodyState:
-        """The rigid bodies' state at the last completed step, in agreement with the Context.
+        """The rigid bodies' state, in agreement with the Context.
 
         Raises:
             RigidityError: the Context's positions do not form the bodies.
@@ -111,8 +104,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             RigidityError: positions set from outside do not form the bodies.
             openmm.OpenMMException: there is no Context, or a force is not finite.
         """
-        count = _whole_number(steps)
-        self._bound().run(count)
+        self._bound().run(whole_number("steps", steps))
 
     def forcesChanged(self) -> None:
         """Say that the potential was changed by `Force.updateParametersInContext`.
@@ -121,13 +113,30 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         self._bound().forces.forget()
 
-    def _bind(self, context) -> None:
-        self._engine = _Engine(self, context)
+    # --- for the engine and for subclasses ---
 
-    def _bound(self) -> _Engine:
+    def _bind(self, context) -> None:
+        self._engine = Engine(self, context)
+
+    def _bound(self) -> Engine:
         if self._engine is None:
             raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
         return self._engine
+
+    def _find_bodies(self, system) -> RigidBodies:
+        n = system.getNumParticles()
+        bodies = RigidBodies.from_system(system) if self._given_bodies is None else self._given_bodies
+        if bodies.n_particles != n:
+            raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {n}")
+        return bodies
+
+    def _active_scheme(self) -> Scheme:
+        """The scheme to execute now."""
+        return self._scheme
+
+    def _extra_operators(self, bodies: RigidBodies) -> dict:
+        """Operators other than kick and drift."""
+        return {}
 
 
 class SIER2Integrator(SIERIntegrator):
@@ -160,168 +169,73 @@ class SIER4Integrator(SIERIntegrator):
         super().__init__(stepSize, SIER4, bodies)
 
 
-class _Engine:
-    """Runs one integrator in one Context.
-
-    The Context holds the atoms, the engine the bodies. `_echo` is what the Context gave back when the bodies were last
-    written to it; whatever differs later was changed from outside.
-    """
-
-    def __init__(self, integrator: SIERIntegrator, context):
-        # The Context owns its integrator, so that a strong reference back would keep both alive.
-        self._context = weakref.ref(context)
-        self._integrator = weakref.ref(integrator)
-        system = context.getSystem()
-        self.bodies = integrator._given_bodies or RigidBodies.from_system(system)
-        if self.bodies.n_particles != system.getNumParticles():
-            raise ValueError(
-                f"bodies are those of a system of {self.bodies.n_particles} particles, this one has {system.getNumParticles()}"
-            )
-        self._positions = np.zeros((system.getNumParticles(), 3))
-        self._velocities = np.zeros((system.getNumParticles(), 3))
-        self._has_sites = any(system.isVirtualSite(i) for i in range(system.getNumParticles()))
-        forces = [system.getForce(i) for i in range(system.getNumForces())]
-        self._sweeps = [f.getFrequency() for f in forces if isinstance(f, openmm.CMMotionRemover)]
-        passive = (*PASSIVE_FORCES, openmm.CMMotionRemover)
-        self._has_actors = any(not isinstance(f, passive) for f in forces)
-        self.forces = propagation.CachedForces(self._compute_forces)
-        self.operators = {
-            KICK: propagation.kick(self.forces),
-            DRIFT: propagation.drift(self.bodies, integrator._rotation),
-        }
-        self.state: BodyState | None = None
-        self._placed: tuple = (None, None)
-        self._echo: _Snapshot | None = None
-
-    def run(self, count: int) -> None:
-        self.adopt()
-        integrator, context = self._integrator(), self._context()
-        before = None
-        try:
-            for _ in range(count):
-                before = (context.getTime(), context.getStepCount(), context.getState().getPeriodicBoxVectors())
-                self._one_step(integrator, context)
-        except BaseException:
-            if before is not None:
-                context.setTime(before[0])
-                context.setStepCount(before[1])
-                context.setPeriodicBoxVectors(*before[2])
-            self.forces.forget()
-            raise
-        finally:
-            self._publish()
-            self._echo = _Snapshot(context)
-
-    def _one_step(self, integrator, context) -> None:
-        sweeps = any(context.getStepCount() % frequency == 0 for frequency in self._sweeps)
-        state = self.state
-        if self._has_actors:
-            self._publish()
-            echo = _Snapshot(context)
-            openmm.CustomIntegrator.step(integrator, 1)
-            state = self._reconcile(state, echo, _Snapshot(context))
-        else:
-            openmm.CustomIntegrator.step(integrator, 1)
-        if sweeps:
-            drift = state.p.sum(axis=1) / self.bodies.masses.sum()
-            state = BodyState(state.q, state.p - self.bodies.masses * drift[:, None], state.A, state.L)
-        h = integrator.getStepSize().value_in_unit(unit.picosecond)
-        self.state = propagation.step(integrator.scheme, self.operators, state, h)
-
-    def adopt(self) -> None:
-        """Take over what was changed in the Context from outside."""
-        context = self._context()
-        if context is None:
-            raise openmm.OpenMMException("The Context of this integrator no longer exists")
-        now = _Snapshot(context)
-        self.state = self._reconcile(self.state, self._echo, now)
-        self._echo = now
-
-    def _reconcile(self, state: BodyState | None, before: _Snapshot | None, now: _Snapshot) -> BodyState:
-        """The bodies' state after the Context changed from one snapshot to another."""
-        if before is None or before.environment != now.environment:
-            self.forces.forget()
-        still = before is not None and np.array_equal(before.positions, now.positions)
-        coasting = before is not None and np.array_equal(before.velocities, now.velocities)
-        if state is None or not still:
-            q, A = self.bodies.fit(now.positions, state)
-            self._positions[:] = now.positions
-            self._placed = (None, None)
-            coasting = coasting and state is not None and np.array_equal(A, state.A)
-        else:
-            q, A = state.q, state.A
-        p, L = (state.p, state.L) if coasting and state is not None else self.bodies.momenta(now.velocities, A)
-        return BodyState(q, p, A, L)
-
-    def _compute_forces(self, q, A):
-        self._place(q, A)
-        groups = self._integrator().getIntegrationForceGroups()
-        forces = self._context().getState(forces=True, groups=groups).getForces(asNumpy=True)
-        F, tau = self.bodies.forces_and_torques(forces._value, A)
-        if not (np.isfinite(F).all() and np.isfinite(tau).all()):
-            body = int(np.flatnonzero(~(np.isfinite(F) & np.isfinite(tau)).all(axis=0))[0])
-            raise openmm.OpenMMException(
-                f"The force on {self.bodies.describe(body)} is not finite in the step after step "
-                f"{self._context().getStepCount()}. Is the step size too long, or do atoms overlap?"
-            )
-        return F, tau
-
-    def _place(self, q, A) -> None:
-        if self._placed[0] is q and self._placed[1] is A:
-            return
-        context = self._context()
-        context.setPositions(self.bodies.place(q, A, self._positions))
-        if self._has_sites:
-            context.computeVirtualSites()
-        self._placed = (q, A)
-
-    def _publish(self) -> None:
-        """Write the bodies' state to the Context."""
-        self._place(self.state.q, self.state.A)
-        self._context().setVelocities(self.bodies.move(self.state, self._velocities))
-
-
-class _Snapshot:
-    """What a Context holds that can be changed from outside."""
-
-    def __init__(self, context):
-        state = context.getState(positions=True, velocities=True, parameters=True)
-        self.positions = state.getPositions(asNumpy=True)._value
-        self.velocities = state.getVelocities(asNumpy=True)._value
-        box = state.getPeriodicBoxVectors(asNumpy=True)._value
-        self.environment = (box.tobytes(), dict(state.getParameters()))
-
-
 def _step_size(size) -> float:
-    if unit.is_quantity(size):
-        if not size.unit.is_compatible(unit.picosecond):
-            raise TypeError(f"stepSize must be a time, got {size}")
-        size = size.value_in_unit(unit.picosecond)
-    try:
-        size = float(size)
-    except (TypeError, ValueError):
-        raise TypeError(f"stepSize must be a time quantity or a number in ps, got {size!r}") from None
-    if not math.isfinite(size) or size == 0:
-        raise ValueError(f"stepSize must be finite and not zero, got {size} ps")
+    size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
+    if size == 0:
+        raise ValueError("stepSize must not be zero")
     return size
 
 
-def _whole_number(steps) -> int:
-    if not isinstance(steps, numbers.Real) or steps != steps or math.isinf(steps) or int(steps) != steps or steps < 0:
-        raise ValueError(f"steps must be a whole number that is not negative, got {steps!r}")
-    return int(steps)
+def quantity_to_float(name: str, value, of, symbol: str) -> float:
+    """A finite number in a unit, from a quantity or a plain number."""
+    if unit.is_quantity(value):
+        if not value.unit.is_compatible(of):
+            raise TypeError(f"{name} must be in units like {symbol}, got {value}")
+        value = value.value_in_unit(of)
+    try:
+        value = float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{name} must be finite, got {value} {symbol}")
+    return value
 
 
-def _bind_at_creation(context_init):
-    """OpenMM tells a Python integrator nothing of its Context, so that the Context's constructor has to."""
-
-    @functools.wraps(context_init)
-    def __init__(self, *args):
-        context_init(self, *args)
-        if len(args) > 1 and isinstance(args[1], SIERIntegrator):
-            args[1]._bind(self)
-
-    return __init__
+def whole_number(name: str, value) -> int:
+    """A nonnegative integer, from an int or a float without a fraction."""
+    whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
+    if not whole or value < 0:
+        raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
+    return int(value)
 
 
-openmm.Context.__init__ = _bind_at_creation(openmm.Context.__init__)
+def _binding(method):
+    """A Context method after which the Context's integrator has to look at the System anew.
+
+    OpenMM tells a Python integrator nothing of its Context, so that the Context has to.
+    """
+
+    @functools.wraps(method)
+    def wrapper(self, *args, **kwargs):
+        result = method(self, *args, **kwargs)
+        integrator = getattr(self, "_integrator", None)
+        if isinstance(integrator, SIERIntegrator):
+            integrator._bind(self)
+        else:
+            _refuse_lost(integrator)
+        return result
+
+    return wrapper
+
+
+def _refuse_lost(integrator) -> None:
+    """Refuse what the package's Python part cannot reach."""
+    parts = [integrator]
+    if isinstance(integrator, openmm.CompoundIntegrator):
+        parts = [integrator.getIntegrator(i) for i in range(integrator.getNumIntegrators())]
+    for part in parts:
+        if isinstance(part, openmm.CustomIntegrator) and _has_variable(part, ARMED):
+            raise openmm.OpenMMException(
+                "A SIER integrator cannot be part of a CompoundIntegrator"
+                if isinstance(integrator, openmm.CompoundIntegrator)
+                else "This CustomIntegrator was a SIER integrator before it went through XML, and cannot move anything "
+                "by itself: create the SIER integrator anew, or copy it by copy.deepcopy or pickle"
+            )
+
+
+def _has_variable(integrator, name: str) -> bool:
+    return any(integrator.getGlobalVariableName(i) == name for i in range(integrator.getNumGlobalVariables()))
+
+
+openmm.Context.__init__ = _binding(openmm.Context.__init__)
+openmm.Context.reinitialize = _binding(openmm.Context.reinitialize)

@@ -8,6 +8,7 @@ serves the start of the next without anyone keeping book of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def kick(forces: CachedForces) -> Operator:
 
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
-        return BodyState(state.q, state.p + h * F, state.A, state.L + h * tau)
+        return replace(state, p=state.p + h * F, L=state.L + h * tau)
 
     return apply
 
@@ -68,13 +69,15 @@ def drift(bodies: RigidBodies, rotation: Rotation = rotor.exact) -> Operator:
     inverse_masses = 1 / bodies.masses
 
     def apply(state: BodyState, h: float) -> BodyState:
-        A, L = np.empty_like(state.A), np.empty_like(state.L)
+        q = state.q + (h * inverse_masses) * state.p
+        if len(bodies.species) == 1:
+            A, L = rotation(state.A, state.L, bodies.species[0].moments, h)
+            return replace(state, q=q, A=A, L=L)
+        A, L = state.A.copy(), state.L.copy()
         for species, part in zip(bodies.species, bodies.parts, strict=True):
             if species.moments.any():
-                A[:, :, part], L[:, part] = rotation(state.A[:, :, part], state.L[:, part], species.moments, h)
-            else:
-                A[:, :, part], L[:, part] = state.A[:, :, part], state.L[:, part]
-        return BodyState(state.q + (h * inverse_masses) * state.p, state.p, A, L)
+                A[:, :, part], L[:, part] = rotation(A[:, :, part], L[:, part], species.moments, h)
+        return replace(state, q=q, A=A, L=L)
 
     return apply
 

@@ -94,8 +94,8 @@ def top(moments) -> Top:
     """Prepare principal moments for the free-rotation maps.
 
     Args:
-        moments: shape (3,), or (3, n) for a set of moments per body, in any order, dalton nm^2. A point body has three zeros,
-            a linear one exactly one zero and two equal moments.
+        moments: shape (3,), or (3, n) for a set of moments per body, in any order, dalton nm^2. A point body has three
+            zeros, a linear one exactly one zero and two equal moments.
 
     Raises:
         ValueError: a moment is negative or not finite, or a body has two zeros, or one zero and unequal others.
@@ -205,17 +205,39 @@ def _turn_scaled(bodies: Top, body_L, h):
 
 def _turn_unit(rates, u, k):
     """`_turn` for directions u and k = |L| h; the few bodies that the series do not reach go their own way."""
-    a, b, c = rates
-    p, q = _squared_phases(u, k * (b - c), k * (a - c), k * (a - b))
-    phases = np.maximum(p, q)
+    motion = _motion(rates, u, k)
+    phases = np.maximum(motion.p, motion.q)
     largest = phases.max()
-    if largest <= LONGEST and np.abs(k).max() * np.max(a) <= PHASE_CAP:
-        return _short_turn(rates, u, k, _quadrature(largest))[0]
-    far = ~((phases <= LONGEST) & (np.abs(k) * a <= PHASE_CAP))
-    turns = np.stack(_short_turn(rates, u, np.where(far, 0.0, k), _quadrature(LONGEST))[0])
+    if largest <= LONGEST and np.abs(k).max() * np.max(rates[0]) <= PHASE_CAP:
+        return _short_turn(motion, u, k, _quadrature(largest))[0]
+    far = ~((phases <= LONGEST) & (np.abs(k) * rates[0] <= PHASE_CAP))
+    near_k = np.where(far, 0.0, k)
+    turns = np.stack(_short_turn(_motion(rates, u, near_k), u, near_k, _quadrature(LONGEST))[0])
     rates_far = np.broadcast_to(np.reshape(rates, (3, -1)), (3, k.size))[:, far]
     turns[:, far] = _long_turn(rates_far, np.stack(u)[:, far], k[far])
     return turns
+
+
+class Motion(NamedTuple):
+    """What the free motion of bodies over one step depends on besides the direction of L~."""
+
+    rates: np.ndarray
+    alpha: np.ndarray
+    beta: np.ndarray
+    gamma: np.ndarray
+    p: np.ndarray
+    q: np.ndarray
+
+
+def _motion(rates, u, k) -> Motion:
+    """Rates scaled to the step, and p and q as sums of terms of one sign."""
+    a, b, c = rates
+    x, y, z = u
+    alpha, beta, gamma = k * (b - c), k * (a - c), k * (a - b)
+    y2 = y * y
+    p = (beta * (x * x) + alpha * y2) * gamma
+    q = (gamma * y2 + beta * (z * z)) * alpha
+    return Motion(rates, alpha, beta, gamma, p, q)
 
 
 def _quadrature(largest):
@@ -225,16 +247,11 @@ def _quadrature(largest):
     raise ValueError(f"a step of squared phase {largest} is too long for the quadrature")
 
 
-def _squared_phases(u, alpha, beta, gamma):
-    """p and q, sums of terms of one sign."""
-    x2, y2, z2 = u[0] * u[0], u[1] * u[1], u[2] * u[2]
-    return (beta * x2 + alpha * y2) * gamma, (gamma * y2 + beta * z2) * alpha
-
-
-def _advance(u, increments, alpha, beta, gamma):
+def _advance(motion, u, increments):
     """The direction of L~ a time t later; `increments` are those of t."""
+    _, alpha, beta, gamma, _, _ = motion
     x, y, z = u
-    S, S2, C, D = increments
+    S, _, C, D = increments
     yS = y * S
     f = 1 / (1 - (alpha * gamma) * (yS * yS))
     return (
@@ -244,35 +261,33 @@ def _advance(u, increments, alpha, beta, gamma):
     )
 
 
-def _short_turn(rates, u, k, quadrature):
+def _short_turn(motion, u, k, quadrature):
     """Quaternion of the rotation over one step that the series reach, and the direction of L~ after it."""
-    a, b, c = rates
-    differences = alpha, beta, gamma = k * (b - c), k * (a - c), k * (a - b)
-    p, q = _squared_phases(u, alpha, beta, gamma)
+    a, b, c = motion.rates
+    p, q = motion.p, motion.q
     series = sn_coefficients(p, q)
     half = sn_increment(series, p, q, 0.5)
-    m = _advance(u, half, alpha, beta, gamma)
-    v = _advance(m, half, alpha, beta, gamma)
+    m = _advance(motion, u, half)
+    v = _advance(motion, m, half)
 
     end_weight, nodes = quadrature
     squares = X, Y, Z = m[0] * m[0], m[1] * m[1], m[2] * m[2]
     leading = a * X + b * Y + c * Z  # 2E/L^2
-    excess = end_weight * _rate_excess(rates, squares, leading, half, differences)
+    excess = end_weight * _rate_excess(motion, squares, leading, half)
     for node, weight in nodes:
         inside = sn_increment(series, p, q, 0.5 * node)
-        excess = excess + weight * _rate_excess(rates, squares, leading, inside, differences)
+        excess = excess + weight * _rate_excess(motion, squares, leading, inside)
     return _compose_minimal(u, m, v, 0.5 * k * (leading + excess)), v
 
 
-def _rate_excess(rates, squares, leading, increments, differences):
+def _rate_excess(motion, squares, leading, increments):
     """Mean over the times +-t of g/|L| - 2E/L^2, with g = omega.(m + v)/(1 + m.v).
 
     Numerator and denominator share the factor 1/G of `_advance` and split into parts even and odd in t.
     """
-    a, b, c = rates
+    (a, b, c), alpha, _, gamma, _, _ = motion
     X, Y, Z = squares
-    alpha, beta, gamma = differences
-    S, S2, C, D = increments
+    _, S2, C, D = increments
     XD, YCD, ZC = X * D, Y * (C * D), Z * C
     even = XD + YCD + ZC
     numerator = (a * XD + b * YCD + c * ZC) - leading * even
@@ -337,7 +352,8 @@ def _long_turn(rates, u, k):
     active = np.arange(k.size)
     for done in range(pieces.max()):
         active = active[pieces[active] > done]
-        step, v = _short_turn(rates[:, active], u[:, active], k_piece[active], _quadrature(LONGEST))
+        motion = _motion(rates[:, active], u[:, active], k_piece[active])
+        step, v = _short_turn(motion, u[:, active], k_piece[active], _quadrature(LONGEST))
         turns[:, active] = _normalized(_product(step, turns[:, active]))
         u[:, active] = _normalized(v)
     # What is left over belongs to a state on the separatrix to its last bit. Nothing in the state says when it leaves
@@ -347,9 +363,7 @@ def _long_turn(rates, u, k):
 
 def _whole_periods(rates, u, k):
     """Nutation phase of the whole step, the fraction of it left after whole periods of L~, and the turn in those."""
-    a, b, c = rates
-    alpha, beta, gamma = k * (b - c), k * (a - c), k * (a - b)
-    p, q = _squared_phases(u, alpha, beta, gamma)
+    (a, b, c), alpha, beta, gamma, p, q = _motion(rates, u, k)
     larger = np.maximum(p, q)
     moving = larger > 0
     # p - q without the term that both have.

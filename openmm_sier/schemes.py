@@ -13,6 +13,7 @@ from functools import cached_property
 
 KICK = "kick"
 DRIFT = "drift"
+BATH = "bath"
 
 #: Coefficients are taken to satisfy an order condition when it holds to this; published ones have 16 digits.
 CONDITION_TOLERANCE = 1e-12
@@ -42,10 +43,9 @@ class Scheme:
             raise ValueError(f"scheme {self.name} has no stages")
         for operator in self.operators:
             fractions = [f for o, f in self.stages if o == operator]
-            if not math.isclose(math.fsum(fractions), 1.0, abs_tol=1e-14):
-                raise ValueError(
-                    f"scheme {self.name}: the fractions of '{operator}' must sum to 1, they sum to {math.fsum(fractions)!r}"
-                )
+            total = math.fsum(fractions)
+            if not math.isclose(total, 1.0, abs_tol=1e-14):
+                raise ValueError(f"scheme {self.name}: fractions of '{operator}' must sum to 1, they sum to {total!r}")
 
     @property
     def operators(self) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ class Scheme:
     @property
     def reuses_force(self) -> bool:
         """Whether the force at the end of a step is the one at the start of the next."""
-        return self.stages[0][0] == KICK and self.stages[-1][0] == KICK
+        return all(DRIFT not in _before(stages, KICK) for stages in (self.stages, self.stages[::-1]))
 
     @property
     def force_evaluations(self) -> int:
@@ -75,6 +75,34 @@ class Scheme:
                     moved, count = False, count + 1
         return count
 
+    def without(self, operator: str) -> Scheme:
+        """This scheme where an operator does nothing: its stages dropped, neighbours of one kind joined."""
+        stages: list[tuple[str, float]] = []
+        for name, fraction in self.stages:
+            if name == operator:
+                continue
+            if stages and stages[-1][0] == name:
+                stages[-1] = (name, stages[-1][1] + fraction)
+            else:
+                stages.append((name, fraction))
+        return Scheme(self.name, tuple(stages), self.source)
+
+    def with_bath(self) -> Scheme:
+        """This scheme with a heat bath, symmetrically: in the middle of its middle drift, or else half at either end.
+
+        For SIER2 that is kick, half drift, bath, half drift, kick (Leimkuhler and Matthews, Appl. Math. Res. Express
+        2013, 34). A scheme that has a bath is returned as it is.
+        """
+        if BATH in self.operators:
+            return self
+        middle = len(self.stages) // 2
+        if len(self.stages) % 2 and self.stages[middle][0] == DRIFT:
+            half = (DRIFT, 0.5 * self.stages[middle][1])
+            stages = (*self.stages[:middle], half, (BATH, 1.0), half, *self.stages[middle + 1 :])
+        else:
+            stages = ((BATH, 0.5), *self.stages, (BATH, 0.5))
+        return Scheme(self.name, stages, self.source)
+
     @cached_property
     def order(self) -> int:
         """Largest n for which the step is exact up to and including h^n.
@@ -84,7 +112,7 @@ class Scheme:
         operators is assumed, so that a scheme that needs one (Runge-Kutta-Nystroem) may do better than this.
         """
         letters = self.operators
-        coefficients = {(): 1.0}
+        coefficients: dict[tuple[str, ...], float] = {(): 1.0}
         for operator, fraction in self.stages:
             coefficients = _append_exponential(coefficients, operator, fraction)
         order = 0
@@ -95,6 +123,11 @@ class Scheme:
                 break
             order = length
         return order
+
+
+def _before(stages, operator):
+    """Names of the stages before the first of an operator."""
+    return [name for name, _ in itertools.takewhile(lambda stage: stage[0] != operator, stages)]
 
 
 def _append_exponential(coefficients, letter, fraction):

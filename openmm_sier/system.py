@@ -99,16 +99,17 @@ def _check_cluster(cluster, lengths, masses, describe):
     for atom in cluster:
         if masses[atom] == 0:
             raise RigidityError(
-                f"{describe(cluster)}: atom {atom} is constrained but has no mass. Give it a mass, or make it a virtual site"
+                f"{describe(cluster)}: atom {atom} is constrained but has no mass. Give it a mass, or make it a "
+                "virtual site"
             )
     missing = [pair for pair in combinations(cluster, 2) if pair not in lengths]
     if missing:
-        a, b = missing[0]
+        (a, b), pairs = missing[0], len(cluster) * (len(cluster) - 1) // 2
         raise RigidityError(
-            f"{describe(cluster)} is constrained but not rigid: {len(missing)} of its {len(cluster) * (len(cluster) - 1) // 2} "
-            f"distances are free, the first between atoms {a} and {b}. A body needs a constraint between every two of "
-            "its atoms and none to other atoms. Build the system with rigidWater=True and constraints=None, so "
-            "that only water is constrained, or add the missing constraints"
+            f"{describe(cluster)} is constrained but not rigid: {len(missing)} of its {pairs} distances are free, the "
+            f"first between atoms {a} and {b}. A body needs a constraint between every two of its atoms and none to "
+            "other atoms. Build the system with rigidWater=True and constraints=None, so that only water is "
+            "constrained, or add the missing constraints"
         )
 
 

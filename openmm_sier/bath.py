@@ -1,0 +1,60 @@
+"""The heat bath: an exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
+from openmm_sier.propagation import Operator
+
+
+class Bath:
+    """Langevin heat bath for rigid bodies.
+
+    Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
+    or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
+    for point particles; Davidchack, Ouldridge and Tretyakov, J. Chem. Phys. 142, 144114 (2015) for rigid bodies).
+
+    Attributes:
+        temperature: K.
+        friction: of the centres of mass, 1/ps.
+        rotational_friction: 1/ps.
+        seed: together with the number of earlier draws it fixes the noise.
+    """
+
+    def __init__(self, temperature: float, friction: float, rotational_friction: float, seed: int):
+        self.temperature = temperature
+        self.friction = friction
+        self.rotational_friction = rotational_friction
+        self.seed = seed
+
+    def operator(self, bodies: RigidBodies) -> Operator:
+        """The bath as an operator of a splitting scheme. It counts its heat and its draws in the state."""
+        masses, moments = bodies.masses, bodies.moments
+
+        def apply(state: BodyState, h: float) -> BodyState:
+            noise = self._noise(state.draws, bodies.n)
+            thermal = GAS_CONSTANT * self.temperature
+            kept, spread = _decay(self.friction, h)
+            p = kept * state.p + (spread * np.sqrt(thermal * masses)) * noise[:3]
+            kept, spread = _decay(self.rotational_friction, h)
+            kicks = (spread * np.sqrt(thermal * moments)) * noise[3:]
+            L = kept * state.L + (state.A[0] * kicks[0] + state.A[1] * kicks[1] + state.A[2] * kicks[2])
+            new = replace(state, p=p, L=L, draws=state.draws + 1)
+            heat = sum(bodies.kinetic_energies(new)) - sum(bodies.kinetic_energies(state))
+            return replace(new, heat=state.heat + heat)
+
+        return apply
+
+    def _noise(self, draw: int, n: int):
+        """Standard normal numbers (6, n) that depend on seed and draw alone."""
+        generator = np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, draw, 0]))
+        return generator.standard_normal((6, n))
+
+
+def _decay(friction, h):
+    """Factor that a momentum keeps in a time h, and the standard deviation it gains over its thermal one."""
+    return math.exp(-friction * abs(h)), math.sqrt(-math.expm1(-2 * friction * abs(h)))

@@ -1,0 +1,272 @@
+"""Runs one integrator in one Context: the Context holds the atoms, the engine the bodies."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import openmm
+
+from openmm_sier import propagation, storage
+from openmm_sier.bodies import BodyState
+from openmm_sier.schemes import DRIFT, KICK
+
+if TYPE_CHECKING:
+    from openmm_sier.integrator import SIERIntegrator
+
+#: Forces that change positions, velocities or the box between steps do so in `updateContextState`. These are known not
+#: to; with any other kind in the System the Context is read again each step.
+PASSIVE_FORCES = (
+    openmm.NonbondedForce,
+    openmm.HarmonicBondForce,
+    openmm.HarmonicAngleForce,
+    openmm.PeriodicTorsionForce,
+    openmm.RBTorsionForce,
+    openmm.CMAPTorsionForce,
+    openmm.GBSAOBCForce,
+    openmm.GayBerneForce,
+    openmm.RMSDForce,
+    openmm.CustomBondForce,
+    openmm.CustomAngleForce,
+    openmm.CustomTorsionForce,
+    openmm.CustomExternalForce,
+    openmm.CustomCompoundBondForce,
+    openmm.CustomCentroidBondForce,
+    openmm.CustomNonbondedForce,
+    openmm.CustomGBForce,
+    openmm.CustomHbondForce,
+    openmm.CustomManyParticleForce,
+    openmm.CustomCVForce,
+    # It has an effect, which `_Engine._without_drift` takes over: a sum over bodies is cheaper than reading atoms back.
+    openmm.CMMotionRemover,
+)
+
+#: Per-atom and global variables of the CustomIntegrator in which the bodies' state travels.
+STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(storage.VARIABLES))
+HEAT, DRAWS, SEED, ARMED = "sier_heat", "sier_draws", "sier_seed", "sier_armed"
+
+
+class Engine:
+    """Binding of a `SIERIntegrator` to a Context.
+
+    Between two calls of `run` the Context agrees with `state`, and `_echo` is what it gave back then: whatever differs
+    later was changed from outside.
+
+    Attributes:
+        bodies: the rigid bodies of the Context's System.
+        forces: forces and torques on them, computed by the Context.
+    """
+
+    def __init__(self, integrator: SIERIntegrator, context):
+        # The Context owns its integrator, so that a strong reference back would keep both alive.
+        self._context_ref = weakref.ref(context)
+        self._integrator_ref = weakref.ref(integrator)
+        system = context.getSystem()
+        n = system.getNumParticles()
+        self.bodies = integrator._find_bodies(system)
+        forces = [system.getForce(i) for i in range(system.getNumForces())]
+        self._sweep_frequencies = [f.getFrequency() for f in forces if isinstance(f, openmm.CMMotionRemover)]
+        self._has_actors = any(not isinstance(f, PASSIVE_FORCES) for f in forces)
+        self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
+        self._positions, self._velocities = np.zeros((n, 3)), np.zeros((n, 3))
+        self._placed: tuple = (None, None)
+        self._echo: _Snapshot | None = None
+        self._state: BodyState | None = None
+        self.forces = propagation.CachedForces(self._compute_forces)
+        self.operators = {
+            KICK: propagation.kick(self.forces),
+            DRIFT: propagation.drift(self.bodies, integrator.rotation),
+            **integrator._extra_operators(self.bodies),
+        }
+
+    @property
+    def _context(self):
+        context = self._context_ref()
+        if context is None:
+            raise openmm.OpenMMException("The Context of this integrator no longer exists")
+        return context
+
+    @property
+    def _integrator(self) -> SIERIntegrator:
+        integrator = self._integrator_ref()
+        if integrator is None:
+            raise openmm.OpenMMException("The integrator of this Context no longer exists")
+        return integrator
+
+    @property
+    def state(self) -> BodyState:
+        """The bodies' phase point at the last completed step."""
+        if self._state is None:
+            raise openmm.OpenMMException("The Context has no positions yet")
+        return self._state
+
+    # --- stepping ---
+
+    def run(self, count: int) -> None:
+        """Advance by `count` steps; an error or interrupt leaves the Context at the last completed one."""
+        self.adopt()
+        try:
+            for _ in range(count):
+                self._one_step()
+        finally:
+            try:
+                self._publish()
+            except KeyboardInterrupt:
+                self._publish()
+                raise
+
+    def _one_step(self) -> None:
+        before, mark = self.state, self._context.getState()
+        try:
+            self._state = self._next_state()
+        except BaseException:
+            if self.state is before:
+                self._rewind(mark)
+            raise
+
+    def _next_state(self) -> BodyState:
+        integrator, context = self._integrator, self._context
+        sweeps = any(context.getStepCount() % frequency == 0 for frequency in self._sweep_frequencies)
+        state = self._update_context_state()
+        if sweeps:
+            state = self._without_drift(state)
+        h = openmm.CustomIntegrator.getStepSize(integrator)._value
+        return propagation.step(integrator._active_scheme(), self.operators, state, h)
+
+    def _update_context_state(self) -> BodyState:
+        """OpenMM's own part of a step: time and step count advance, barostats and thermostats of the System act."""
+        if not self._has_actors:
+            self._native_step()
+            return self.state
+        self._publish()
+        before = self._echo
+        self._native_step()
+        self._echo = _Snapshot(self._context)
+        return self._reconcile(before, self._echo)
+
+    def _native_step(self) -> None:
+        integrator = self._integrator
+        integrator.setGlobalVariableByName(ARMED, 1)
+        try:
+            openmm.CustomIntegrator.step(integrator, 1)
+        finally:
+            integrator.setGlobalVariableByName(ARMED, 0)
+
+    def _without_drift(self, state: BodyState) -> BodyState:
+        """What a CMMotionRemover does, for bodies."""
+        velocity = state.p.sum(axis=1) / self.bodies.masses.sum()
+        return replace(state, p=state.p - self.bodies.masses * velocity[:, None])
+
+    def _rewind(self, mark) -> None:
+        context = self._context
+        context.setTime(mark.getTime())
+        context.setStepCount(mark.getStepCount())
+        context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
+        self.forces.forget()
+        self._placed = (None, None)
+
+    # --- forces ---
+
+    def _compute_forces(self, q, A):
+        self._place(q, A)
+        groups = self._integrator.getIntegrationForceGroups()
+        forces = self._context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
+        F, tau = self.bodies.forces_and_torques(forces, A)
+        if not (np.isfinite(F).all() and np.isfinite(tau).all()):
+            body = int(np.flatnonzero(~(np.isfinite(F) & np.isfinite(tau)).all(axis=0))[0])
+            raise openmm.OpenMMException(
+                f"The force on {self.bodies.describe(body)} is not finite in step {self._context.getStepCount()}. "
+                "Is the step size too long, or do atoms overlap? The Context is left at the last completed step."
+            )
+        return F, tau
+
+    # --- agreement with the Context ---
+
+    def adopt(self) -> None:
+        """Take over what was changed in the Context from outside.
+
+        Raises:
+            RigidityError: the positions do not form the bodies. Nothing has been changed then.
+        """
+        now = _Snapshot(self._context)
+        state = (None if self._same_positions(self._echo, now) else self._recall(now)) or self._reconcile(
+            self._echo, now
+        )
+        integrator = self._integrator
+        heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
+        self._state, self._echo = replace(state, heat=heat, draws=draws), now
+
+    def _same_positions(self, before: _Snapshot | None, now: _Snapshot) -> bool:
+        return self._state is not None and before is not None and np.array_equal(before.positions, now.positions)
+
+    def _reconcile(self, before: _Snapshot | None, now: _Snapshot) -> BodyState:
+        """The bodies' state after the Context changed from one snapshot to another."""
+        old = self._state
+        if before is None or before.environment != now.environment:
+            self.forces.forget()
+        if old is None or before is None:
+            q, A = self.bodies.fit(now.positions)
+            self._take_positions(now)
+            p, L = self.bodies.momenta(now.velocities, A)
+            return BodyState(q, p, A, L)
+        q, A = old.q, old.A
+        if not self._same_positions(before, now):
+            q, A = self.bodies.fit(now.positions, old)
+            self._take_positions(now)
+        if np.array_equal(before.velocities, now.velocities) and np.array_equal(A, old.A):
+            return replace(old, q=q, A=A)
+        p, L = self.bodies.momenta(now.velocities, A)
+        return replace(old, q=q, p=p, A=A, L=L)
+
+    def _recall(self, now: _Snapshot) -> BodyState | None:
+        """The state stored in the integrator's variables, if it is that of the atoms to the last bit.
+
+        It is after a checkpoint or a State with integrator parameters was loaded.
+        """
+        values = np.array([self._integrator.getPerDofVariableByName(name) for name in STATE_VARIABLES])
+        if not values.any():
+            return None
+        state = storage.unpack(self.bodies, values)
+        positions = self.bodies.place(state.q, state.A, now.positions.copy())
+        velocities = self.bodies.move(state, now.velocities.copy())
+        if not (np.array_equal(positions, now.positions) and np.array_equal(velocities, now.velocities)):
+            return None
+        self.forces.forget()
+        self._take_positions(now)
+        return state
+
+    def _take_positions(self, now: _Snapshot) -> None:
+        self._positions[:] = now.positions
+        self._placed = (None, None)
+
+    def _place(self, q, A) -> None:
+        if self._placed[0] is q and self._placed[1] is A:
+            return
+        context = self._context
+        context.setPositions(self.bodies.place(q, A, self._positions))
+        if self._has_virtual_sites:
+            context.computeVirtualSites()
+        self._placed = (q, A)
+
+    def _publish(self) -> None:
+        """Write the bodies' state to the Context and to the variables that travel in checkpoints."""
+        state, integrator, context = self.state, self._integrator, self._context
+        self._place(state.q, state.A)
+        context.setVelocities(self.bodies.move(state, self._velocities))
+        for name, values in zip(STATE_VARIABLES, storage.pack(self.bodies, state), strict=True):
+            integrator.setPerDofVariableByName(name, values)
+        integrator.setGlobalVariableByName(HEAT, state.heat)
+        integrator.setGlobalVariableByName(DRAWS, state.draws)
+        self._echo = _Snapshot(context)
+
+
+class _Snapshot:
+    """What a Context holds that can be changed from outside."""
+
+    def __init__(self, context):
+        state = context.getState(positions=True, velocities=True, parameters=True)
+        self.positions = state.getPositions(asNumpy=True)._value
+        self.velocities = state.getVelocities(asNumpy=True)._value
+        self.environment = (state.getPeriodicBoxVectors(asNumpy=True)._value.tobytes(), dict(state.getParameters()))

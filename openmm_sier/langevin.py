@@ -1,0 +1,122 @@
+"""Langevin dynamics of rigid bodies, for OpenMM users."""
+
+from __future__ import annotations
+
+import secrets
+
+from openmm import unit
+
+from openmm_sier import rotor
+from openmm_sier.bath import Bath
+from openmm_sier.bodies import RigidBodies
+from openmm_sier.engine import SEED
+from openmm_sier.integrator import SIERIntegrator, quantity_to_float, whole_number
+from openmm_sier.schemes import BATH, SIER4, Scheme
+
+
+class SIERLangevinIntegrator(SIERIntegrator):
+    """Rigid-body Langevin dynamics at constant temperature.
+
+    The scheme gets an exact heat bath: SIER2 in its middle (kick, half drift, bath, half drift, kick), SIER4 half at
+    either end. Where the friction is zero the trajectory is, bit for bit, that of the scheme without a bath.
+
+    The noise is a function of the seed and of the number of bath operations done so far. Both travel in checkpoints, so
+    that a restarted run continues the same trajectory.
+    """
+
+    def __init__(
+        self,
+        temperature,
+        frictionCoeff,
+        stepSize,
+        scheme: Scheme = SIER4,
+        bodies: RigidBodies | None = None,
+        rotation=rotor.exact,
+        rotationalFriction=None,
+    ):
+        """
+        Args:
+            temperature: of the bath, a quantity or a number in K.
+            frictionCoeff: coupling to the bath, a quantity or a number in 1/ps.
+            stepSize: step, a time quantity or a number in ps.
+            scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
+            bodies: the rigid bodies; None finds them in the System's constraints.
+            rotation: free-rotation map, as `rotor.exact`.
+            rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
+
+        Raises:
+            ValueError: a value is not finite or has the wrong sign.
+            TypeError: a quantity has the wrong dimension.
+        """
+        super().__init__(stepSize, scheme.with_bath() if isinstance(scheme, Scheme) else scheme, bodies, rotation)
+        friction = _friction("frictionCoeff", frictionCoeff)
+        turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
+        self._bath = Bath(_temperature(temperature), friction, turning, seed=0)
+        self._same_friction = rotationalFriction is None
+        self._cold_scheme = self._scheme.without(BATH)
+
+    def getTemperature(self):
+        """Temperature of the bath, a quantity in K."""
+        return self._bath.temperature * unit.kelvin
+
+    def setTemperature(self, temp) -> None:
+        """Set the temperature of the bath, a quantity or a number in K."""
+        self._bath.temperature = _temperature(temp)
+
+    def getFriction(self):
+        """Friction of the translation, a quantity in 1/ps."""
+        return self._bath.friction / unit.picosecond
+
+    def setFriction(self, coeff) -> None:
+        """Set the friction, a quantity or a number in 1/ps; that of the rotation too unless it was given apart."""
+        self._bath.friction = _friction("coeff", coeff)
+        if self._same_friction:
+            self._bath.rotational_friction = self._bath.friction
+
+    def getRotationalFriction(self):
+        """Friction of the rotation, a quantity in 1/ps."""
+        return self._bath.rotational_friction / unit.picosecond
+
+    def setRotationalFriction(self, coeff) -> None:
+        """Set the friction of the rotation, a quantity or a number in 1/ps; from now on apart from the other."""
+        self._bath.rotational_friction = _friction("coeff", coeff)
+        self._same_friction = False
+
+    def setRandomNumberSeed(self, seed) -> None:
+        """Set the seed of the noise for the next Context; as in OpenMM, 0 takes another one for every Context."""
+        super().setRandomNumberSeed(whole_number("seed", seed))
+
+    def getHeat(self):
+        """Heat that the bath has given to the bodies, a quantity; total energy less heat is conserved."""
+        return self._bound().state.heat * unit.kilojoule_per_mole
+
+    def _bind(self, context) -> None:
+        first = self._engine is None
+        super()._bind(context)
+        if first:
+            seed = self.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
+            self.setGlobalVariableByName(SEED, seed)
+
+    def _active_scheme(self) -> Scheme:
+        if self._bath.friction == 0 and self._bath.rotational_friction == 0:
+            return self._cold_scheme
+        # A loaded checkpoint brings the seed of its run.
+        self._bath.seed = int(self.getGlobalVariableByName(SEED))
+        return self._scheme
+
+    def _extra_operators(self, bodies: RigidBodies) -> dict:
+        return {BATH: self._bath.operator(bodies)}
+
+
+def _temperature(value) -> float:
+    value = quantity_to_float("temperature", value, unit.kelvin, "K")
+    if value < 0:
+        raise ValueError(f"temperature must not be negative, got {value} K")
+    return value
+
+
+def _friction(name: str, value) -> float:
+    value = quantity_to_float(name, value, unit.picosecond**-1, "1/ps")
+    if value < 0:
+        raise ValueError(f"{name} must not be negative, got {value} 1/ps")
+    return value

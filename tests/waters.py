@@ -1,0 +1,102 @@
+"""Small water systems for the tests that need a Context."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+PICOSECOND = unit.picosecond
+
+
+def platform(name="Reference"):
+    return openmm.Platform.getPlatformByName(name)
+
+
+@functools.lru_cache(maxsize=None)
+def water_box(model="tip3p", molecules=64, ions=False):
+    """Topology, positions (N, 3) in nm and force field of a cubic box of water, deterministic."""
+    names = {"tip3p": "tip3p", "tip4pew": "tip4pew", "tip5p": "tip5p", "spce": "spce"}
+    field = app.ForceField("amber14/tip3p.xml" if ions else f"{names[model]}.xml")
+    modeller = app.Modeller(app.Topology(), [] * unit.nanometer)
+    edge = (molecules / 33.4) ** (1 / 3)
+    shape = {"tip5p": "tip5p", "tip4pew": "tip4pew", "spce": "spce"}.get(model, "tip3p")
+    if ions:
+        modeller.addSolvent(field, model=shape, boxSize=openmm.Vec3(edge, edge, edge), ionicStrength=1 * unit.molar)
+    else:
+        modeller.addSolvent(field, model=shape, boxSize=openmm.Vec3(edge, edge, edge))
+    positions = np.array(modeller.positions.value_in_unit(unit.nanometer))
+    return modeller.topology, positions, field
+
+
+def periodic_system(model="tip3p", molecules=64, ions=False, **options):
+    """Topology, positions and a PME System of a small box."""
+    topology, positions, field = water_box(model, molecules, ions)
+    system = field.createSystem(
+        topology,
+        nonbondedMethod=app.PME,
+        nonbondedCutoff=0.55 * unit.nanometer,
+        ewaldErrorTolerance=1e-4,
+        **options,
+    )
+    return topology, positions, system
+
+
+def cluster_system(molecules=8, model="tip3p", **options):
+    """Topology, positions and System of isolated molecules, without a cut-off."""
+    topology, positions, field = water_box(model)
+    size = len(positions) // topology.getNumResidues() * molecules
+    kept = app.Modeller(topology, positions * unit.nanometer)
+    centre = positions.mean(axis=0)
+    residues = list(topology.residues())
+    distances = [np.linalg.norm(positions[next(r.atoms()).index] - centre) for r in residues]
+    kept.delete([residues[i] for i in np.argsort(distances, kind="stable")[molecules:]])
+    topology, positions = kept.topology, np.array(kept.positions.value_in_unit(unit.nanometer))
+    topology.setPeriodicBoxVectors(None)
+    if len(positions) != size:
+        raise ValueError(f"expected {size} atoms, got {len(positions)}")
+    return topology, positions, field.createSystem(topology, removeCMMotion=False, **options)
+
+
+def relaxed(topology, positions, system, temperature=297.0, seed=7, steps=300):
+    """Positions and velocities (N, 3) after minimization and a short Langevin run, exactly rigid to single precision."""
+    integrator = openmm.LangevinMiddleIntegrator(temperature, 10.0, 0.001)
+    integrator.setRandomNumberSeed(seed)
+    simulation = app.Simulation(topology, system, integrator, platform("CPU"), {"Threads": "1"})
+    simulation.context.setPositions(positions)
+    simulation.minimizeEnergy(maxIterations=100)
+    simulation.context.setVelocitiesToTemperature(temperature, seed)
+    simulation.step(steps)
+    state = simulation.context.getState(positions=True, velocities=True)
+    return array(state.getPositions()), array(state.getVelocities())
+
+
+def array(quantity):
+    return np.array(quantity.value_in_unit_system(unit.md_unit_system))
+
+
+def phase_point(context):
+    """Positions and velocities of a Context, (N, 3) each."""
+    state = context.getState(positions=True, velocities=True)
+    return (
+        state.getPositions(asNumpy=True).value_in_unit(unit.nanometer).copy(),
+        state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond).copy(),
+    )
+
+
+def energies(context):
+    """Potential and kinetic energy of a Context, kJ/mol."""
+    state = context.getState(energy=True)
+    return tuple(
+        e.value_in_unit(unit.kilojoule_per_mole) for e in (state.getPotentialEnergy(), state.getKineticEnergy())
+    )
+
+
+def context_at(system, integrator, point, name="Reference"):
+    properties = {"Threads": "1", "DeterministicForces": "true"} if name == "CPU" else {}
+    context = openmm.Context(system, integrator, platform(name), properties)
+    context.setPositions(point[0])
+    context.setVelocities(point[1])
+    return context
