@@ -147,12 +147,15 @@ class Engine:
         return self._reconcile(before, self._echo)
 
     def _native_step(self) -> None:
-        integrator = self._integrator
+        integrator, context = self._integrator, self._context
+        time = context.getTime() + integrator.getStepSize()
         integrator.setGlobalVariableByName(ARMED, 1)
         try:
             openmm.CustomIntegrator.step(integrator, 1)
         finally:
             integrator.setGlobalVariableByName(ARMED, 0)
+        # A CustomIntegrator's own clock goes on at the step size that it had when its Context was created.
+        context.setTime(time)
 
     def _without_drift(self, state: BodyState) -> BodyState:
         """What a CMMotionRemover does, for bodies."""

@@ -28,13 +28,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def __init__(self, stepSize, scheme: Scheme = SIER2, bodies: RigidBodies | None = None, rotation=rotor.exact):
         """
         Args:
-            stepSize: step, a time quantity or a number in ps. A negative step runs backwards.
+            stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme, see `openmm_sier.schemes`.
             bodies: the rigid bodies; None finds them in the System's constraints.
             rotation: free-rotation map, as `rotor.exact`.
 
         Raises:
-            ValueError: the step is zero or not finite.
+            ValueError: the step is not positive and finite.
             TypeError: the step is no time, or `scheme` is no Scheme.
         """
         if not isinstance(scheme, Scheme):
@@ -171,8 +171,8 @@ class SIER4Integrator(SIERIntegrator):
 
 def _step_size(size) -> float:
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
-    if size == 0:
-        raise ValueError("stepSize must not be zero")
+    if size <= 0:
+        raise ValueError(f"stepSize must be positive, got {size} ps; to run backwards reverse the velocities")
     return size
 
 
