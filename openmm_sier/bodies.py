@@ -8,7 +8,7 @@ Arrays of atoms have OpenMM's shape (N, 3).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -69,13 +69,14 @@ class Species:
     moments: np.ndarray
 
     @classmethod
-    def from_coordinates(cls, atoms, masses, coordinates) -> Species:
+    def from_coordinates(cls, atoms, masses, coordinates, resolution: float = 0.0) -> Species:
         """Species whose geometry is that of one set of atom positions.
 
         Args:
             atoms: particle indices, (m, k).
             masses: (k,), dalton, positive.
             coordinates: positions of the k atoms in any frame, (k, 3), nm.
+            resolution: atoms that are all within this distance of a principal plane, in nm, are put onto it.
         """
         masses = np.array(masses, dtype=float)
         r = np.array(coordinates, dtype=float)
@@ -85,10 +86,19 @@ class Species:
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         sites = (r @ axes).T
         sites[np.abs(sites) <= ON_AXIS * np.abs(sites).max()] = 0.0
+        sites[np.abs(sites).max(axis=1) <= resolution] = 0.0
         squares = (masses * sites**2).sum(axis=1)
         moments = squares.sum() - squares
         moments[moments <= LINEAR_MOMENT * moments.max()] = 0.0
         return cls(np.array(atoms, dtype=np.int64), masses, sites, moments)
+
+    def of_atoms(self, atoms) -> Species:
+        """Other bodies, (m, k) particle indices, of the same geometry."""
+        return replace(self, atoms=np.array(atoms, dtype=np.int64))
+
+    def mirrored(self) -> Species:
+        """The mirror image, whose principal axes are the same."""
+        return replace(self, sites=self.sites * [[1.0], [1.0], [-1.0]])
 
     @property
     def mass(self) -> float:
@@ -165,11 +175,11 @@ class RigidBodies:
         self.degrees_of_freedom = sum(s.degrees_of_freedom * s.atoms.shape[0] for s in self.species)
 
     @classmethod
-    def from_system(cls, system, topology=None) -> RigidBodies:
-        """The bodies of an OpenMM System, found in its constraints; see `openmm_sier.system.find_bodies`."""
+    def from_system(cls, system, topology=None, rigid=None, positions=None) -> RigidBodies:
+        """The bodies of an OpenMM System; see `openmm_sier.system.find_bodies`, which this calls."""
         from openmm_sier.system import find_bodies
 
-        return find_bodies(system, topology)
+        return find_bodies(system, topology, rigid, positions)
 
     def _check(self):
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
@@ -196,7 +206,7 @@ class RigidBodies:
     def describe_atoms(self, atoms) -> str:
         names = "atoms " + ", ".join(str(int(i)) for i in atoms) if len(atoms) > 1 else f"atom {int(atoms[0])}"
         if self.labels is None:
-            return names
+            return names if len(atoms) == 1 else f"the body of {names}"
         residues = list(dict.fromkeys(self.labels[i] for i in atoms))
         return f"residue {' and '.join(residues)} ({names})"
 
@@ -226,7 +236,7 @@ class RigidBodies:
                 body = part.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
                 raise RigidityError(f"the positions of {self.describe(body)} are not finite")
             kept = None if previous is None else previous.A[:, :, part]
-            A[:, :, part], misfit[part] = _fit_attitude(s, x - centre[:, None, :], kept)
+            A[:, :, part], misfit[part] = fit_attitudes(s, x - centre[:, None, :], kept)
         if self.n and misfit.max() > FIT_TOLERANCE:
             worst = int(misfit.argmax())
             raise RigidityError(
@@ -346,11 +356,19 @@ def _add_cross(a, b, out):
     out[2] += a[0] * b[1] - a[1] * b[0]
 
 
-def _fit_attitude(species: Species, arms, kept):
-    """Attitudes (3, 3, m) that turn the sites onto `arms` (m, k, 3), and the largest distance left for each body.
+def fit_attitudes(species: Species, arms, kept=None):
+    """Attitudes that turn the sites of a species onto atoms, and the largest distance left for each body.
 
     The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
     Acta Cryst. A 34, 827 (1978)).
+
+    Args:
+        species: what to turn.
+        arms: atom positions from the centres of mass, (m, k, 3), nm.
+        kept: attitudes (3, 3, m) that are returned as they are if they fit to rounding.
+
+    Returns:
+        (A, misfit), shapes (3, 3, m) and (m,).
     """
     m = arms.shape[0]
     if not species.sites.any():

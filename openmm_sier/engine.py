@@ -10,7 +10,7 @@ import numpy as np
 import openmm
 
 from openmm_sier import propagation, storage
-from openmm_sier.bodies import BodyState
+from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
 from openmm_sier.schemes import DRIFT, KICK
 
 if TYPE_CHECKING:
@@ -55,7 +55,6 @@ class Engine:
     later was changed from outside.
 
     Attributes:
-        bodies: the rigid bodies of the Context's System.
         forces: forces and torques on them, computed by the Context.
     """
 
@@ -65,7 +64,7 @@ class Engine:
         self._integrator_ref = weakref.ref(integrator)
         system = context.getSystem()
         n = system.getNumParticles()
-        self.bodies = integrator._find_bodies(system)
+        self._plan = integrator._plan_bodies(system)
         forces = [system.getForce(i) for i in range(system.getNumForces())]
         self._sweep_frequencies = [f.getFrequency() for f in forces if isinstance(f, openmm.CMMotionRemover)]
         self._has_actors = any(not isinstance(f, PASSIVE_FORCES) for f in forces)
@@ -75,11 +74,10 @@ class Engine:
         self._echo: _Snapshot | None = None
         self._state: BodyState | None = None
         self.forces = propagation.CachedForces(self._compute_forces)
-        self.operators = {
-            KICK: propagation.kick(self.forces),
-            DRIFT: propagation.drift(self.bodies, integrator.rotation),
-            **integrator._extra_operators(self.bodies),
-        }
+        self.operators: dict[str, propagation.Operator] = {}
+        self._bodies: RigidBodies | None = None
+        if not self._plan.needs_positions:
+            self._settle_bodies(None)
 
     @property
     def _context(self):
@@ -96,11 +94,27 @@ class Engine:
         return integrator
 
     @property
+    def bodies(self) -> RigidBodies:
+        """The rigid bodies of the Context's System."""
+        if self._bodies is None:
+            raise openmm.OpenMMException("These rigid bodies are known only when the Context has positions")
+        return self._bodies
+
+    @property
     def state(self) -> BodyState:
         """The bodies' phase point at the last completed step."""
         if self._state is None:
             raise openmm.OpenMMException("The Context has no positions yet")
         return self._state
+
+    def _settle_bodies(self, positions) -> None:
+        integrator = self._integrator
+        self._bodies = self._plan.bodies(positions)
+        self.operators = {
+            KICK: propagation.kick(self.forces),
+            DRIFT: propagation.drift(self._bodies, integrator.rotation),
+            **integrator._extra_operators(self._bodies),
+        }
 
     # --- stepping ---
 
@@ -111,11 +125,7 @@ class Engine:
             for _ in range(count):
                 self._one_step()
         finally:
-            try:
-                self._publish()
-            except KeyboardInterrupt:
-                self._publish()
-                raise
+            _whatever_interrupts(self._publish)
 
     def _one_step(self) -> None:
         before, mark = self.state, self._context.getState()
@@ -123,7 +133,7 @@ class Engine:
             self._state = self._next_state()
         except BaseException:
             if self.state is before:
-                self._rewind(mark)
+                _whatever_interrupts(lambda: self._rewind(mark))
             raise
 
     def _next_state(self) -> BodyState:
@@ -184,6 +194,12 @@ class Engine:
                 "Is the step size too long, or do atoms overlap? The Context is left at the last completed step."
             )
         return F, tau
+
+    def temperature(self) -> float:
+        """In K, of all degrees of freedom."""
+        self.adopt()
+        freedoms = self.bodies.degrees_of_freedom - (3 if self._sweep_frequencies else 0)
+        return 2 * sum(self.bodies.kinetic_energies(self.state)) / (freedoms * GAS_CONSTANT)
 
     # --- agreement with the Context ---
 
@@ -263,6 +279,15 @@ class Engine:
         integrator.setGlobalVariableByName(HEAT, state.heat)
         integrator.setGlobalVariableByName(DRAWS, state.draws)
         self._echo = _Snapshot(context)
+
+
+def _whatever_interrupts(action) -> None:
+    """Do what must be done as a whole: a Ctrl-C in it takes effect after it."""
+    try:
+        action()
+    except KeyboardInterrupt:
+        action()
+        raise
 
 
 class _Snapshot:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import numbers
+from collections.abc import Sequence
 
 import openmm
 from openmm import unit
@@ -13,6 +14,10 @@ from openmm_sier import rotor
 from openmm_sier.bodies import BodyState, RigidBodies
 from openmm_sier.engine import ARMED, DRAWS, HEAT, SEED, STATE_VARIABLES, Engine
 from openmm_sier.schemes import SIER2, SIER4, Scheme
+from openmm_sier.system import BodyPlan
+
+#: What users may give as bodies.
+Bodies = RigidBodies | Sequence[Sequence[int]] | None
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
@@ -25,12 +30,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
     Source: van Zon and Schofield (2007).
     """
 
-    def __init__(self, stepSize, scheme: Scheme = SIER2, bodies: RigidBodies | None = None, rotation=rotor.exact):
+    def __init__(self, stepSize, scheme: Scheme = SIER2, bodies: Bodies = None, rotation=rotor.exact):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme, see `openmm_sier.schemes`.
-            bodies: the rigid bodies; None finds them in the System's constraints.
+            bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices make rigid
+                bodies, of the geometry that they have at the first step, besides those that constraints make.
             rotation: free-rotation map, as `rotor.exact`.
 
         Raises:
@@ -106,12 +112,42 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         self._bound().run(whole_number("steps", steps))
 
+    def computeSystemTemperature(self):
+        """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
+
+        OpenMM's StateDataReporter asks for it. With a CMMotionRemover at work three degrees of freedom are left out.
+        """
+        return self._bound().temperature() * unit.kelvin
+
     def forcesChanged(self) -> None:
         """Say that the potential was changed by `Force.updateParametersInContext`.
 
         Changes of positions, velocities, box and Context parameters are noticed without this.
         """
         self._bound().forces.forget()
+
+    # --- copies ---
+
+    def __reduce__(self):
+        settings = {
+            "IntegrationForceGroups": self.getIntegrationForceGroups(),
+            "ConstraintTolerance": self.getConstraintTolerance(),
+            "RandomNumberSeed": self.getRandomNumberSeed(),
+        }
+        return _rebuild, (type(self), self._arguments(), settings)
+
+    def __copy__(self):
+        return _rebuild(*self.__reduce__()[1])
+
+    def __deepcopy__(self, memo):
+        return self.__copy__()
+
+    def _arguments(self) -> dict:
+        """What the constructor needs to make an integrator like this one, not bound to a Context."""
+        return {**self._own_arguments(), "stepSize": self.getStepSize(), "bodies": self._given_bodies}
+
+    def _own_arguments(self) -> dict:
+        return {"scheme": self._scheme, "rotation": self._rotation}
 
     # --- for the engine and for subclasses ---
 
@@ -123,12 +159,15 @@ class SIERIntegrator(openmm.CustomIntegrator):
             raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
         return self._engine
 
-    def _find_bodies(self, system) -> RigidBodies:
+    def _plan_bodies(self, system):
+        """What the engine gets its bodies from: something with `needs_positions` and `bodies(positions)`."""
         n = system.getNumParticles()
-        bodies = RigidBodies.from_system(system) if self._given_bodies is None else self._given_bodies
-        if bodies.n_particles != n:
-            raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {n}")
-        return bodies
+        given = self._given_bodies
+        if not isinstance(given, RigidBodies):
+            return BodyPlan(system, rigid=given)
+        if given.n_particles != n:
+            raise ValueError(f"bodies are those of a system of {given.n_particles} particles, this one has {n}")
+        return _Settled(given)
 
     def _active_scheme(self) -> Scheme:
         """The scheme to execute now."""
@@ -139,19 +178,34 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return {}
 
 
+class _Settled:
+    """A plan with bodies that are known already."""
+
+    needs_positions = False
+
+    def __init__(self, bodies: RigidBodies):
+        self._bodies = bodies
+
+    def bodies(self, positions) -> RigidBodies:
+        return self._bodies
+
+
 class SIER2Integrator(SIERIntegrator):
     """Second-order integrator for rigid bodies with one force evaluation a step.
 
     Source: van Zon and Schofield (2007), Eq. Verlet.
     """
 
-    def __init__(self, stepSize, bodies: RigidBodies | None = None):
+    def __init__(self, stepSize, bodies: Bodies = None):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
-            bodies: the rigid bodies; None finds them in the System's constraints.
+            bodies: see `SIERIntegrator`.
         """
         super().__init__(stepSize, SIER2, bodies)
+
+    def _own_arguments(self) -> dict:
+        return {}
 
 
 class SIER4Integrator(SIERIntegrator):
@@ -160,13 +214,24 @@ class SIER4Integrator(SIERIntegrator):
     Source: van Zon and Schofield (2007), Eq. EFRL.
     """
 
-    def __init__(self, stepSize, bodies: RigidBodies | None = None):
+    def __init__(self, stepSize, bodies: Bodies = None):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
-            bodies: the rigid bodies; None finds them in the System's constraints.
+            bodies: see `SIERIntegrator`.
         """
         super().__init__(stepSize, SIER4, bodies)
+
+    def _own_arguments(self) -> dict:
+        return {}
+
+
+def _rebuild(cls, arguments: dict, settings: dict):
+    """The integrator of which `SIERIntegrator.__reduce__` gave class, constructor arguments and settings."""
+    integrator = cls(**arguments)
+    for name, value in settings.items():
+        getattr(integrator, f"set{name}")(value)
+    return integrator
 
 
 def _step_size(size) -> float:

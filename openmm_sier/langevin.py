@@ -10,7 +10,7 @@ from openmm_sier import rotor
 from openmm_sier.bath import Bath
 from openmm_sier.bodies import RigidBodies
 from openmm_sier.engine import SEED
-from openmm_sier.integrator import SIERIntegrator, quantity_to_float, whole_number
+from openmm_sier.integrator import Bodies, SIERIntegrator, quantity_to_float, whole_number
 from openmm_sier.schemes import BATH, SIER4, Scheme
 
 
@@ -30,7 +30,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
         frictionCoeff,
         stepSize,
         scheme: Scheme = SIER4,
-        bodies: RigidBodies | None = None,
+        bodies: Bodies = None,
         rotation=rotor.exact,
         rotationalFriction=None,
     ):
@@ -40,7 +40,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
             frictionCoeff: coupling to the bath, a quantity or a number in 1/ps.
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
-            bodies: the rigid bodies; None finds them in the System's constraints.
+            bodies: see `SIERIntegrator`.
             rotation: free-rotation map, as `rotor.exact`.
             rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
 
@@ -89,6 +89,14 @@ class SIERLangevinIntegrator(SIERIntegrator):
     def getHeat(self):
         """Heat that the bath has given to the bodies, a quantity; total energy less heat is conserved."""
         return self._bound().state.heat * unit.kilojoule_per_mole
+
+    def _own_arguments(self) -> dict:
+        return {
+            **super()._own_arguments(),
+            "temperature": self.getTemperature(),
+            "frictionCoeff": self.getFriction(),
+            "rotationalFriction": None if self._same_friction else self.getRotationalFriction(),
+        }
 
     def _bind(self, context) -> None:
         first = self._engine is None

@@ -1,60 +1,211 @@
-"""Rigid bodies of an OpenMM System, found in its constraints."""
+"""Rigid bodies of an OpenMM System: those that its constraints make, and those that the user names."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from openmm import unit
 
-from openmm_sier.bodies import RigidBodies, RigidityError, Species
+from openmm_sier.bodies import FIT_TOLERANCE, RigidBodies, RigidityError, Species, fit_attitudes
 
-#: Largest excess in nm of a constraint over the distance in the geometry that all constraints of a cluster define.
+#: Largest error in nm of a constraint in the geometry that all constraints of a cluster define.
 EMBEDDING_TOLERANCE = 1e-4
 
+#: Atoms of a named body this close in nm to a line or a plane lie on it; PDB files round to 1e-4 nm.
+RESOLUTION = 5e-4
 
-def find_bodies(system, topology=None) -> RigidBodies:
-    """Rigid bodies of a System.
+Cluster = tuple[int, ...]
 
-    Particles joined by constraints form a body, whose geometry the constraint lengths define; every
-    other massive particle is a point body. Virtual sites ride along. Massless particles that are no virtual sites stay
-    where they are.
+
+class Kind(NamedTuple):
+    """Clusters of particles with the same masses, in their order, and the same constraints.
+
+    Attributes:
+        masses: dalton.
+        clusters: particle indices of each body.
+        model: the bodies with the geometry that constraints give them; None where constraints do not.
+    """
+
+    masses: tuple[float, ...]
+    clusters: list[Cluster]
+    model: Species | None
+
+    @property
+    def needs_positions(self) -> bool:
+        """Whether constraints leave the geometry or the choice between two mirror images open."""
+        return self.model is None or bool(self.model.sites.any(axis=1).all())
+
+
+class BodyPlan:
+    """Which particles of a System form rigid bodies.
+
+    Particles that the user names form bodies of the geometry that they have. Of the others, those joined by
+    constraints form bodies whose geometry the constraint lengths define, and every massive particle that is left is a
+    point body. Virtual sites ride along. Massless particles that are no virtual sites stay where they are.
+    """
+
+    def __init__(self, system, topology=None, rigid=None):
+        """
+        Args:
+            system: openmm.System.
+            topology: openmm.app.Topology, for the names of residues.
+            rigid: further rigid bodies: lists of particle indices, or a mapping {residue name: "rigid"}, which needs
+                the topology.
+
+        Raises:
+            RigidityError: a cluster is constrained but not rigid, its lengths contradict each other, a constraint joins
+                a body to another particle, or a massless particle that is no virtual site is in a body.
+            ValueError: `rigid` names particles or residues that do not exist, or a particle twice.
+        """
+        n = system.getNumParticles()
+        self._labels = None if topology is None else _residue_labels(topology, n)
+        self._n = n
+        self._describe = RigidBodies([], n, self._labels).describe_atoms
+        self._masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(n)])
+        self._lengths = _constraint_lengths(system)
+        named = self._named_clusters(system, topology, rigid)
+        self.kinds = self._collect(named)
+
+    @property
+    def needs_positions(self) -> bool:
+        """Whether only positions tell the geometry of some body."""
+        return any(kind.needs_positions for kind in self.kinds)
+
+    def bodies(self, positions=None) -> RigidBodies:
+        """The bodies.
+
+        Args:
+            positions: (N, 3), nm. Bodies of one kind share the geometry of the first of them that fits.
+
+        Raises:
+            RigidityError: positions are needed and there are none, or they contradict the constraints.
+        """
+        if positions is None and self.needs_positions:
+            raise RigidityError("the geometry of these bodies is known from positions only: give positions")
+        species: list[Species] = []
+        for kind in self.kinds:
+            if kind.model is None:
+                species += self._from_positions(kind, positions)
+            elif kind.needs_positions:
+                species += _by_handedness(kind.model, positions)
+            else:
+                species.append(kind.model)
+        return RigidBodies(species, self._n, self._labels)
+
+    # --- which particles ---
+
+    def _named_clusters(self, system, topology, rigid) -> list[Cluster]:
+        if rigid is None:
+            return []
+        if isinstance(rigid, Mapping):
+            rigid = _residues_named(topology, rigid)
+        clusters = []
+        seen: set[int] = set()
+        for indices in rigid:
+            cluster = tuple(int(i) for i in indices if not (0 <= int(i) < self._n and system.isVirtualSite(int(i))))
+            for i in cluster:
+                if not 0 <= i < self._n:
+                    raise ValueError(f"bodies name particle {i}, the System has {self._n} particles")
+                if i in seen:
+                    raise ValueError(f"bodies name particle {i} twice")
+                if self._masses[i] == 0:
+                    raise RigidityError(
+                        f"{self._describe(cluster)}: atom {i} has no mass and is no virtual site. Give it a mass, or "
+                        "leave it out of the body"
+                    )
+                seen.add(i)
+            if cluster:
+                clusters.append(cluster)
+        return clusters
+
+    def _collect(self, named: list[Cluster]) -> list[Kind]:
+        owner = {i: number for number, cluster in enumerate(named) for i in cluster}
+        loose = {}
+        for (a, b), length in self._lengths.items():
+            if owner.get(a) != owner.get(b):
+                raise RigidityError(
+                    f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms "
+                    "that are joined by constraints into one body, or build the System without that constraint"
+                )
+            if a not in owner:
+                loose[a, b] = length
+
+        kinds: dict[tuple, list[Cluster]] = defaultdict(list)
+        free = self._masses > 0
+        for cluster in named:
+            free[list(cluster)] = False
+            kinds[(tuple(self._masses[list(cluster)]), None)].append(cluster)
+        for cluster in _clusters(loose):
+            self._check(cluster)
+            free[list(cluster)] = False
+            distances = tuple(self._lengths[pair] for pair in combinations(cluster, 2))
+            kinds[(tuple(self._masses[list(cluster)]), distances)].append(cluster)
+        for atom in np.flatnonzero(free):
+            kinds[((self._masses[atom],), ())].append((int(atom),))
+        return [
+            Kind(masses, clusters, None if distances is None else self._embed(masses, distances, clusters))
+            for (masses, distances), clusters in kinds.items()
+        ]
+
+    def _check(self, cluster: Cluster) -> None:
+        for atom in cluster:
+            if self._masses[atom] == 0:
+                raise RigidityError(
+                    f"{self._describe(cluster)}: atom {atom} is constrained but has no mass. Give it a mass, or make "
+                    "it a virtual site"
+                )
+        pairs = list(combinations(cluster, 2))
+        missing = [pair for pair in pairs if pair not in self._lengths]
+        if missing:
+            a, b = missing[0]
+            raise RigidityError(
+                f"{self._describe(cluster)} is constrained but not rigid: {len(missing)} of its {len(pairs)} distances "
+                f"are free, the first between atoms {a} and {b}. A body needs a constraint between every two of its "
+                "atoms and none to other atoms. Build the System with rigidWater=True and constraints=None, so that "
+                "only water is constrained, or name the atoms in `bodies` to make them one rigid body"
+            )
+
+    # --- their geometry ---
+
+    def _embed(self, masses, distances, clusters) -> Species:
+        coordinates, excess = _embed(len(masses), distances)
+        if excess > EMBEDDING_TOLERANCE:
+            raise RigidityError(
+                f"the constraints of {self._describe(clusters[0])} contradict each other: no geometry has the "
+                f"lengths {', '.join(f'{d:.4f}' for d in distances)} nm; the nearest one misses by {excess:.4f} nm"
+            )
+        return Species.from_coordinates(clusters, masses, coordinates)
+
+    def _from_positions(self, kind: Kind, positions) -> list[Species]:
+        species = []
+        clusters = np.array(kind.clusters)
+        masses = np.array(kind.masses)
+        while len(clusters):
+            if not np.isfinite(positions[clusters]).all():
+                raise RigidityError(f"the positions of {self._describe(clusters[0])} are not finite")
+            model = Species.from_coordinates(clusters, masses, positions[clusters[0]], resolution=RESOLUTION)
+            fits = fit_attitudes(model, _arms(masses, positions[clusters]))[1] <= FIT_TOLERANCE
+            species.append(model.of_atoms(clusters[fits]))
+            clusters = clusters[~fits]
+        return species
+
+
+def find_bodies(system, topology=None, rigid=None, positions=None) -> RigidBodies:
+    """Rigid bodies of a System; see `BodyPlan` for the arguments and the errors raised.
 
     Args:
         system: openmm.System.
-        topology: openmm.app.Topology, for the names of residues in messages.
-
-    Raises:
-        RigidityError: a cluster is constrained but not rigid, its lengths contradict each other, or a massless
-            particle is constrained.
+        topology: openmm.app.Topology.
+        rigid: rigid bodies besides those that constraints make.
+        positions: (N, 3), nm or a Quantity, where the geometry of `rigid` is to be taken from.
     """
-    labels = None if topology is None else _residue_labels(topology, system.getNumParticles())
-    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
-    lengths = _constraint_lengths(system)
-    describe = RigidBodies([], len(masses), labels).describe_atoms
-
-    kinds: dict[tuple, list[tuple[int, ...]]] = defaultdict(list)
-    free = masses > 0
-    for cluster in _clusters(lengths):
-        _check_cluster(cluster, lengths, masses, describe)
-        free[list(cluster)] = False
-        distances = tuple(lengths[pair] for pair in combinations(cluster, 2))
-        kinds[(*masses[list(cluster)], *distances)].append(cluster)
-    for atom in np.flatnonzero(free):
-        kinds[(masses[atom],)].append((int(atom),))
-
-    species = []
-    for signature, clusters in kinds.items():
-        k = len(clusters[0])
-        coordinates, excess = _embed(k, signature[k:])
-        if excess > EMBEDDING_TOLERANCE:
-            raise RigidityError(
-                f"the constraints of {describe(clusters[0])} contradict each other: no geometry has these lengths "
-                f"({', '.join(f'{d:.4f}' for d in signature[k:])} nm); the nearest one misses by {excess:.4f} nm"
-            )
-        species.append(Species.from_coordinates(clusters, signature[:k], coordinates))
-    return RigidBodies(species, len(masses), labels)
+    if unit.is_quantity(positions):
+        positions = positions.value_in_unit(unit.nanometer)
+    return BodyPlan(system, topology, rigid).bodies(None if positions is None else np.array(positions, dtype=float))
 
 
 def _residue_labels(topology, n_particles) -> list[str]:
@@ -64,15 +215,29 @@ def _residue_labels(topology, n_particles) -> list[str]:
     return labels
 
 
+def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
+    """Particle indices of the residues in a mapping {residue name: "rigid"}."""
+    if topology is None:
+        raise ValueError("bodies by residue name need the topology: RigidBodies.from_system(system, topology, rigid)")
+    wrong = [value for value in rigid.values() if value != "rigid"]
+    if wrong:
+        raise ValueError(f'bodies by residue name must be "rigid", got {wrong[0]!r}')
+    residues = list(topology.residues())
+    for name in rigid:
+        if all(residue.name != name for residue in residues):
+            raise ValueError(f"bodies name residue {name}, which the topology does not have")
+    return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
+
+
 def _constraint_lengths(system) -> dict[tuple[int, int], float]:
     lengths = {}
     for i in range(system.getNumConstraints()):
         a, b, distance = system.getConstraintParameters(i)
-        lengths[(min(a, b), max(a, b))] = distance.value_in_unit(unit.nanometer)
+        lengths[min(a, b), max(a, b)] = distance.value_in_unit(unit.nanometer)
     return lengths
 
 
-def _clusters(pairs) -> list[tuple[int, ...]]:
+def _clusters(pairs) -> list[Cluster]:
     """Connected components of a graph, each in ascending order, ordered by their first particle."""
     neighbours: dict[int, list[int]] = defaultdict(list)
     for a, b in pairs:
@@ -95,22 +260,18 @@ def _clusters(pairs) -> list[tuple[int, ...]]:
     return clusters
 
 
-def _check_cluster(cluster, lengths, masses, describe):
-    for atom in cluster:
-        if masses[atom] == 0:
-            raise RigidityError(
-                f"{describe(cluster)}: atom {atom} is constrained but has no mass. Give it a mass, or make it a "
-                "virtual site"
-            )
-    missing = [pair for pair in combinations(cluster, 2) if pair not in lengths]
-    if missing:
-        (a, b), pairs = missing[0], len(cluster) * (len(cluster) - 1) // 2
-        raise RigidityError(
-            f"{describe(cluster)} is constrained but not rigid: {len(missing)} of its {pairs} distances are free, the "
-            f"first between atoms {a} and {b}. A body needs a constraint between every two of its atoms and none to "
-            "other atoms. Build the system with rigidWater=True and constraints=None, so that only water is "
-            "constrained, or add the missing constraints"
-        )
+def _by_handedness(model: Species, positions) -> list[Species]:
+    """The bodies of a species apart from those that are its mirror images."""
+    mirror = model.mirrored()
+    arms = _arms(model.masses, positions[model.atoms])
+    mirrored = fit_attitudes(mirror, arms)[1] < fit_attitudes(model, arms)[1]
+    halves = [(model, model.atoms[~mirrored]), (mirror, model.atoms[mirrored])]
+    return [species.of_atoms(atoms) for species, atoms in halves if len(atoms)]
+
+
+def _arms(masses, positions):
+    """Positions (m, k, 3) from the centres of mass."""
+    return positions - np.einsum("k,mkx->mx", masses / masses.sum(), positions)[:, None]
 
 
 def _embed(k, distances):

@@ -1,0 +1,226 @@
+"""Whether rotations and translations have one temperature: what `openmm-sier equipartition` compares."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier import console, sampling
+from openmm_sier.bodies import RigidBodies
+from openmm_sier.forcefields import read_box
+from openmm_sier.preparation import make_context
+from openmm_sier.version import __version__
+
+#: Time in fs between two samples. Water's angular velocities decorrelate in some 20 fs.
+INTERVAL = 12.0
+
+#: Start of every run that is left out, ps.
+SETTLING = 2.0
+
+BAROSTAT_INTERVAL = 25
+DALTON_PER_NM3 = 1.66053906660e-3  # in g/cm^3
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is compared. Times in ps; the steps per force evaluation in fs."""
+
+    box: Path
+    forcefield: list[str] | None = None
+    dt: tuple[float, ...] = (0.5, 1.0, 2.0, 3.0, 4.0)
+    methods: tuple[str, ...] | None = None
+    ensemble: str = "nve"
+    time: float = 20.0
+    equilibrate: float = 10.0
+    temperature: float = 297.0
+    friction: float = 1.0
+    pressure: float = 1.0
+    seed: int = 1
+    platform: str | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method at one step; temperatures in K, energies in kJ/mol, density in g/cm^3, each mean with standard error.
+
+    Attributes:
+        fs_per_force: step over force evaluations a step.
+        broken: why the run ended early; the means are NaN then.
+    """
+
+    method: str
+    step: float
+    fs_per_force: float
+    time: float
+    translation: tuple[float, float]
+    rotation: tuple[float, float]
+    difference: tuple[float, float]
+    potential: tuple[float, float]
+    density: tuple[float, float]
+    drift: float
+    broken: str = ""
+
+    @property
+    def resolution(self) -> float:
+        """The difference over its standard error."""
+        return abs(self.difference[0]) / self.difference[1]
+
+
+def compare(settings: Settings) -> list[Row]:
+    """Run every method at every step from one equilibrated start."""
+    box = read_box(settings.box, settings.forcefield)
+    bodies = RigidBodies.from_system(box.system, box.topology)
+    start = _equilibrated(box, settings)
+    system = openmm.XmlSerializer.clone(box.system)
+    system.addForce(openmm.CMMotionRemover())
+    if settings.ensemble == "npt":
+        barostat = openmm.MonteCarloBarostat(settings.pressure * unit.bar, settings.temperature, BAROSTAT_INTERVAL)
+        barostat.setRandomNumberSeed(settings.seed)
+        system.addForce(barostat)
+    rows = []
+    for method in methods(settings):
+        for dt in settings.dt:
+            rows.append(_measure(method, dt, system, bodies, start, settings))
+            console.note(_line(rows[-1]))
+    return rows
+
+
+def methods(settings: Settings) -> list[sampling.Method]:
+    """The methods that the settings name; all of their ensemble where they name none.
+
+    Raises:
+        ValueError: a name is unknown.
+    """
+    known = (
+        sampling.nve_methods()
+        if settings.ensemble == "nve"
+        else sampling.nvt_methods(settings.temperature, settings.friction, settings.seed)
+    )
+    chosen = settings.methods or tuple(known)
+    for name in chosen:
+        if name not in known:
+            raise ValueError(
+                f"unknown method {name!r} in the {settings.ensemble} ensemble; known are {', '.join(known)}"
+            )
+    return [known[name] for name in chosen]
+
+
+def _equilibrated(box, settings: Settings):
+    """State of a start at the temperature, from OpenMM's Langevin integrator at a step of 1 fs."""
+    integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.001)
+    integrator.setRandomNumberSeed(settings.seed)
+    integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
+    context = make_context(box.system, integrator, settings.platform)
+    context.setPositions(box.positions)
+    context.applyConstraints(sampling.CONSTRAINT_TOLERANCE)
+    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
+    integrator.step(round(settings.equilibrate / 0.001))
+    return context.getState(positions=True, velocities=True)
+
+
+def _measure(method, dt, system, bodies, start, settings: Settings) -> Row:
+    step = dt * method.force_evaluations
+    integrator = method.make(1e-3 * step)
+    integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
+    context = make_context(system, integrator, settings.platform)
+    context.setState(start)
+    every = max(1, round(INTERVAL / step))
+    steps = round(settings.time * 1e3 / step)
+    try:
+        with console.StepProgress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
+            integrator.step(round(SETTLING * 1e3 / step))
+            series = sampling.sample(context, bodies, steps, every, show)
+    except (sampling.Unstable, openmm.OpenMMException) as error:
+        none = (float("nan"), float("nan"))
+        return Row(method.name, step, dt, settings.time, none, none, none, none, none, float("nan"), str(error))
+    density = bodies.masses.sum() / series.volume * DALTON_PER_NM3
+    return Row(
+        method.name,
+        step,
+        dt,
+        settings.time,
+        sampling.mean_and_error(series.translation),
+        sampling.mean_and_error(series.rotation),
+        sampling.mean_and_error(series.rotation - series.translation),
+        sampling.mean_and_error(series.potential / bodies.n),
+        sampling.mean_and_error(density),
+        float(np.polyfit(series.time, series.total, 1)[0]),
+    )
+
+
+def _line(row: Row) -> str:
+    if row.broken:
+        return f"{row.method} at {row.fs_per_force:g} fs per force: unstable ({row.broken})"
+    return (
+        f"{row.method} at {row.fs_per_force:g} fs per force: T_rot - T_trans = "
+        f"{row.difference[0]:+.2f} +- {row.difference[1]:.2f} K"
+    )
+
+
+def run(settings: Settings, out: Path) -> list[Row]:
+    """Compare, print the table, and write equipartition.json and, with matplotlib, equipartition.png to a directory."""
+    out.mkdir(parents=True, exist_ok=True)
+    rows = compare(settings)
+    show(rows, settings)
+    record = {
+        "version": __version__,
+        "openmm": openmm.__version__,
+        "settings": asdict(settings) | {"box": settings.box.name},
+    }
+    record["rows"] = [asdict(row) for row in rows]
+    (out / "equipartition.json").write_text(json.dumps(record, indent=1, default=str))
+    try:
+        from openmm_sier.figures import equipartition_figure
+    except ModuleNotFoundError:
+        console.note("no figure: matplotlib is missing, install it with: pip install 'openmm-sier[plots]'")
+    else:
+        equipartition_figure(rows, settings.ensemble, out / "equipartition.png")
+    return rows
+
+
+def load(path: Path) -> list[Row]:
+    """Rows that `run` wrote."""
+    rows = json.loads(path.read_text())["rows"]
+    return [Row(**{name: tuple(v) if isinstance(v, list) else v for name, v in row.items()}) for row in rows]
+
+
+def show(rows: list[Row], settings: Settings) -> None:
+    """Print the table."""
+
+    def cell(pair, digits):
+        return "-" if np.isnan(pair[0]) else f"{pair[0]:.{digits}f} ± {pair[1]:.{digits}f}"
+
+    console.table(
+        f"Equipartition, {settings.ensemble.upper()}, {settings.time:g} ps each; velocities at whole steps",
+        [
+            "method",
+            "step/fs",
+            "fs per force",
+            "T_trans/K",
+            "T_rot/K",
+            "T_rot - T_trans/K",
+            "V per body/kJ/mol",
+            "g/cm³",
+        ],
+        [
+            [
+                row.method,
+                f"{row.step:g}",
+                f"{row.fs_per_force:g}",
+                cell(row.translation, 1),
+                cell(row.rotation, 1),
+                cell(row.difference, 2),
+                cell(row.potential, 3),
+                cell(row.density, 4),
+            ]
+            for row in rows
+        ],
+    )
+    for row in rows:
+        if row.broken:
+            console.note(f"{row.method} at {row.fs_per_force:g} fs per force broke down: {row.broken}")

@@ -1,0 +1,45 @@
+"""Figures of the comparisons of integrators. Needs matplotlib, an extra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+COLOURS = dict(zip(range(8), mpl.color_sequences["petroff8"], strict=True))
+STYLE: dict = {
+    "font.size": 11,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+}
+
+
+def equipartition_figure(rows, ensemble: str, path: Path) -> None:
+    """T_rot - T_trans against the step per force evaluation, one line a method.
+
+    Args:
+        rows: of `openmm_sier.equipartition.compare`.
+        ensemble: for the title.
+        path: PNG file to write.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7, 4.5), layout="constrained")
+        axes = figure.add_subplot()
+        for i, method in enumerate(dict.fromkeys(row.method for row in rows)):
+            mine = [row for row in rows if row.method == method and not row.broken]
+            if not mine:
+                continue
+            h = np.array([row.fs_per_force for row in mine])
+            value, error = np.array([row.difference for row in mine]).T
+            offset = 0.02 * i
+            axes.errorbar(h + offset, value, error, fmt="o-", capsize=3, color=COLOURS[i % 8], label=method)
+        axes.axhline(0, color="0.3", lw=1)
+        axes.set_xlabel("simulated time per force evaluation (fs)")
+        axes.set_ylabel(r"$T_\mathrm{rot} - T_\mathrm{trans}$ (K)")
+        axes.set_title(f"Equipartition in liquid water, {ensemble.upper()}", loc="left")
+        axes.legend(frameon=False)
+        figure.savefig(path, dpi=160)
