@@ -14,6 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from openmm_sier import kernels
+from openmm_sier.compiled import executor
 from openmm_sier.rotor import body_frame
 
 #: Largest distance in nm between an atom and its place in the reference geometry that `RigidBodies.fit` accepts.
@@ -274,48 +276,46 @@ class RigidBodies:
 
     def _sum_over_sites(self, vectors, A, weighted):
         total, moment = np.empty((3, self.n)), np.zeros((3, self.n))
+        loops = executor()
         for s, part in zip(self.species, self.parts, strict=True):
-            arms = s.arms(A[:, :, part])
-            values = [vectors[column].T for column in s.columns]
-            if weighted:
-                values = [mass * value for mass, value in zip(s.masses, values, strict=True)]
-            total[:, part] = values[0]
-            for value in values[1:]:
-                total[:, part] += value
-            for arm, value in zip(arms, values, strict=True):
-                if arm is not None:
-                    _add_cross(arm, value, moment[:, part])
+            weights = s.masses if weighted else np.ones_like(s.masses)
+            if loops is None:
+                _collect(s, vectors, A[:, :, part], weights, total[:, part], moment[:, part])
+            else:
+                loops.collect(vectors, A[:, :, part], s.sites, weights, s.atoms, total[:, part], moment[:, part])
         return total, moment
 
     # --- from bodies to atoms ---
 
     def place(self, q, A, positions) -> np.ndarray:
         """Write the atoms of bodies at (q, A) into `positions`, shape (N, 3); other particles keep theirs."""
+        loops = executor()
         for s, part in zip(self.species, self.parts, strict=True):
-            centre = q[:, part]
-            for column, arm in zip(s.columns, s.arms(A[:, :, part]), strict=True):
-                positions[column] = (centre if arm is None else centre + arm).T
+            if loops is None:
+                for column, arm in zip(s.columns, s.arms(A[:, :, part]), strict=True):
+                    positions[column] = (q[:, part] if arm is None else q[:, part] + arm).T
+            else:
+                loops.place(q[:, part], A[:, :, part], s.sites, s.atoms, positions)
         return positions
 
     def move(self, state: BodyState, velocities) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
-        omega = self.angular_velocities(state)
+        v, omega = state.p / self.masses, self.angular_velocities(state)
+        loops = executor()
         for s, part in zip(self.species, self.parts, strict=True):
-            v = state.p[:, part] / s.mass
-            for column, arm in zip(s.columns, s.arms(state.A[:, :, part]), strict=True):
-                if arm is None:
-                    velocities[column] = v.T
-                else:
-                    site = v.copy()
-                    _add_cross(omega[:, part], arm, site)
-                    velocities[column] = site.T
+            if loops is None:
+                for column, arm in zip(s.columns, s.arms(state.A[:, :, part]), strict=True):
+                    swing = 0.0 if arm is None else np.stack(kernels.cross(omega[:, part], arm))
+                    velocities[column] = (v[:, part] + swing).T
+            else:
+                loops.move(v[:, part], omega[:, part], state.A[:, :, part], s.sites, s.atoms, velocities)
         return velocities
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:
         """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""
         omega = body_frame(state.A, state.L) * self.inverse_moments
         A = state.A
-        return A[0] * omega[0] + A[1] * omega[1] + A[2] * omega[2]
+        return kernels.combine(omega, A[0], A[1], A[2])
 
     @cached_property
     def inverse_moments(self) -> np.ndarray:
@@ -349,11 +349,16 @@ class RigidBodies:
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
 
 
-def _add_cross(a, b, out):
-    """out += a x b, component-first."""
-    out[0] += a[1] * b[2] - a[2] * b[1]
-    out[1] += a[2] * b[0] - a[0] * b[2]
-    out[2] += a[0] * b[1] - a[1] * b[0]
+def _collect(species: Species, vectors, A, weights, total, moment) -> None:
+    """Write the sums of weighted vectors over the atoms of each body, and of their moments, executed by NumPy."""
+    for j, (column, arm) in enumerate(zip(species.columns, species.arms(A), strict=True)):
+        value = weights[j] * vectors[column].T
+        if j:
+            total += value
+        else:
+            total[:] = value
+        if arm is not None:
+            moment += np.stack(kernels.cross(arm, value))
 
 
 def fit_attitudes(species: Species, arms, kept=None):

@@ -29,12 +29,15 @@ and S, C, D from `elliptic.sn_increment`, the Euler equations are solved without
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.elliptic import SERIES_LIMIT, complete_integrals, sn_coefficients, sn_increment
+from openmm_sier import kernels
+from openmm_sier.compiled import executor
+from openmm_sier.elliptic import SERIES_LIMIT, complete_integrals
 
 #: Bodies handled at a time, so that the temporaries of a block stay in cache.
 BLOCK = 2048
@@ -44,13 +47,13 @@ BLOCK = 2048
 #: without the centre, where the integrand's deviation from its leading term vanishes.
 #: The truncation error is below 1e-17 of a turn at each limit (tests/test_rotor.py measures it).
 QUADRATURES = (
-    (0.005, 0.1, ((np.sqrt(3 / 7), 49 / 90),)),
+    (0.005, 0.1, ((math.sqrt(3 / 7), 49 / 90),)),
     (
         4 * SERIES_LIMIT,
         1 / 21,
         (
-            (np.sqrt(5 / 11 - 2 / 11 * np.sqrt(5 / 3)), (124 + 7 * np.sqrt(15)) / 350),
-            (np.sqrt(5 / 11 + 2 / 11 * np.sqrt(5 / 3)), (124 - 7 * np.sqrt(15)) / 350),
+            (math.sqrt(5 / 11 - 2 / 11 * math.sqrt(5 / 3)), (124 + 7 * math.sqrt(15)) / 350),
+            (math.sqrt(5 / 11 + 2 / 11 * math.sqrt(5 / 3)), (124 - 7 * math.sqrt(15)) / 350),
         ),
     ),
 )
@@ -62,6 +65,9 @@ MOST_SUBSTEPS = 8192
 #: Squares of angular momenta outside this range are rescaled, and phases above `PHASE_CAP` mean nothing in doubles.
 SQUARE_RANGE = (1e-240, 1e240)
 PHASE_CAP = 1e100
+
+RULES = tuple((end_weight, nodes) for _, end_weight, nodes in QUADRATURES)
+LIMITS = (QUADRATURES[0][0], LONGEST, *SQUARE_RANGE, PHASE_CAP)
 
 
 class Top(NamedTuple):
@@ -75,19 +81,21 @@ class Top(NamedTuple):
         return self if self.rates.ndim == 1 else Top(self.rates[:, index], self.order[:, index], self.parity[index])
 
     def sort(self, v):
-        """Components (3, n) in the sorted frame."""
-        x, y, z = v[self.order] if self.rates.ndim == 1 else np.take_along_axis(v, self.order, axis=0)
+        """Components (x, y, z) in the sorted frame of vectors (3, n)."""
+        if self.rates.ndim == 1:
+            x, y, z = (v[row] for row in self.order)
+        else:
+            x, y, z = np.take_along_axis(v, self.order, axis=0)
         return x, y * self.parity, z
 
     def unsort(self, x, y, z):
-        """Components (3, n) in the user's frame."""
-        v = np.empty((3, np.size(x)))
-        sorted_v = np.stack([x, y * self.parity, z])
+        """Components in the user's frame."""
         if self.rates.ndim == 1:
-            v[self.order] = sorted_v
-        else:
-            np.put_along_axis(v, self.order, sorted_v, axis=0)
-        return v
+            rows = dict(zip(self.order.tolist(), (x, y * self.parity, z), strict=True))
+            return rows[0], rows[1], rows[2]
+        v = np.empty((3, x.size))
+        np.put_along_axis(v, self.order, np.stack([x, y * self.parity, z]), axis=0)
+        return v[0], v[1], v[2]
 
 
 def top(moments) -> Top:
@@ -141,7 +149,7 @@ def _body(bad) -> str:
 
 def body_frame(A, L):
     """L~ = A L, both component-first: A (3, 3, n), L (3, n)."""
-    return A[:, 0] * L[0] + A[:, 1] * L[1] + A[:, 2] * L[2]
+    return kernels.combine(L, A[:, 0], A[:, 1], A[:, 2])
 
 
 def exact(A, L, moments, h):
@@ -171,18 +179,33 @@ def exact(A, L, moments, h):
     if bodies.rates.ndim == 2 and bodies.rates.shape[1] != n:
         raise ValueError(f"moments are given for {bodies.rates.shape[1]} bodies, A and L for {n}")
     new = np.empty((3, 3, n))
-    for start in range(0, n, BLOCK):
-        block = slice(start, min(start + BLOCK, n))
-        here = bodies.part(block)
-        w, *vector = _turn(here, here.sort(body_frame(A[:, :, block], L[:, block])), h)
-        _rotate(A[:, :, block], w, here.unsort(*vector), new[:, :, block])
+    if bodies.rates.ndim == 1 and (loops := executor()) is not None:
+        far = np.empty(n, dtype=bool)
+        loops.rotate(A, L, bodies.rates, bodies.order, float(bodies.parity), h, RULES, LIMITS, new, far)
+        if far.any():
+            new[:, :, far] = _rotate_block(bodies, A[:, :, far], L[:, far], h)
+    else:
+        for start in range(0, n, BLOCK):
+            block = slice(start, min(start + BLOCK, n))
+            new[:, :, block] = _rotate_block(bodies.part(block), A[:, :, block], L[:, block], h)
     return new, L.copy()
+
+
+def _rotate_block(bodies: Top, A, L, h):
+    """The new attitudes, executed by NumPy."""
+    w, x, y, z = _turn(bodies, bodies.sort(body_frame(A, L)), h)
+    rows = kernels.rotation_matrix(w, *bodies.unsort(x, y, z))
+    new = np.empty_like(A)
+    for i, row in enumerate(rows):
+        new[i] = kernels.combine(row, A[0], A[1], A[2])
+    return new
 
 
 def _turn(bodies: Top, body_L, h):
     """Quaternion (w, i, j, k) of the body frame's rotation over h, in the sorted frame, of any norm."""
     x, y, z = body_L
-    square = x * x + y * y + z * z
+    with np.errstate(over="ignore"):
+        square = x * x + y * y + z * z
     low, high = SQUARE_RANGE
     if not (square.min() >= low and square.max() <= high):
         return _turn_scaled(bodies, body_L, h)
@@ -205,130 +228,23 @@ def _turn_scaled(bodies: Top, body_L, h):
 
 def _turn_unit(rates, u, k):
     """`_turn` for directions u and k = |L| h; the few bodies that the series do not reach go their own way."""
-    motion = _motion(rates, u, k)
-    phases = np.maximum(motion.p, motion.q)
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = kernels.motion(rates, u, k)
+    phases = np.maximum(moved[3], moved[4])
     largest = phases.max()
     if largest <= LONGEST and np.abs(k).max() * np.max(rates[0]) <= PHASE_CAP:
-        return _short_turn(motion, u, k, _quadrature(largest))[0]
+        return kernels.short_turn(rates, moved, u, k, *_quadrature(largest))[0]
     far = ~((phases <= LONGEST) & (np.abs(k) * rates[0] <= PHASE_CAP))
     near_k = np.where(far, 0.0, k)
-    turns = np.stack(_short_turn(_motion(rates, u, near_k), u, near_k, _quadrature(LONGEST))[0])
+    near = kernels.motion(rates, u, near_k)
+    turns = np.stack(kernels.short_turn(rates, near, u, near_k, *_quadrature(LONGEST))[0])
     rates_far = np.broadcast_to(np.reshape(rates, (3, -1)), (3, k.size))[:, far]
     turns[:, far] = _long_turn(rates_far, np.stack(u)[:, far], k[far])
     return turns
 
 
-class Motion(NamedTuple):
-    """What the free motion of bodies over one step depends on besides the direction of L~."""
-
-    rates: np.ndarray
-    alpha: np.ndarray
-    beta: np.ndarray
-    gamma: np.ndarray
-    p: np.ndarray
-    q: np.ndarray
-
-
-def _motion(rates, u, k) -> Motion:
-    """Rates scaled to the step, and p and q as sums of terms of one sign."""
-    a, b, c = rates
-    x, y, z = u
-    alpha, beta, gamma = k * (b - c), k * (a - c), k * (a - b)
-    y2 = y * y
-    p = (beta * (x * x) + alpha * y2) * gamma
-    q = (gamma * y2 + beta * (z * z)) * alpha
-    return Motion(rates, alpha, beta, gamma, p, q)
-
-
 def _quadrature(largest):
-    for limit, end_weight, nodes in QUADRATURES:
-        if largest <= limit:
-            return end_weight, nodes
-    raise ValueError(f"a step of squared phase {largest} is too long for the quadrature")
-
-
-def _advance(motion, u, increments):
-    """The direction of L~ a time t later; `increments` are those of t."""
-    _, alpha, beta, gamma, _, _ = motion
-    x, y, z = u
-    S, _, C, D = increments
-    yS = y * S
-    f = 1 / (1 - (alpha * gamma) * (yS * yS))
-    return (
-        (x * D - (alpha * C) * (yS * z)) * f,
-        (y * (C * D) + (beta * S) * (x * z)) * f,
-        (z * C - (gamma * D) * (yS * x)) * f,
-    )
-
-
-def _short_turn(motion, u, k, quadrature):
-    """Quaternion of the rotation over one step that the series reach, and the direction of L~ after it."""
-    a, b, c = motion.rates
-    p, q = motion.p, motion.q
-    series = sn_coefficients(p, q)
-    half = sn_increment(series, p, q, 0.5)
-    m = _advance(motion, u, half)
-    v = _advance(motion, m, half)
-
-    end_weight, nodes = quadrature
-    squares = X, Y, Z = m[0] * m[0], m[1] * m[1], m[2] * m[2]
-    leading = a * X + b * Y + c * Z  # 2E/L^2
-    excess = end_weight * _rate_excess(motion, squares, leading, half)
-    for node, weight in nodes:
-        inside = sn_increment(series, p, q, 0.5 * node)
-        excess = excess + weight * _rate_excess(motion, squares, leading, inside)
-    return _compose_minimal(u, m, v, 0.5 * k * (leading + excess)), v
-
-
-def _rate_excess(motion, squares, leading, increments):
-    """Mean over the times +-t of g/|L| - 2E/L^2, with g = omega.(m + v)/(1 + m.v).
-
-    Numerator and denominator share the factor 1/G of `_advance` and split into parts even and odd in t.
-    """
-    (a, b, c), alpha, _, gamma, _, _ = motion
-    X, Y, Z = squares
-    _, S2, C, D = increments
-    XD, YCD, ZC = X * D, Y * (C * D), Z * C
-    even = XD + YCD + ZC
-    numerator = (a * XD + b * YCD + c * ZC) - leading * even
-    denominator = (1 - (alpha * gamma) * (Y * S2)) + even
-    turn_C, turn_D = alpha * (1 - C), gamma * (1 - D)
-    odd = turn_C + turn_D  # of the denominator, over S x y z
-    odd_product = S2 * (X * Y * Z) * odd
-    return (numerator * denominator - odd_product * (a * turn_C + c * turn_D - leading * odd)) / (
-        denominator * denominator - odd_product * odd
-    )
-
-
-def _compose_minimal(u, m, v, half_theta):
-    """Quaternion of R1(m -> v) R2(m, -theta) R1(u -> m), of any norm.
-
-    R1(m -> v) R1(u -> m) is R1(u -> v) after a turn about u by the area of the triangle u m v.
-    """
-    ux, uy, uz = u
-    mx, my, mz = m
-    vx, vy, vz = v
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    uv = ux * vx + uy * vy + uz * vz
-    volume = -(mx * nx + my * ny + mz * nz)
-    cosines = 1 + (ux * mx + uy * my + uz * mz) + (mx * vx + my * vy + mz * vz) + uv
-    sine, cosine = np.sin(half_theta), np.cos(half_theta)
-    c = cosines * cosine + volume * sine
-    s = volume * cosine - cosines * sine
-    return (1 + uv) * c, s * (ux + vx) + c * nx, s * (uy + vy) + c * ny, s * (uz + vz) + c * nz
-
-
-def _rotate(A, w, vector, out):
-    """A* = P A for the quaternion (w, vector) of any norm."""
-    i, j, k = vector
-    f = 2 / (w * w + i * i + j * j + k * k)
-    fi, fj, fk = f * i, f * j, f * k
-    ij, ik, jk = fi * j, fi * k, fj * k
-    ii, jj, kk = fi * i, fj * j, fk * k
-    wi, wj, wk = fi * w, fj * w, fk * w
-    out[0] = (1 - (jj + kk)) * A[0] + (ij - wk) * A[1] + (ik + wj) * A[2]
-    out[1] = (ij + wk) * A[0] + (1 - (ii + kk)) * A[1] + (jk - wi) * A[2]
-    out[2] = (ik - wj) * A[0] + (jk + wi) * A[1] + (1 - (ii + jj)) * A[2]
+    return RULES[0] if largest <= QUADRATURES[0][0] else RULES[1]
 
 
 # --- steps that the series do not reach -------------------------------------------------------------------------
@@ -341,7 +257,12 @@ def _long_turn(rates, u, k):
     """
     cap = PHASE_CAP / np.maximum(rates[0], 1e-200)
     k = np.clip(k, -cap, cap)
-    phase, rest, whole = _whole_periods(rates, u, k)
+    _, _, _, p, q = kernels.motion(rates, u, k)
+    phase = np.sqrt(np.maximum(p, q))
+    rest, whole = np.ones_like(k), np.zeros_like(k)
+    # No period of L~ is shorter than 2 pi in phase.
+    if (long := phase > 3).any():
+        rest[long], whole[long] = _whole_periods(rates[:, long], u[:, long], k[long])
     turns = np.stack(_about(u, whole))
 
     pieces = np.maximum(np.ceil(phase * np.abs(rest) / np.sqrt(LONGEST)), 1)
@@ -352,8 +273,8 @@ def _long_turn(rates, u, k):
     active = np.arange(k.size)
     for done in range(pieces.max()):
         active = active[pieces[active] > done]
-        motion = _motion(rates[:, active], u[:, active], k_piece[active])
-        step, v = _short_turn(motion, u[:, active], k_piece[active], _quadrature(LONGEST))
+        part = (rates[:, active], u[:, active], k_piece[active])
+        step, v = kernels.short_turn(part[0], kernels.motion(*part), *part[1:], *_quadrature(LONGEST))
         turns[:, active] = _normalized(_product(step, turns[:, active]))
         u[:, active] = _normalized(v)
     # What is left over belongs to a state on the separatrix to its last bit. Nothing in the state says when it leaves
@@ -362,8 +283,9 @@ def _long_turn(rates, u, k):
 
 
 def _whole_periods(rates, u, k):
-    """Nutation phase of the whole step, the fraction of it left after whole periods of L~, and the turn in those."""
-    (a, b, c), alpha, beta, gamma, p, q = _motion(rates, u, k)
+    """The fraction of a step that is left after whole periods of L~, and the turn in those."""
+    a, b, c = rates
+    alpha, beta, gamma, p, q = kernels.motion(rates, u, k)
     larger = np.maximum(p, q)
     moving = larger > 0
     # p - q without the term that both have.
@@ -377,7 +299,7 @@ def _whole_periods(rates, u, k):
     count = np.rint(1 / period)
     spent = np.where(count > 0, count * np.where(periodic, period, 0.0), 0.0)
     pole = np.where(around_x, c, a)
-    return np.sqrt(larger), 1 - spent, k * spent * (pole + 0.5 * (b - pole) * Q)
+    return 1 - spent, k * spent * (pole + 0.5 * (b - pole) * Q)
 
 
 def _about(u, angle):
