@@ -12,6 +12,7 @@ import openmm
 from openmm_sier import propagation, storage
 from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
 from openmm_sier.schemes import DRIFT, KICK
+from openmm_sier.system import refuse_deforming_barostats
 
 if TYPE_CHECKING:
     from openmm_sier.integrator import SIERIntegrator
@@ -45,6 +46,7 @@ PASSIVE_FORCES = (
 
 #: Per-atom and global variables of the CustomIntegrator in which the bodies' state travels.
 STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(storage.VARIABLES))
+SITES = "sier_sites"
 HEAT, DRAWS, SEED, ARMED = "sier_heat", "sier_draws", "sier_seed", "sier_armed"
 
 
@@ -77,7 +79,7 @@ class Engine:
         self.operators: dict[str, propagation.Operator] = {}
         self._bodies: RigidBodies | None = None
         if not self._plan.needs_positions:
-            self._settle_bodies(None)
+            self._settle(self._plan.bodies(None))
 
     @property
     def _context(self):
@@ -96,9 +98,7 @@ class Engine:
     @property
     def bodies(self) -> RigidBodies:
         """The rigid bodies of the Context's System."""
-        if self._bodies is None:
-            raise openmm.OpenMMException("These rigid bodies are known only when the Context has positions")
-        return self._bodies
+        return self._bodies or self._settle(self._plan.bodies(_Snapshot(self._context).positions))
 
     @property
     def state(self) -> BodyState:
@@ -107,14 +107,21 @@ class Engine:
             raise openmm.OpenMMException("The Context has no positions yet")
         return self._state
 
-    def _settle_bodies(self, positions) -> None:
-        integrator = self._integrator
-        self._bodies = self._plan.bodies(positions)
+    def _settle(self, bodies: RigidBodies) -> RigidBodies:
+        integrator, context = self._integrator, self._context
+        refuse_deforming_barostats(context.getSystem(), context.getMolecules(), bodies)
         self.operators = {
             KICK: propagation.kick(self.forces),
-            DRIFT: propagation.drift(self._bodies, integrator.rotation),
-            **integrator._extra_operators(self._bodies),
+            DRIFT: propagation.drift(bodies, integrator.rotation),
+            **integrator._extra_operators(bodies),
         }
+        self._bodies = bodies
+        return bodies
+
+    @property
+    def removes_motion(self) -> bool:
+        """Whether the centre of mass is kept at rest."""
+        return bool(self._sweep_frequencies)
 
     # --- stepping ---
 
@@ -124,11 +131,14 @@ class Engine:
         try:
             for _ in range(count):
                 self._one_step()
-        finally:
+            self._publish()
+        except BaseException:
+            # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
             _whatever_interrupts(self._publish)
+            raise
 
     def _one_step(self) -> None:
-        before, mark = self.state, self._context.getState()
+        before, mark = self.state, self._context.getState(positions=self._has_actors)
         try:
             self._state = self._next_state()
         except BaseException:
@@ -177,6 +187,9 @@ class Engine:
         context.setTime(mark.getTime())
         context.setStepCount(mark.getStepCount())
         context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
+        if self._has_actors:
+            # A barostat moves what belongs to no body too.
+            self._positions[:] = mark.getPositions(asNumpy=True)._value
         self.forces.forget()
         self._placed = (None, None)
 
@@ -187,18 +200,23 @@ class Engine:
         groups = self._integrator.getIntegrationForceGroups()
         forces = self._context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
         F, tau = self.bodies.forces_and_torques(forces, A)
-        if not (np.isfinite(F).all() and np.isfinite(tau).all()):
-            body = int(np.flatnonzero(~(np.isfinite(F) & np.isfinite(tau)).all(axis=0))[0])
-            raise openmm.OpenMMException(
-                f"The force on {self.bodies.describe(body)} is not finite in step {self._context.getStepCount()}. "
-                "Is the step size too long, or do atoms overlap? The Context is left at the last completed step."
-            )
+        self._demand_finite("force on", F, tau)
         return F, tau
+
+    def _demand_finite(self, what: str, *values) -> None:
+        if all(np.isfinite(value).all() for value in values):
+            return
+        finite = np.all([np.isfinite(value).all(axis=0) for value in values], axis=0)
+        raise openmm.OpenMMException(
+            f"The {what} {self.bodies.describe(int(np.argmin(finite)))} is not finite in step "
+            f"{self._context.getStepCount()}. Is the step size too long, or do atoms overlap? The Context is left at "
+            "the last completed step."
+        )
 
     def temperature(self) -> float:
         """In K, of all degrees of freedom."""
         self.adopt()
-        freedoms = self.bodies.degrees_of_freedom - (3 if self._sweep_frequencies else 0)
+        freedoms = self.bodies.degrees_of_freedom - (3 if self.removes_motion else 0)
         return 2 * sum(self.bodies.kinetic_energies(self.state)) / (freedoms * GAS_CONSTANT)
 
     # --- agreement with the Context ---
@@ -210,9 +228,9 @@ class Engine:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now = _Snapshot(self._context)
-        state = (None if self._same_positions(self._echo, now) else self._recall(now)) or self._reconcile(
-            self._echo, now
-        )
+        unmoved = self._same_positions(self._echo, now) and _same_velocities(self._echo, now)
+        state = (None if unmoved else self._recall(now)) or self._reconcile(self._echo, now)
+        self._velocities[:] = now.velocities
         integrator = self._integrator
         heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
         self._state, self._echo = replace(state, heat=heat, draws=draws), now
@@ -228,30 +246,41 @@ class Engine:
         if old is None or before is None:
             q, A = self.bodies.fit(now.positions)
             self._take_positions(now)
-            p, L = self.bodies.momenta(now.velocities, A)
+            p, L = self._momenta(now.velocities, A)
             return BodyState(q, p, A, L)
         q, A = old.q, old.A
         if not self._same_positions(before, now):
             q, A = self.bodies.fit(now.positions, old)
             self._take_positions(now)
-        if np.array_equal(before.velocities, now.velocities) and np.array_equal(A, old.A):
+        if _same_velocities(before, now) and np.array_equal(A, old.A):
             return replace(old, q=q, A=A)
-        p, L = self.bodies.momenta(now.velocities, A)
+        p, L = self._momenta(now.velocities, A)
         return replace(old, q=q, p=p, A=A, L=L)
+
+    def _momenta(self, velocities, A):
+        p, L = self.bodies.momenta(velocities, A)
+        self._demand_finite("velocity of", p, L)
+        return p, L
 
     def _recall(self, now: _Snapshot) -> BodyState | None:
         """The state stored in the integrator's variables, if it is that of the atoms to the last bit.
 
         It is after a checkpoint or a State with integrator parameters was loaded.
         """
-        values = np.array([self._integrator.getPerDofVariableByName(name) for name in STATE_VARIABLES])
+        integrator, plan = self._integrator, self._plan
+        values = np.array([integrator.getPerDofVariableByName(name) for name in STATE_VARIABLES])
         if not values.any():
             return None
-        state = storage.unpack(self.bodies, values)
-        positions = self.bodies.place(state.q, state.A, now.positions.copy())
-        velocities = self.bodies.move(state, now.velocities.copy())
+        bodies = self.bodies
+        if plan.needs_positions:
+            bodies = plan.bodies(now.positions, np.array(integrator.getPerDofVariableByName(SITES)))
+        state = storage.unpack(bodies, values)
+        positions = bodies.place(state.q, state.A, now.positions.copy())
+        velocities = bodies.move(state, now.velocities.copy())
         if not (np.array_equal(positions, now.positions) and np.array_equal(velocities, now.velocities)):
             return None
+        if bodies is not self._bodies:
+            self._settle(bodies)
         self.forces.forget()
         self._take_positions(now)
         return state
@@ -263,6 +292,7 @@ class Engine:
     def _place(self, q, A) -> None:
         if self._placed[0] is q and self._placed[1] is A:
             return
+        self._demand_finite("position of", q)
         context = self._context
         context.setPositions(self.bodies.place(q, A, self._positions))
         if self._has_virtual_sites:
@@ -276,6 +306,8 @@ class Engine:
         context.setVelocities(self.bodies.move(state, self._velocities))
         for name, values in zip(STATE_VARIABLES, storage.pack(self.bodies, state), strict=True):
             integrator.setPerDofVariableByName(name, values)
+        if self._plan.needs_positions:
+            integrator.setPerDofVariableByName(SITES, storage.sites(self.bodies))
         integrator.setGlobalVariableByName(HEAT, state.heat)
         integrator.setGlobalVariableByName(DRAWS, state.draws)
         self._echo = _Snapshot(context)
@@ -288,6 +320,10 @@ def _whatever_interrupts(action) -> None:
     except KeyboardInterrupt:
         action()
         raise
+
+
+def _same_velocities(before: _Snapshot | None, now: _Snapshot) -> bool:
+    return before is not None and np.array_equal(before.velocities, now.velocities)
 
 
 class _Snapshot:

@@ -12,9 +12,9 @@ from openmm import unit
 
 from openmm_sier import rotor
 from openmm_sier.bodies import BodyState, RigidBodies
-from openmm_sier.engine import ARMED, DRAWS, HEAT, SEED, STATE_VARIABLES, Engine
+from openmm_sier.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.schemes import SIER2, SIER4, Scheme
-from openmm_sier.system import BodyPlan
+from openmm_sier.system import BodyPlan, refuse_other_masses
 
 #: What users may give as bodies.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
@@ -53,7 +53,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._write_program()
 
     def _write_program(self) -> None:
-        for name in STATE_VARIABLES:
+        for name in (*STATE_VARIABLES, SITES):
             self.addPerDofVariable(name, 0)
         for name in (HEAT, DRAWS, SEED, ARMED):
             self.addGlobalVariable(name, 0)
@@ -85,6 +85,11 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def forceEvaluations(self) -> int:
         """Number of force evaluations done by this integrator since its Context was created."""
         return self._bound().forces.evaluations
+
+    @property
+    def removesCentreOfMassMotion(self) -> bool:
+        """Whether the System has a CMMotionRemover."""
+        return self._bound().removes_motion
 
     def setStepSize(self, size) -> None:
         """Set the step, a time quantity or a number in ps."""
@@ -120,11 +125,18 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._bound().temperature() * unit.kelvin
 
     def forcesChanged(self) -> None:
-        """Say that the potential was changed by `Force.updateParametersInContext`.
+        """Say that the potential was changed in a way that no method of the Context or of its Forces makes.
 
-        Changes of positions, velocities, box and Context parameters are noticed without this.
+        Changes of positions, velocities, box and Context parameters, and those by `updateParametersInContext`, are
+        noticed without this.
         """
         self._bound().forces.forget()
+
+    def setIntegrationForceGroups(self, groups) -> None:
+        """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
+        super().setIntegrationForceGroups(groups)
+        if self._engine is not None:
+            self._engine.forces.forget()
 
     # --- copies ---
 
@@ -152,6 +164,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
     # --- for the engine and for subclasses ---
 
     def _bind(self, context) -> None:
+        # A System that is refused when a Context is reinitialized must not leave the bodies of the old one.
+        self._engine = None
         self._engine = Engine(self, context)
 
     def _bound(self) -> Engine:
@@ -167,6 +181,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             return BodyPlan(system, rigid=given)
         if given.n_particles != n:
             raise ValueError(f"bodies are those of a system of {given.n_particles} particles, this one has {n}")
+        refuse_other_masses(system, given)
         return _Settled(given)
 
     def _active_scheme(self) -> Scheme:
@@ -186,7 +201,7 @@ class _Settled:
     def __init__(self, bodies: RigidBodies):
         self._bodies = bodies
 
-    def bodies(self, positions) -> RigidBodies:
+    def bodies(self, positions, sites=None) -> RigidBodies:
         return self._bodies
 
 
@@ -283,6 +298,20 @@ def _binding(method):
     return wrapper
 
 
+def _updating(method):
+    """`updateParametersInContext` of a Force, after which the Context's forces are not those that were computed."""
+
+    @functools.wraps(method)
+    def wrapper(self, context, *args, **kwargs):
+        result = method(self, context, *args, **kwargs)
+        integrator = getattr(context, "_integrator", None)
+        if isinstance(integrator, SIERIntegrator) and integrator._engine is not None:
+            integrator.forcesChanged()
+        return result
+
+    return wrapper
+
+
 def _refuse_lost(integrator) -> None:
     """Refuse what the package's Python part cannot reach."""
     parts = [integrator]
@@ -302,5 +331,12 @@ def _has_variable(integrator, name: str) -> bool:
     return any(integrator.getGlobalVariableName(i) == name for i in range(integrator.getNumGlobalVariables()))
 
 
-openmm.Context.__init__ = _binding(openmm.Context.__init__)
-openmm.Context.reinitialize = _binding(openmm.Context.reinitialize)
+def _replace(cls, name: str, wrapped) -> None:
+    if name in vars(cls):
+        setattr(cls, name, wrapped(vars(cls)[name]))
+
+
+_replace(openmm.Context, "__init__", _binding)
+_replace(openmm.Context, "reinitialize", _binding)
+for _class in [member for member in vars(openmm).values() if isinstance(member, type)]:
+    _replace(_class, "updateParametersInContext", _updating)
