@@ -3,12 +3,13 @@
 from openmm_sier.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.integrator import SIER2Integrator, SIER4Integrator, SIERIntegrator
 from openmm_sier.langevin import SIERLangevinIntegrator
-from openmm_sier.schemes import SIER2, SIER4, Scheme
+from openmm_sier.schemes import SIER2, SIER4, SIER4G, Scheme
 from openmm_sier.version import __version__
 
 __all__ = [
     "SIER2",
     "SIER4",
+    "SIER4G",
     "BodyState",
     "RigidBodies",
     "RigidityError",

@@ -11,7 +11,7 @@ import openmm
 
 from openmm_sier import propagation, storage
 from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
-from openmm_sier.schemes import DRIFT, KICK
+from openmm_sier.schemes import DRIFT, GRADIENT_KICK, KICK
 from openmm_sier.system import refuse_deforming_barostats
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ class Engine:
         refuse_deforming_barostats(context.getSystem(), context.getMolecules(), bodies)
         self.operators = {
             KICK: propagation.kick(self.forces),
+            GRADIENT_KICK: propagation.gradient_kick(bodies, self.forces),
             DRIFT: propagation.drift(bodies, integrator.rotation),
             **integrator._extra_operators(bodies),
         }

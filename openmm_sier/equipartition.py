@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openmm
@@ -185,8 +186,8 @@ def run(settings: Settings, out: Path) -> list[Row]:
 
 def load(path: Path) -> list[Row]:
     """Rows that `run` wrote."""
-    rows = json.loads(path.read_text())["rows"]
-    return [Row(**{name: tuple(v) if isinstance(v, list) else v for name, v in row.items()}) for row in rows]
+    rows: list[dict[str, Any]] = json.loads(path.read_text())["rows"]
+    return [Row(**dict[str, Any]((k, tuple(v) if isinstance(v, list) else v) for k, v in row.items())) for row in rows]
 
 
 def show(rows: list[Row], settings: Settings) -> None:

@@ -10,14 +10,41 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 KICK = "kick"
+GRADIENT_KICK = "gradient kick"
 DRIFT = "drift"
 BATH = "bath"
 
 #: Coefficients are taken to satisfy an order condition when it holds to this; published ones have 16 digits.
 CONDITION_TOLERANCE = 1e-12
 HIGHEST_ORDER = 6
+
+Word = tuple[str, ...]
+
+
+#: What flow of the exact motion an operator is a part of: the letters of the free algebra in `Scheme.order`.
+FLOWS = {GRADIENT_KICK: KICK}
+
+
+class Stage(NamedTuple):
+    """One operator of a step.
+
+    Attributes:
+        operator: its name.
+        fraction: of the step that it advances.
+        shift: of a gradient kick, the displacement of its force over (step)^2 times the acceleration.
+    """
+
+    operator: str
+    fraction: float
+    shift: float = 0.0
+
+    @property
+    def flow(self) -> str:
+        """Name of the operator whose exact flow this stage is a part of."""
+        return FLOWS.get(self.operator, self.operator)
 
 
 @dataclass(frozen=True)
@@ -26,31 +53,30 @@ class Scheme:
 
     Attributes:
         name: for messages and output.
-        stages: pairs of operator name and fraction of the step.
+        stages: `Stage`s, or tuples (operator name, fraction of the step) that become such.
         source: publication of the scheme.
 
     Raises:
-        ValueError: there are no stages, a fraction is not finite, or the fractions of an operator do not sum to 1.
+        ValueError: there are no stages, a fraction is not finite, or the fractions of a flow do not sum to 1.
     """
 
     name: str
-    stages: tuple[tuple[str, float], ...]
+    stages: tuple[Stage, ...]
     source: str = ""
 
     def __post_init__(self):
-        object.__setattr__(self, "stages", tuple((str(o), float(f)) for o, f in self.stages))
+        object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
         if not self.stages:
             raise ValueError(f"scheme {self.name} has no stages")
-        for operator in self.operators:
-            fractions = [f for o, f in self.stages if o == operator]
-            total = math.fsum(fractions)
+        for operator in dict.fromkeys(stage.flow for stage in self.stages):
+            total = math.fsum(stage.fraction for stage in self.stages if stage.flow == operator)
             if not math.isclose(total, 1.0, abs_tol=1e-14):
                 raise ValueError(f"scheme {self.name}: fractions of '{operator}' must sum to 1, they sum to {total!r}")
 
     @property
     def operators(self) -> tuple[str, ...]:
         """Names of the operators, in order of appearance."""
-        return tuple(dict.fromkeys(o for o, _ in self.stages))
+        return tuple(dict.fromkeys(stage.operator for stage in self.stages))
 
     @property
     def is_palindrome(self) -> bool:
@@ -60,31 +86,35 @@ class Scheme:
     @property
     def reuses_force(self) -> bool:
         """Whether the force at the end of a step is the one at the start of the next."""
-        return all(DRIFT not in _before(stages, KICK) for stages in (self.stages, self.stages[::-1]))
+        return all(DRIFT not in _before_kick(stages) for stages in (self.stages, self.stages[::-1]))
 
     @property
     def force_evaluations(self) -> int:
-        """Force evaluations a step, the first step of a run aside: kicks at positions that a drift has changed."""
+        """Force evaluations a step, the first step of a run aside.
+
+        One for each kick at positions that a drift has changed, and one for the displaced force of a gradient kick.
+        """
         moved, count = True, 0
         for _ in range(2):
             count = 0
-            for operator, _ in self.stages:
-                if operator == DRIFT:
+            for stage in self.stages:
+                if stage.operator == DRIFT:
                     moved = True
-                elif operator == KICK and moved:
-                    moved, count = False, count + 1
+                elif stage.flow == KICK:
+                    count += int(moved) + int(stage.operator == GRADIENT_KICK)
+                    moved = False
         return count
 
     def without(self, operator: str) -> Scheme:
         """This scheme where an operator does nothing: its stages dropped, neighbours of one kind joined."""
-        stages: list[tuple[str, float]] = []
-        for name, fraction in self.stages:
-            if name == operator:
+        stages: list[Stage] = []
+        for stage in self.stages:
+            if stage.operator == operator:
                 continue
-            if stages and stages[-1][0] == name:
-                stages[-1] = (name, stages[-1][1] + fraction)
+            if stages and stages[-1].operator == stage.operator and not stage.shift:
+                stages[-1] = Stage(stage.operator, stages[-1].fraction + stage.fraction)
             else:
-                stages.append((name, fraction))
+                stages.append(stage)
         return Scheme(self.name, tuple(stages), self.source)
 
     def with_bath(self) -> Scheme:
@@ -96,11 +126,11 @@ class Scheme:
         if BATH in self.operators:
             return self
         middle = len(self.stages) // 2
-        if len(self.stages) % 2 and self.stages[middle][0] == DRIFT:
-            half = (DRIFT, 0.5 * self.stages[middle][1])
-            stages = (*self.stages[:middle], half, (BATH, 1.0), half, *self.stages[middle + 1 :])
+        if len(self.stages) % 2 and self.stages[middle].operator == DRIFT:
+            half = Stage(DRIFT, 0.5 * self.stages[middle].fraction)
+            stages = (*self.stages[:middle], half, Stage(BATH, 1.0), half, *self.stages[middle + 1 :])
         else:
-            stages = ((BATH, 0.5), *self.stages, (BATH, 0.5))
+            stages = (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5))
         return Scheme(self.name, stages, self.source)
 
     @cached_property
@@ -111,10 +141,10 @@ class Scheme:
         with the exponential of the sum, in which a word of length k has the coefficient 1/k!. No property of the
         operators is assumed, so that a scheme that needs one (Runge-Kutta-Nystroem) may do better than this.
         """
-        letters = self.operators
-        coefficients: dict[tuple[str, ...], float] = {(): 1.0}
-        for operator, fraction in self.stages:
-            coefficients = _append_exponential(coefficients, operator, fraction)
+        letters = tuple(dict.fromkeys(stage.flow for stage in self.stages))
+        coefficients: dict[Word, float] = {(): 1.0}
+        for stage in self.stages:
+            coefficients = _product(coefficients, _exponential(_generator(stage)))
         order = 0
         for length in range(1, HIGHEST_ORDER + 1):
             exact = 1 / math.factorial(length)
@@ -125,19 +155,43 @@ class Scheme:
         return order
 
 
-def _before(stages, operator):
-    """Names of the stages before the first of an operator."""
-    return [name for name, _ in itertools.takewhile(lambda stage: stage[0] != operator, stages)]
+def _before_kick(stages) -> list[str]:
+    """Names of the operators before the first kick."""
+    return [stage.operator for stage in itertools.takewhile(lambda stage: stage.flow != KICK, stages)]
 
 
-def _append_exponential(coefficients, letter, fraction):
-    """Word coefficients of (what they describe) times exp(fraction * letter), words up to `HIGHEST_ORDER` long."""
-    product: dict[tuple[str, ...], float] = {}
-    for word, value in coefficients.items():
-        for power in range(HIGHEST_ORDER - len(word) + 1):
-            longer = word + (letter,) * power
-            product[longer] = product.get(longer, 0.0) + value * fraction**power / math.factorial(power)
+def _generator(stage: Stage) -> dict[Word, float]:
+    """What a stage is the exponential of, by words.
+
+    A gradient kick B of the shift d is that of B + (d/2) [B, [A, B]] with A the drift, up to the third order.
+    """
+    letter = stage.flow
+    words: dict[Word, float] = {(letter,): stage.fraction}
+    if stage.shift:
+        half = 0.5 * stage.fraction * stage.shift
+        words[letter, DRIFT, letter] = 2 * half
+        words[letter, letter, DRIFT] = words[DRIFT, letter, letter] = -half
+    return words
+
+
+def _product(left: dict[Word, float], right: dict[Word, float]) -> dict[Word, float]:
+    """The product of two sums of words, words up to `HIGHEST_ORDER` long."""
+    product: dict[Word, float] = {}
+    for first, a in left.items():
+        for second, b in right.items():
+            if len(first) + len(second) <= HIGHEST_ORDER:
+                product[first + second] = product.get(first + second, 0.0) + a * b
     return product
+
+
+def _exponential(generator: dict[Word, float]) -> dict[Word, float]:
+    power: dict[Word, float] = {(): 1.0}
+    total = dict(power)
+    for n in range(1, HIGHEST_ORDER + 1):
+        power = {word: value / n for word, value in _product(power, generator).items()}
+        for word, value in power.items():
+            total[word] = total.get(word, 0.0) + value
+    return total
 
 
 def alternating(name: str, first: str, second: str, half: tuple[float, ...], source: str = "") -> Scheme:
@@ -152,9 +206,9 @@ def alternating(name: str, first: str, second: str, half: tuple[float, ...], sou
         source: publication of the scheme.
     """
     operators = [(first, second)[i % 2] for i in range(len(half) + 1)]
-    wings = list(zip(operators, half, strict=False))
-    middle = 1 - 2 * math.fsum(f for o, f in wings if o == operators[-1])
-    return Scheme(name, (*wings, (operators[-1], middle), *reversed(wings)), source)
+    wings = [Stage(operator, fraction) for operator, fraction in zip(operators, half, strict=False)]
+    middle = 1 - 2 * math.fsum(stage.fraction for stage in wings if stage.operator == operators[-1])
+    return Scheme(name, (*wings, Stage(operators[-1], middle), *reversed(wings)), source)
 
 
 SIER2 = alternating("SIER2", KICK, DRIFT, (0.5,), "van Zon and Schofield (2007), Eq. Verlet")
@@ -170,5 +224,17 @@ SIER4 = alternating(
     "van Zon and Schofield (2007), Eq. EFRL; Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
 )
 
+SIER4G = Scheme(
+    "SIER4G",
+    (
+        Stage(KICK, 1 / 6),
+        Stage(DRIFT, 1 / 2),
+        Stage(GRADIENT_KICK, 2 / 3, 1 / 24),
+        Stage(DRIFT, 1 / 2),
+        Stage(KICK, 1 / 6),
+    ),
+    "Chin, Phys. Lett. A 226, 344 (1997), algorithm A",
+)
+
 #: The schemes that users can name.
-CATALOGUE = {scheme.name.lower(): scheme for scheme in (SIER2, SIER4)}
+CATALOGUE = {scheme.name.lower(): scheme for scheme in (SIER2, SIER4, SIER4G)}

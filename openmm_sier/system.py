@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from openmm import unit
 
-from openmm_sier.bodies import FIT_TOLERANCE, RigidBodies, RigidityError, Species, fit_attitudes
+from openmm_sier.bodies import FIT_TOLERANCE, LINEAR_MOMENT, RigidBodies, RigidityError, Species, fit_attitudes
 
 #: Largest error in nm of a constraint in the geometry that all constraints of a cluster define.
 EMBEDDING_TOLERANCE = 1e-4
@@ -75,11 +75,13 @@ class BodyPlan:
         """Whether only positions tell the geometry of some body."""
         return any(kind.needs_positions for kind in self.kinds)
 
-    def bodies(self, positions=None) -> RigidBodies:
+    def bodies(self, positions=None, sites=None) -> RigidBodies:
         """The bodies.
 
         Args:
             positions: (N, 3), nm. Bodies of one kind share the geometry of the first of them that fits.
+            sites: (N, 3), nm, the atoms in the principal frames of their bodies, which named bodies get to the bit
+                unless these are no principal frames.
 
         Raises:
             RigidityError: positions are needed and there are none, or they contradict the constraints.
@@ -88,8 +90,10 @@ class BodyPlan:
             raise RigidityError("the geometry of these bodies is known from positions only: give positions")
         species: list[Species] = []
         for kind in self.kinds:
+            if kind.needs_positions:
+                self._demand_extent(kind, positions)
             if kind.model is None:
-                species += self._from_positions(kind, positions)
+                species += _from_sites(kind, sites) or self._from_positions(kind, positions)
             elif kind.needs_positions:
                 species += _by_handedness(kind.model, positions)
             else:
@@ -180,14 +184,24 @@ class BodyPlan:
             )
         return Species.from_coordinates(clusters, masses, coordinates)
 
+    def _demand_extent(self, kind: Kind, positions) -> None:
+        for cluster in kind.clusters:
+            x = positions[list(cluster)]
+            if not np.isfinite(x).all():
+                raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
+            if len(cluster) > 1 and not np.ptp(x, axis=0).any():
+                raise RigidityError(
+                    f"{self._describe(cluster)}: its atoms lie on one point, where positions must tell its geometry. "
+                    "Set the positions first"
+                )
+
     def _from_positions(self, kind: Kind, positions) -> list[Species]:
         species = []
         clusters = np.array(kind.clusters)
         masses = np.array(kind.masses)
         while len(clusters):
-            if not np.isfinite(positions[clusters]).all():
-                raise RigidityError(f"the positions of {self._describe(clusters[0])} are not finite")
             model = Species.from_coordinates(clusters, masses, positions[clusters[0]], resolution=RESOLUTION)
+            model = _of_sites(clusters, masses, model.sites.T)
             fits = fit_attitudes(model, _arms(masses, positions[clusters]))[1] <= FIT_TOLERANCE
             species.append(model.of_atoms(clusters[fits]))
             clusters = clusters[~fits]
@@ -258,6 +272,89 @@ def _clusters(pairs) -> list[Cluster]:
             stack.extend(fresh)
         clusters.append(tuple(sorted(members)))
     return clusters
+
+
+def _from_sites(kind: Kind, sites) -> list[Species]:
+    """The species whose principal frames `BodyPlan.bodies` was given; none if these masses do not balance in them."""
+    if sites is None:
+        return []
+    clusters, masses = np.array(kind.clusters), np.array(kind.masses)
+    frames = sites[clusters]
+    inertia = np.einsum("k,mkx,mky->mxy", masses, frames, frames)
+    spread = np.trace(inertia, axis1=1, axis2=2)
+    off_centre = np.abs(np.einsum("k,mkx->mx", masses, frames)).max(axis=1)
+    off_axes = np.abs(inertia * (1 - np.eye(3))).max(axis=(1, 2))
+    # Both are rounding for principal frames; other masses leave per cents.
+    if (spread == 0).any() or (off_axes > 1e-9 * spread).any() or (off_centre**2 > 1e-18 * masses.sum() * spread).any():
+        return []
+    species = []
+    while len(clusters):
+        same = (frames == frames[0]).all(axis=(1, 2))
+        species.append(_of_sites(clusters[same], masses, frames[0]))
+        clusters, frames = clusters[~same], frames[~same]
+    return species
+
+
+def _of_sites(clusters, masses, frame) -> Species:
+    """A species whose moments depend, to the bit, on nothing but its sites (k, 3) and masses."""
+    sites = np.ascontiguousarray(frame.T)
+    squares = (masses * sites**2).sum(axis=1)
+    moments = squares.sum() - squares
+    moments[moments <= LINEAR_MOMENT * moments.max()] = 0.0
+    return Species(clusters, masses, sites, moments)
+
+
+def refuse_other_masses(system, bodies: RigidBodies) -> None:
+    """Refuse bodies whose masses are not those of the System.
+
+    Raises:
+        ValueError: naming the first body and atom.
+    """
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(bodies.n_particles)])
+    for species in bodies.species:
+        wrong = np.argwhere(masses[species.atoms] != species.masses)
+        if len(wrong):
+            body, site = wrong[0]
+            atom = species.atoms[body, site]
+            raise ValueError(
+                f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
+                f"{atom}, the System has {masses[atom]}: make the bodies anew"
+            )
+
+
+def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
+    """Refuse a barostat that moves atoms of one body apart.
+
+    Args:
+        system: openmm.System.
+        molecules: particle indices of OpenMM's molecules, `Context.getMolecules()`.
+        bodies: the rigid bodies.
+
+    Raises:
+        RigidityError: a barostat scales atoms one by one, or by molecules of which several share a body.
+    """
+    barostats = [force for force in system.getForces() if "Barostat" in type(force).__name__]
+    if not barostats:
+        return
+    molecule = np.zeros(bodies.n_particles, dtype=int)
+    for number, atoms in enumerate(molecules):
+        molecule[list(atoms)] = number
+    for species in bodies.species:
+        if species.atoms.shape[1] == 1:
+            continue
+        for barostat in barostats:
+            if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
+                raise RigidityError(
+                    f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies: create it with "
+                    "scaleMoleculesAsRigid=True"
+                )
+        split = np.ptp(molecule[species.atoms], axis=1) > 0
+        if split.any():
+            raise RigidityError(
+                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
+                f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
+                "strength)"
+            )
 
 
 def _by_handedness(model: Species, positions) -> list[Species]:

@@ -100,8 +100,8 @@ def test_heat_is_the_change_of_kinetic_energy():
 
 
 def test_thermostatted_schemes():
-    assert [o for o, _ in SIER2.with_bath().stages] == [KICK, DRIFT, BATH, DRIFT, KICK]
-    assert [o for o, _ in SIER4.with_bath().stages] == [BATH, *(o for o, _ in SIER4.stages), BATH]
+    assert [s.operator for s in SIER2.with_bath().stages] == [KICK, DRIFT, BATH, DRIFT, KICK]
+    assert [s.operator for s in SIER4.with_bath().stages] == [BATH, *(s.operator for s in SIER4.stages), BATH]
     for scheme in (SIER2, SIER4):
         bathed = scheme.with_bath()
         assert bathed.is_palindrome
