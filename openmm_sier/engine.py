@@ -153,7 +153,7 @@ class Engine:
         state = self._update_context_state()
         if sweeps:
             state = self._without_drift(state)
-        h = openmm.CustomIntegrator.getStepSize(integrator)._value
+        h = integrator.getStepSize()._value
         return propagation.step(integrator._active_scheme(), self.operators, state, h)
 
     def _update_context_state(self) -> BodyState:
@@ -169,7 +169,8 @@ class Engine:
 
     def _native_step(self) -> None:
         integrator, context = self._integrator, self._context
-        time = context.getTime() + integrator.getStepSize()
+        # Without the arithmetic of quantities, which takes longer than the rest of this.
+        time = context.getTime()._value + integrator.getStepSize()._value
         integrator.setGlobalVariableByName(ARMED, 1)
         try:
             openmm.CustomIntegrator.step(integrator, 1)
