@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import contextmanager
 from functools import cache
 from importlib import util
 from inspect import getsource
@@ -23,10 +24,29 @@ from openmm_sier.kernels import combine, cross, motion, rotation_matrix, short_t
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
 
-@cache
+#: Whether compiled code may be used.
+_allowed = os.environ.get("OPENMM_SIER_NUMBA", "1") != "0"
+
+
 def executor() -> SimpleNamespace | None:
-    """The compiled loops over bodies, or None without Numba."""
-    if os.environ.get("OPENMM_SIER_NUMBA", "1") == "0" or util.find_spec("numba") is None:
+    """The compiled loops over bodies, or None where NumPy is to execute the kernels."""
+    return _loops() if _allowed else None
+
+
+@contextmanager
+def disabled():
+    """Within this NumPy executes the kernels."""
+    global _allowed
+    before, _allowed = _allowed, False
+    try:
+        yield
+    finally:
+        _allowed = before
+
+
+@cache
+def _loops() -> SimpleNamespace | None:
+    if util.find_spec("numba") is None:
         return None
     import numba
 
