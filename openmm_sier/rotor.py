@@ -12,8 +12,11 @@ to v, and the paper's factors become
     P = R1(m -> v) R2(m, -theta) R1(u -> m),     theta = h Int g dt,    g = omega . (m + v(t)) / (1 + m . v(t)),
 
 with u and v the directions of L~ before and after. Nothing is singular before L~ has turned by half a circle within
-one step, g is even in time about the middle to leading order, and no case distinction is left. As a quaternion P is a
-rational function of u, m, v and of the sine and cosine of theta/2, so that it is orthogonal to rounding.
+one step, and no case distinction is left. As a quaternion P is a rational function of u, m, v and of the sine and
+cosine of theta/2, so that it is orthogonal to rounding. Where the paper integrates by Hermite interpolation at the ends
+of the step (Eq. psiapprox), the part of g that is even about the middle is integrated here by Gauss-Lobatto quadrature,
+of an order at which it has converged to rounding; longer steps are composed of shorter ones and of whole periods of L~.
+tests/test_paper_formulas.py has the paper's own form, which agrees.
 
 Notation: rows of A are the principal axes in the lab frame, L~ = A L, rates a >= b >= c are the inverse
 moments, k = |L| h, and
