@@ -80,6 +80,10 @@ class Engine:
         self._bodies: RigidBodies | None = None
         if not self._plan.needs_positions:
             self._settle(self._plan.bodies(None))
+        if not any(np.any(integrator.getPerDofVariableByName(name)) for name in STATE_VARIABLES):
+            # `reinitialize` without the state clears these variables but not the global ones.
+            integrator.setGlobalVariableByName(HEAT, 0)
+            integrator.setGlobalVariableByName(DRAWS, 0)
 
     @property
     def _context(self):
@@ -230,6 +234,8 @@ class Engine:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now = _Snapshot(self._context)
+        if self._state is None and len(now.positions) > 1 and not now.positions.any():
+            raise openmm.OpenMMException("Particle positions have not been set")
         unmoved = self._same_positions(self._echo, now) and _same_velocities(self._echo, now)
         state = (None if unmoved else self._recall(now)) or self._reconcile(self._echo, now)
         self._velocities[:] = now.velocities

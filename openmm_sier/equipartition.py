@@ -74,6 +74,7 @@ class Row:
 
 def compare(settings: Settings) -> list[Row]:
     """Run every method at every step from one equilibrated start."""
+    chosen = methods(settings)
     box = read_box(settings.box, settings.forcefield)
     bodies = RigidBodies.from_system(box.system, box.topology)
     start = _equilibrated(box, settings)
@@ -84,7 +85,7 @@ def compare(settings: Settings) -> list[Row]:
         barostat.setRandomNumberSeed(settings.seed)
         system.addForce(barostat)
     rows = []
-    for method in methods(settings):
+    for method in chosen:
         for dt in settings.dt:
             rows.append(_measure(method, dt, system, bodies, start, settings))
             console.note(_line(rows[-1]))

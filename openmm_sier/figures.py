@@ -43,3 +43,38 @@ def equipartition_figure(rows, ensemble: str, path: Path) -> None:
         axes.set_title(f"Equipartition in liquid water, {ensemble.upper()}", loc="left")
         axes.legend(frameon=False)
         figure.savefig(path, dpi=160)
+
+
+def schemes_figure(rows, path: Path) -> None:
+    """Energy error and drift against force evaluations per picosecond, one line a scheme.
+
+    Args:
+        rows: of `openmm_sier.survey.compare`.
+        path: PNG file to write.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11, 4.8), layout="constrained")
+        error, drift = figure.subplots(1, 2)
+        for i, scheme in enumerate(dict.fromkeys(row.scheme for row in rows)):
+            mine = sorted(
+                (row for row in rows if row.scheme == scheme and not row.broken), key=lambda r: r.fs_per_force
+            )
+            if not mine:
+                continue
+            forces = np.array([row.forces_per_ps for row in mine])
+            style = {"color": COLOURS[i % 8], "marker": "os^D"[i // 8 % 4], "ms": 5, "ls": ("-", "--")[i // 8 % 2]}
+            error.plot(forces, [100 * row.error for row in mine], label=scheme, **style)
+            slope, uncertainty = np.abs(np.array([row.drift for row in mine])).T
+            drift.errorbar(forces, slope, uncertainty, capsize=3, **style)
+        error.set_yscale("log")
+        error.set_ylabel("rms(H)/rms(V) (%)")
+        error.set_title("Energy error", loc="left")
+        # Linear where a drift is below what a run of some ps resolves.
+        drift.set_yscale("symlog", linthresh=0.1)
+        drift.set_ylim(bottom=0)
+        drift.set_ylabel("size of the drift of the box (kJ/mol/ps)")
+        drift.set_title("Drift", loc="left")
+        for axes in (error, drift):
+            axes.set_xlabel("force evaluations per picosecond")
+        figure.legend(*error.get_legend_handles_labels(), loc="outside right upper", frameon=False)
+        figure.savefig(path, dpi=160)

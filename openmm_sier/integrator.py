@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import numbers
+import re
 from collections.abc import Sequence
 
 import openmm
@@ -15,6 +16,9 @@ from openmm_sier.bodies import BodyState, RigidBodies
 from openmm_sier.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.schemes import SIER2, SIER4, Scheme
 from openmm_sier.system import BodyPlan, refuse_other_masses
+
+#: OpenMM's message about an illegal variable of this name tells what happened.
+LOST = "A_SIER_integrator_is_lost_in_XML__create_it_anew_or_copy_it_by_deepcopy_or_pickle"
 
 #: What users may give as bodies.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
@@ -57,12 +61,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
             self.addPerDofVariable(name, 0)
         for name in (HEAT, DRAWS, SEED, ARMED):
             self.addGlobalVariable(name, 0)
-        self.addUpdateContextState()
-        # A copy that has lost this class, through XML say, would advance the clock and move nothing. It fails instead.
+        # A copy that has lost this class, through XML say, would advance the clock and move nothing. It fails instead:
+        # Reference and CPU name the variable that does not exist, other platforms stop at positions that are NaN.
         self.beginIfBlock(f"{ARMED} < 0.5")
+        self.addComputePerDof(LOST, "0")
         self.addComputePerDof("x", f"x + sqrt({ARMED} - 1)")
         self.addComputeGlobal(ARMED, "energy")
         self.endBlock()
+        self.addUpdateContextState()
 
     # --- what users ask ---
 
@@ -312,6 +318,24 @@ def _updating(method):
     return wrapper
 
 
+def _accepting(method):
+    """`Context.setState` for a State that another kind of integrator saved, as one saves after an equilibration.
+
+    OpenMM takes over all of it and then fails over the parameters of that integrator, which mean nothing to ours.
+    """
+
+    @functools.wraps(method)
+    def wrapper(self, state):
+        try:
+            method(self, state)
+        except openmm.OpenMMException as error:
+            ours = isinstance(getattr(self, "_integrator", None), SIERIntegrator)
+            if not (ours and re.search("IntegratorParameters|Illegal (global|per-DOF) variable", str(error))):
+                raise
+
+    return wrapper
+
+
 def _refuse_lost(integrator) -> None:
     """Refuse what the package's Python part cannot reach."""
     parts = [integrator]
@@ -338,5 +362,6 @@ def _replace(cls, name: str, wrapped) -> None:
 
 _replace(openmm.Context, "__init__", _binding)
 _replace(openmm.Context, "reinitialize", _binding)
+_replace(openmm.Context, "setState", _accepting)
 for _class in [member for member in vars(openmm).values() if isinstance(member, type)]:
     _replace(_class, "updateParametersInContext", _updating)

@@ -88,7 +88,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
 
     def getHeat(self):
         """Heat that the bath has given to the bodies, a quantity; total energy less heat is conserved."""
-        return self._bound().state.heat * unit.kilojoule_per_mole
+        return self.getBodyState().heat * unit.kilojoule_per_mole
 
     def _own_arguments(self) -> dict:
         return {
@@ -99,9 +99,9 @@ class SIERLangevinIntegrator(SIERIntegrator):
         }
 
     def _bind(self, context) -> None:
-        first = self._engine is None
         super()._bind(context)
-        if first:
+        # A Context that was reinitialized with its state goes on with the seed that it has.
+        if self.getGlobalVariableByName(SEED) == 0:
             seed = self.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
             self.setGlobalVariableByName(SEED, seed)
 

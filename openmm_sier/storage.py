@@ -44,5 +44,13 @@ def unpack(bodies: RigidBodies, values: np.ndarray) -> BodyState:
     return BodyState(q.copy(), p.copy(), everything[9:].reshape(3, 3, -1).copy(), L.copy())
 
 
+def sites(bodies: RigidBodies) -> np.ndarray:
+    """The atoms' places in the principal frames of their bodies, (N, 3), nm; zero for particles of no body."""
+    values = np.zeros((bodies.n_particles, 3))
+    for species in bodies.species:
+        values[species.atoms] = species.sites.T
+    return values
+
+
 def _rows(n_atoms: int) -> int:
     return 18 if n_atoms > 1 else 6

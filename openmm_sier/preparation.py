@@ -1,0 +1,97 @@
+"""The start of a run: positions and velocities at a temperature."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.console import StepProgress, note
+from openmm_sier.langevin import SIERLangevinIntegrator
+from openmm_sier.schemes import SIER2
+
+if TYPE_CHECKING:
+    from openmm_sier.run import Options
+
+#: Net force on a molecule in kJ/mol/nm above which a start is minimized. Among 512 molecules of water at 297 K the
+#: largest is 1000 to 2200.
+LARGE_FORCE = 5e3
+
+#: Equilibration: friction in 1/ps, step in ps.
+FRICTION = 5.0
+EQUILIBRATION_STEP = 0.002
+
+#: Steps between two updates of the progress bar.
+CHUNK = 20
+
+
+def make_context(system, integrator, platform: str | None):
+    """A Context on a platform of a given name, in mixed precision where there is a choice; None takes the fastest."""
+    for index in range(openmm.Platform.getNumPlatforms()):
+        known = openmm.Platform.getPlatform(index)
+        if "Precision" in known.getPropertyNames():
+            known.setPropertyDefaultValue("Precision", "mixed")
+    if platform is None:
+        return openmm.Context(system, integrator)
+    return openmm.Context(system, integrator, openmm.Platform.getPlatformByName(platform))
+
+
+def prepare(context, positions, options: Options) -> None:
+    """Positions and velocities of a new run: minimized if need be, thermalized, the centre of mass at rest."""
+    context.setPositions(positions)
+    context.computeVirtualSites()
+    context.applyConstraints(1e-6)
+    strongest = _strongest_force(context)
+    if options.minimize or (options.minimize is None and strongest > LARGE_FORCE):
+        openmm.LocalEnergyMinimizer.minimize(context)
+        note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
+    positions, velocities = thermalize(context, options)
+    context.setPositions(positions)
+    context.setVelocities(velocities)
+    _stop_centre_of_mass(context)
+    context.setTime(0)
+    context.setStepCount(0)
+
+
+def _strongest_force(context) -> float:
+    """Largest net force on a body, kJ/mol/nm."""
+    integrator = context.getIntegrator()
+    forces = context.getState(forces=True).getForces(asNumpy=True)
+    forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+    F, _ = integrator.bodies.forces_and_torques(forces, integrator.getBodyState().A)
+    return float(np.linalg.norm(F, axis=0).max())
+
+
+def thermalize(context, options: Options):
+    """Positions and velocities at the wanted temperature, after a run at constant temperature.
+
+    Args:
+        context: holds the positions to start from; it is left as it was.
+        options: temperature, time of equilibration, seed and platform.
+    """
+    bodies = context.getIntegrator().bodies
+    langevin = SIERLangevinIntegrator(options.temperature, FRICTION, EQUILIBRATION_STEP, SIER2, bodies)
+    langevin.setRandomNumberSeed(options.seed)
+    bath = make_context(context.getSystem(), langevin, options.platform)
+    bath.setState(context.getState(positions=True))
+    bath.setVelocitiesToTemperature(options.temperature, options.seed)
+    steps = round(options.equilibrate / EQUILIBRATION_STEP)
+    with StepProgress(f"equilibration at {options.temperature:g} K", steps, EQUILIBRATION_STEP) as show:
+        for done in range(0, steps, CHUNK):
+            langevin.step(min(CHUNK, steps - done))
+            show(done)
+    if steps:
+        note(f"equilibrated for {options.equilibrate:g} ps at {options.temperature:g} K")
+    end = bath.getState(positions=True, velocities=True)
+    return end.getPositions(asNumpy=True), end.getVelocities(asNumpy=True)
+
+
+def _stop_centre_of_mass(context) -> None:
+    system = context.getSystem()
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    velocities = context.getState(velocities=True).getVelocities(asNumpy=True)
+    velocities = velocities.value_in_unit(unit.nanometer / unit.picosecond)
+    velocities[masses > 0] -= masses @ velocities / masses.sum()
+    context.setVelocities(velocities)

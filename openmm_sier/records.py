@@ -1,0 +1,272 @@
+"""The files of a run that is cut off at any moment: trajectory, log and checkpoint.
+
+Trajectory and log only grow, by one write a frame or row. The checkpoint notes how long they were, and is replaced as a
+whole. After a crash they are cut back to these lengths, and the run goes on from the checkpoint, without a gap and with
+no frame twice.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import app
+
+#: Version of what a checkpoint holds.
+FORMAT = 1
+
+#: The largest step number that DCD and XTC files hold. In longer runs a DCD file keeps this one, and an XTC file counts
+#: frames instead, so that its times stay right.
+LARGEST_STEP = 2**31 - 1
+
+#: Frames that are converted at a time.
+CHUNK = 100
+
+
+class RecordError(ValueError):
+    """A file of a run is missing, damaged, or not of this run."""
+
+
+class GrowingFile:
+    """A file that only grows, by whole records.
+
+    Attributes:
+        path: of the file.
+        size: bytes written.
+        count: records written, a header not counted.
+    """
+
+    def __init__(self, path: Path, size: int = 0, count: int = 0):
+        """
+        Args:
+            path: of the file.
+            size: bytes to keep of the file that is there; what follows is cut off. With 0 it is made anew.
+            count: records among the bytes kept.
+
+        Raises:
+            RecordError: the file has fewer bytes than are to be kept.
+        """
+        self.path, self.size, self.count = path, size, count
+        if size:
+            there = path.stat().st_size if path.exists() else 0
+            if there < size:
+                raise RecordError(f"{path} has {there} bytes, fewer than the {size} that it had at the checkpoint")
+        self._file = open(path, "r+b" if size else "wb", buffering=0)  # noqa: SIM115
+        self._file.truncate(size)
+        self._file.seek(size)
+
+    def append(self, record: bytes, counts: bool = True) -> None:
+        # One system call, so that a kill leaves whole records, but for an accident that cutting back mends.
+        self._file.write(record)
+        self.size += len(record)
+        self.count += counts
+
+    def patch(self, offset: int, value: bytes) -> None:
+        self._file.seek(offset)
+        self._file.write(value)
+        self._file.seek(self.size)
+
+    def sync(self) -> None:
+        """Return when the bytes are on the disk."""
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        self._file.close()
+
+    def length(self) -> dict[str, int]:
+        """What the checkpoint notes."""
+        return {"size": self.size, "count": self.count}
+
+
+class Log(GrowingFile):
+    """A CSV file of numbers with a heading."""
+
+    def __init__(self, path: Path, columns: Sequence[str], size: int = 0, count: int = 0):
+        super().__init__(path, size, count)
+        self.columns = tuple(columns)
+        if not size:
+            self.append((",".join(self.columns) + "\n").encode(), counts=False)
+
+    def write(self, values: Sequence[float]) -> None:
+        self.append((",".join(f"{value:.12g}" for value in values) + "\n").encode())
+
+    def read(self) -> dict[str, np.ndarray]:
+        """All rows, by column."""
+        rows = np.loadtxt(self.path, delimiter=",", skiprows=1, ndmin=2)
+        return {name: rows[:, i] for i, name in enumerate(self.columns)}
+
+
+class DCDTrajectory(GrowingFile):
+    """Frames of a DCD file, every one of the same length.
+
+    The frames are OpenMM's; the number of frames in the header is raised after the frame has been written.
+    """
+
+    def __init__(self, path: Path, topology, dt: float, interval: int, size: int = 0, count: int = 0):
+        """
+        Args:
+            path: of the file.
+            topology: openmm.app.Topology of the atoms that are written.
+            dt: step, ps.
+            interval: steps between frames.
+            size: bytes of the file to keep.
+            count: frames among them.
+        """
+        super().__init__(path, size, count)
+        self._topology, self._dt, self._interval = topology, dt, interval
+        if size:
+            self._patch_header()
+
+    def write(self, positions, box) -> None:
+        """Append a frame.
+
+        Args:
+            positions: (n, 3), nm.
+            box: periodic box vectors (a Quantity) or None.
+        """
+        buffer = io.BytesIO()
+        file = app.DCDFile(buffer, self._topology, self._dt, self._interval, self._interval)
+        header = buffer.tell()
+        file.writeModel(positions, periodicBoxVectors=box)
+        if not self.size:
+            self.append(buffer.getvalue()[:header], counts=False)
+        self.append(buffer.getvalue()[header:])
+        self._patch_header()
+
+    def _patch_header(self) -> None:
+        self.patch(8, struct.pack("<i", self.count))
+        self.patch(20, struct.pack("<i", min(self.count * self._interval, LARGEST_STEP)))
+
+    def finish(self) -> None:
+        self.close()
+
+
+class XTCTrajectory(GrowingFile):
+    """Frames of an XTC file, which follow each other without a header."""
+
+    def __init__(self, path: Path, topology, dt: float, interval: int, size: int = 0, count: int = 0):
+        super().__init__(path, size, count)
+        self._topology, self._dt, self._interval = topology, dt, interval
+
+    def write(self, positions, box) -> None:
+        with tempfile.TemporaryDirectory() as directory:
+            frame = Path(directory) / "frame.xtc"
+            step, dt = (self.count + 1) * self._interval, self._dt
+            if step > LARGEST_STEP:
+                step, dt = self.count + 1, self._dt * self._interval
+            app.XTCFile(str(frame), self._topology, dt, step).writeModel(positions, periodicBoxVectors=box)
+            self.append(frame.read_bytes())
+
+    def finish(self) -> None:
+        self.close()
+
+
+class HDF5Trajectory(DCDTrajectory):
+    """An HDF5 file in MDTraj's layout.
+
+    An HDF5 file that is cut off while being written is lost, so that the frames are kept in a DCD file beside it until
+    the run ends.
+    """
+
+    def __init__(self, path: Path, topology, dt: float, interval: int, size: int = 0, count: int = 0):
+        self.target = path
+        if size and path.exists():
+            raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
+        super().__init__(path.with_name(path.name + ".dcd"), topology, dt, interval, size, count)
+
+    def finish(self) -> None:
+        """Put the frames in the HDF5 file and remove the other."""
+        import mdtraj
+
+        self.close()
+        unfinished = self.target.with_name(f"unfinished-{self.target.name}")
+        with mdtraj.formats.HDF5TrajectoryFile(str(unfinished), "w", force_overwrite=True) as file:
+            file.topology = mdtraj.Topology.from_openmm(self._topology)
+            for first in range(0, self.count, CHUNK):
+                positions, lengths, angles = self._read(first, min(CHUNK, self.count - first))
+                steps = (np.arange(len(positions)) + first + 1) * self._interval
+                file.write(coordinates=positions, time=steps * self._dt, cell_lengths=lengths, cell_angles=angles)
+        os.replace(unfinished, self.target)
+        self.path.unlink()
+
+    def _read(self, first: int, count: int):
+        """Positions in nm, and lengths (nm) and angles (degrees) of the box, or None, of some frames."""
+        mark, n = "<i4", self._topology.getNumAtoms()
+        record = [("x0", mark), ("x", "<f4", n), ("x1", mark), ("y0", mark), ("y", "<f4", n), ("y1", mark)]
+        record += [("z0", mark), ("z", "<f4", n), ("z1", mark)]
+        periodic = self._topology.getPeriodicBoxVectors() is not None
+        frame = np.dtype([("box0", mark), ("box", "<f8", 6), ("box1", mark), *record] if periodic else record)
+        start = self.size + (first - self.count) * frame.itemsize
+        frames = np.fromfile(self.path, frame, count, offset=start)
+        positions = np.stack([frames[axis] for axis in "xyz"], axis=-1) / 10
+        if not periodic:
+            return positions, None, None
+        a, cos_gamma, b, cos_beta, cos_alpha, c = frames["box"].T
+        angles = np.degrees(np.arccos([cos_alpha, cos_beta, cos_gamma]))
+        return positions, np.transpose([a, b, c]) / 10, angles.T
+
+
+FORMATS: dict[str, type[DCDTrajectory] | type[XTCTrajectory]] = {
+    ".dcd": DCDTrajectory,
+    ".xtc": XTCTrajectory,
+    ".h5": HDF5Trajectory,
+}
+
+
+def trajectory_format(path: Path) -> type[DCDTrajectory] | type[XTCTrajectory]:
+    """The class for a file name.
+
+    Raises:
+        RecordError: the ending is unknown, or a package that it needs is missing.
+    """
+    if path.suffix not in FORMATS:
+        raise RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
+    if path.suffix == ".h5" and find_spec("tables") is None:
+        raise RecordError("an .h5 trajectory needs PyTables; install it with: pip install tables")
+    return FORMATS[path.suffix]
+
+
+def write_checkpoint(path: Path, state, notes: dict[str, Any]) -> None:
+    """Replace the checkpoint: at any moment the file is either the old or the new one.
+
+    Args:
+        path: of the file, a zip archive with state.xml and notes.json.
+        state: openmm.State with positions, velocities and parameters.
+        notes: what JSON can hold.
+    """
+    temporary = path.with_name(path.name + ".tmp")
+    with open(temporary, "wb") as file:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))
+            archive.writestr("notes.json", json.dumps({"format": FORMAT, **notes}, indent=1))
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def read_checkpoint(path: Path) -> tuple[Any, dict[str, Any]]:
+    """State and notes of a checkpoint.
+
+    Raises:
+        RecordError: the file is no checkpoint of this command.
+        FileNotFoundError: there is no such file.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
+            notes = json.loads(archive.read("notes.json"))
+    except (zipfile.BadZipFile, KeyError, ValueError, openmm.OpenMMException) as error:
+        raise RecordError(f"{path} is no checkpoint of openmm-sier run") from error
+    if notes.get("format") != FORMAT:
+        raise RecordError(f"{path} was written by another version of openmm-sier, in format {notes.get('format')}")
+    return state, notes

@@ -1,0 +1,62 @@
+"""The examples run from a fresh checkout and say what they are meant to say."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import mdtraj
+
+ROOT = Path(__file__).parent.parent
+EXAMPLES = ROOT / "examples"
+
+
+def output(directory, name, *arguments):
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / name), *arguments], cwd=directory, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_free_body_turns_over_and_conserves(tmp_path):
+    text = output(tmp_path, "free_body.py", "--time", "40")
+    assert "turned over 3 times" in text
+    # Rounding over 40 steps, and over a phase of 80 radian in one step.
+    energy, momentum, attitude = (float(x) for x in re.findall(r"(?:by|within) (\d\.\de[+-]\d+)", text))
+    assert energy < 1e-13
+    assert momentum < 1e-13
+    assert attitude < 1e-10
+
+
+def test_water_box_conserves_energy(tmp_path):
+    text = output(tmp_path, "water_box.py", "--steps", "20")
+    share = float(re.search(r"([\d.]+)% of it", text).group(1))
+    # SIER4 at 4 fs is at 0.02 % of the fluctuation over ps; 20 steps see less of the fluctuation.
+    assert share < 0.2
+
+
+def test_water_box_differs_from_a_verlet_script_in_one_line(tmp_path):
+    """The commented lines put in force, with a time step of 1 fs, give OpenMM's own integrator, and that runs too."""
+    text = (EXAMPLES / "water_box.py").read_text()
+    lines = text.splitlines()
+    (ours,) = [i for i, line in enumerate(lines) if line.startswith("integrator = SIER4Integrator(")]
+    (theirs,) = [i for i, line in enumerate(lines) if line.startswith("# integrator = VerletIntegrator(")]
+    lines[ours] = lines[theirs][2:]
+    lines = [line[2:] if line.startswith("# from openmm import") else line for line in lines]
+    path = tmp_path / "verlet.py"
+    systems = f"Path({str(ROOT / 'systems')!r})"
+    path.write_text("\n".join(lines).replace('Path(__file__).parent.parent / "systems"', systems))
+    assert systems in path.read_text()
+    text = output(tmp_path, path, "--steps", "20")
+    assert re.search(r"[\d.]+% of it", text)
+
+
+def test_pdb_setup_names_the_bodies_and_writes_a_trajectory(tmp_path):
+    text = output(tmp_path, "pdb_setup.py", "--steps", "10")
+    assert re.search(r"494 x HOH +18\.015 dalton, 6 degrees of freedom", text)
+    assert re.search(r"9 x NA +22\.990 dalton, 3 degrees of freedom", text)
+    assert re.search(r"9 x CL +35\.450 dalton, 3 degrees of freedom", text)
+    assert "rotation at" in text
+    read = mdtraj.load(str(tmp_path / "salt.dcd"), top=str(ROOT / "systems" / "tip3p-nacl-512.pdb"))
+    assert read.n_frames == 10
