@@ -1,8 +1,8 @@
 """The free-rotation maps that van Zon and Schofield (2007) compare theirs with.
 
 Both have the signature of `rotor.exact`, (A, L, moments, h) -> (A, L), and take its place in every scheme:
-`propagation.drift(bodies, baselines.mrdl)`, `SIERIntegrator(h, rotation=baselines.sej4)`. With the scheme SIER2 they give
-the integrators that the paper calls MRDL and SEJ4.
+`propagation.drift(bodies, baselines.mrdl)`, `SIERIntegrator(h, rotation=baselines.sej4)`. With the scheme SIER2 they
+give the integrators that the paper calls MRDL and SEJ4.
 
 Notation as in `openmm_sier.rotor`: rows of A are the principal axes in the lab frame, L~ = A L, omega~ = I~^-1 L~.
 """
@@ -22,8 +22,10 @@ MRDL_FACTORS = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))
 #: Where the two-point Gauss rule on (0, 1) has its first node; the second lies as far from the end.
 GAUSS_NODE = 0.5 - math.sqrt(3) / 6
 
-#: Largest squared phase of the nutation in one step for which the series reach from a Gauss node to the middle.
+#: Largest squared phase of the nutation in one step for which the series reach from a Gauss node to the middle, and how
+#: often this way may be halved before `rotor.exact` is the better way to L~.
 _SERIES_REACH = SERIES_LIMIT / (0.5 - GAUSS_NODE) ** 2
+_MOST_HALVINGS = 3
 
 #: Squares of angular momenta outside this range go through `rotor.exact`, which rescales them.
 _SQUARE_RANGE = (1e-240, 1e240)
@@ -81,8 +83,8 @@ def sej4(A, L, moments, h):
     Args:
         A: attitude matrices, shape (3, 3, n); rows are the principal axes in the lab frame.
         L: angular momenta in the lab frame, shape (3, n), dalton nm^2/ps.
-        moments: principal moments, shape (3,) or (3, n), dalton nm^2, in any order. Where L~ keeps its direction (linear
-            bodies, spherical tops, rotation about a principal axis) the map is exact.
+        moments: principal moments, shape (3,) or (3, n), dalton nm^2, in any order. Where L~ keeps its direction
+            (linear bodies, spherical tops, rotation about a principal axis) the map is exact.
         h: time in ps, a float of either sign.
 
     Returns:
@@ -166,7 +168,7 @@ def _gauss_velocities(rates, rows, L, h):
     norm = np.sqrt(np.where(far, 1.0, square))
     u, k = body_L / norm, norm * h
     _, _, _, p, q = kernels.motion(rates, u, k)
-    far |= ~(np.maximum(p, q) <= _SERIES_REACH)
+    far |= ~(np.maximum(p, q) <= _SERIES_REACH * 4**_MOST_HALVINGS)
     velocities = _velocities_by_series(rates, u, norm, np.where(far, 0.0, k))
     if far.any():
         for near, value in zip(velocities, _velocities_by_attitude(rates, rows, L, h, far), strict=True):
@@ -177,13 +179,24 @@ def _gauss_velocities(rates, rows, L, h):
 def _velocities_by_series(rates, u, norm, k):
     moved = kernels.motion(rates, u, k)
     _, _, _, p, q = moved
+    phase = np.maximum(p, q).max(initial=0.0)
+    pieces = 1
+    while phase > _SERIES_REACH * pieces**2:
+        pieces *= 2
     series = sn_coefficients(p, q)
-    to_node = sn_increment(series, p, q, GAUSS_NODE)
-    to_middle = sn_increment(series, p, q, 0.5 - GAUSS_NODE)
-    path = [u]
-    for increments in (to_node, to_middle, to_middle, to_node):
-        path.append(np.stack(kernels.advance(moved, path[-1], increments)))
-    return rates * norm * path[1], rates * norm * path[3], norm * path[4]
+    to_node = sn_increment(series, p, q, GAUSS_NODE / pieces)
+    to_middle = sn_increment(series, p, q, (0.5 - GAUSS_NODE) / pieces)
+
+    def moved_on(direction, increments):
+        for _ in range(pieces):
+            direction = kernels.advance(moved, direction, increments)
+        return direction
+
+    first = moved_on(u, to_node)
+    second = moved_on(moved_on(first, to_middle), to_middle)
+    end = moved_on(second, to_node)
+    scale = rates * norm
+    return scale * np.stack(first), scale * np.stack(second), norm * np.stack(end)
 
 
 def _velocities_by_attitude(rates, rows, L, h, chosen):

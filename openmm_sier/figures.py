@@ -8,6 +8,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from openmm_sier import survey
+
 COLOURS = dict(zip(range(8), mpl.color_sequences["petroff8"], strict=True))
 STYLE: dict = {
     "font.size": 11,
@@ -48,21 +50,24 @@ def equipartition_figure(rows, ensemble: str, path: Path) -> None:
 def schemes_figure(rows, path: Path) -> None:
     """Energy error and drift against force evaluations per picosecond, one line a scheme.
 
+    Lines are broken for schemes that are not in the catalogue.
+
     Args:
         rows: of `openmm_sier.survey.compare`.
         path: PNG file to write.
     """
+    others = [scheme.name for scheme in survey.OTHERS.values()]
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11, 4.8), layout="constrained")
         error, drift = figure.subplots(1, 2)
         for i, scheme in enumerate(dict.fromkeys(row.scheme for row in rows)):
-            mine = sorted(
-                (row for row in rows if row.scheme == scheme and not row.broken), key=lambda r: r.fs_per_force
-            )
+            mine = sorted((r for r in rows if r.scheme == scheme and not r.broken), key=lambda r: r.fs_per_force)
             if not mine:
                 continue
+            style: dict = {"color": COLOURS[i % 8], "marker": "os^D"[i // 8 % 4], "ms": 5, "ls": "-"}
+            if scheme in others:
+                style |= {"ls": "--", "lw": 1.2, "mfc": "white"}
             forces = np.array([row.forces_per_ps for row in mine])
-            style = {"color": COLOURS[i % 8], "marker": "os^D"[i // 8 % 4], "ms": 5, "ls": ("-", "--")[i // 8 % 2]}
             error.plot(forces, [100 * row.error for row in mine], label=scheme, **style)
             slope, uncertainty = np.abs(np.array([row.drift for row in mine])).T
             drift.errorbar(forces, slope, uncertainty, capsize=3, **style)
@@ -75,6 +80,7 @@ def schemes_figure(rows, path: Path) -> None:
         drift.set_ylabel("size of the drift of the box (kJ/mol/ps)")
         drift.set_title("Drift", loc="left")
         for axes in (error, drift):
+            axes.yaxis.set_major_formatter("{x:g}")
             axes.set_xlabel("force evaluations per picosecond")
         figure.legend(*error.get_legend_handles_labels(), loc="outside right upper", frameon=False)
         figure.savefig(path, dpi=160)

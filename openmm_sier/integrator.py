@@ -319,19 +319,28 @@ def _updating(method):
 
 
 def _accepting(method):
-    """`Context.setState` for a State that another kind of integrator saved, as one saves after an equilibration.
+    """`Context.setState` as users of OpenMM's integrators know it.
 
-    OpenMM takes over all of it and then fails over the parameters of that integrator, which mean nothing to ours.
+    A State that another kind of integrator saved, after an equilibration say, is welcome: OpenMM takes over all of it
+    and then fails over the parameters of that integrator, which mean nothing to ours. And as with OpenMM's integrators
+    a State brings no noise that was used already: runs with other seeds from one State differ, and so do replicas that
+    share a Context.
     """
 
     @functools.wraps(method)
     def wrapper(self, state):
+        integrator = getattr(self, "_integrator", None)
+        if not isinstance(integrator, SIERIntegrator):
+            return method(self, state)
+        seed, draws = map(integrator.getGlobalVariableByName, (SEED, DRAWS))
         try:
             method(self, state)
         except openmm.OpenMMException as error:
-            ours = isinstance(getattr(self, "_integrator", None), SIERIntegrator)
-            if not (ours and re.search("IntegratorParameters|Illegal (global|per-DOF) variable", str(error))):
+            if not re.search("IntegratorParameters|Illegal (global|per-DOF) variable", str(error)):
                 raise
+        integrator.setGlobalVariableByName(SEED, seed)
+        integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
+        return None
 
     return wrapper
 

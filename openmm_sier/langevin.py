@@ -21,7 +21,8 @@ class SIERLangevinIntegrator(SIERIntegrator):
     either end. Where the friction is zero the trajectory is, bit for bit, that of the scheme without a bath.
 
     The noise is a function of the seed and of the number of bath operations done so far. Both travel in checkpoints, so
-    that a restarted run continues the same trajectory.
+    that a restarted run continues the same trajectory. A State brings the number only, and never back to noise that the
+    Context has used: a run restarted from it is the same if its integrator was given the same seed.
     """
 
     def __init__(

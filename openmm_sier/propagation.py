@@ -14,7 +14,7 @@ import numpy as np
 
 from openmm_sier import kernels, rotor
 from openmm_sier.bodies import BodyState, RigidBodies
-from openmm_sier.schemes import Scheme
+from openmm_sier.schemes import GRADIENT_KICK, Scheme
 
 #: (state, time) -> state; a gradient kick takes its displacement per acceleration besides.
 Operator = Callable[..., BodyState]
@@ -125,6 +125,6 @@ def step(scheme: Scheme, operators: Mapping[str, Operator], state: BodyState, h:
         h: length of the step, ps.
     """
     for stage in scheme.stages:
-        shift = (stage.shift * h * h,) if stage.shift else ()
+        shift = (stage.shift * h * h,) if stage.operator == GRADIENT_KICK else ()
         state = operators[stage.operator](state, stage.fraction * h, *shift)
     return state

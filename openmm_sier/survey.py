@@ -19,7 +19,7 @@ from openmm_sier.integrator import SIER2Integrator, SIERIntegrator
 from openmm_sier.preparation import make_context, prepare
 from openmm_sier.run import Options
 from openmm_sier.sampling import Method, Series
-from openmm_sier.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme, Stage, alternating
+from openmm_sier.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, Scheme, Stage, alternating
 from openmm_sier.version import __version__
 
 #: The box where none is given, one of the project's own.
@@ -56,7 +56,7 @@ def _gradients_outside(share: float) -> tuple[Stage, ...]:
     return (*half, Stage(KICK, 1 - 2 * share), *reversed(half))
 
 
-#: Published schemes that the catalogue leaves out, since one of its own is better for every number of forces.
+#: Published schemes that the catalogue leaves out: for any number of forces one of its own does as well or better.
 OTHERS = {
     "s6": alternating(
         "Blanes-Moan S6",
@@ -92,13 +92,6 @@ OTHERS = {
         KICK,
         (0.1786178958448091, 0.7123418310626054, -0.06626458266981849, -0.2123418310626054),
         _OMELYAN_2002 + "position extended Forest-Ruth-like",
-    ),
-    "omf5": alternating(
-        "OMF, 5 forces",
-        KICK,
-        DRIFT,
-        (0.08398315262876693, 0.2539785108410595, 0.6822365335719091, -0.03230286765269967, -0.26621968620067603),
-        _OMELYAN_2003 + "Eqs. 63 and 71",
     ),
     "omf3g": Scheme(
         "OMF, 3 forces and 1 gradient", _gradient_in_the_middle(0.2470939580390842), _OMELYAN_2003 + "Eq. 44"
@@ -155,17 +148,11 @@ class Row:
 
 def known() -> dict[str, tuple[Method, int]]:
     """Method and order of everything that the survey can measure, by the name that the user gives."""
-    methods = {name: (method, 2) for name, method in sampling.nve_methods().items()}
-    for name, scheme in _schemes().items():
+    methods = {"verlet": (sampling.nve_methods()["verlet"], 2)}
+    for name, scheme in {**CATALOGUE, **OTHERS}.items():
         method = Method(scheme.name, scheme.force_evaluations, partial(SIERIntegrator, scheme=scheme))
         methods[name] = (method, scheme.order)
     return methods
-
-
-def _schemes() -> dict[str, Scheme]:
-    from openmm_sier.schemes import CATALOGUE
-
-    return {**CATALOGUE, **OTHERS}
 
 
 def compare(settings: Settings) -> list[Row]:

@@ -11,7 +11,7 @@ from openmm_sier import SIER4, RigidBodies, Scheme, SIERIntegrator, SIERLangevin
 from openmm_sier.propagation import CachedForces, drift, gradient_kick, kick, step
 from openmm_sier.rotor import body_frame
 from openmm_sier.schemes import BATH, CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, Stage
-from tests.molecules import SoftCluster
+from tests.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
 from tests.oracles import orthogonality_error
 from tests.test_dynamics import distance, reversed_momenta, symplectic_defect, turned
 from tests.waters import cluster_system, context_at, energies, phase_point, relaxed
@@ -19,12 +19,12 @@ from tests.waters import cluster_system, context_at, energies, phase_point, rela
 
 @pytest.fixture
 def waters():
-    return SoftCluster(["water"] * 3)
+    return SoftCluster([WATER] * 3)
 
 
 @pytest.fixture
 def mixture():
-    return SoftCluster(["water", "ion", "carbon dioxide", "methane", "water"])
+    return SoftCluster([WATER, ION, CARBON_DIOXIDE, METHANE, WATER])
 
 
 def operators_of(cluster):
@@ -162,7 +162,7 @@ NOISE = 3e-11
 
 def test_symplecticity_defect_is_of_fifth_order(rng):
     """The finite displacement leaves a defect of h s^2 in the kick, O(h^5) a step; without it there is none."""
-    pair = SoftCluster(["water"] * 2)
+    pair = SoftCluster([WATER] * 2)
     state = pair.start(rng)
     _, operators = operators_of(pair)
 
@@ -182,7 +182,7 @@ def test_symplecticity_defect_is_of_fifth_order(rng):
 
 def test_size_of_the_symplecticity_defect(rng):
     """At 6 fs a step of two waters changes the form, whose elements are 1, by parts in 10^7."""
-    pair = SoftCluster(["water"] * 2)
+    pair = SoftCluster([WATER] * 2)
     defect = symplectic_defect(lambda s: run(pair, SIER4G, s, 0.006, 1), pair.start(rng))
     # 1.6e-7 here, 6e-8 to 7e-6 for other orientations. Twice the displacement makes it more than four times as large.
     assert NOISE < defect < 3e-7
@@ -325,3 +325,8 @@ def test_bodies_of_the_integrator_are_those_of_the_system(cluster):
         integrator.step(5)
         ends.append(phase_point(context)[0])
     assert np.array_equal(*ends)
+
+
+def test_only_gradient_kicks_have_a_shift():
+    with pytest.raises(ValueError, match="only a 'gradient kick' has a shift"):
+        Scheme("wrong", ((KICK, 0.5, 0.1), (DRIFT, 1.0), (KICK, 0.5, 0.1)))

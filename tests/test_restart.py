@@ -328,17 +328,20 @@ def test_reinitialization_without_its_state_starts_anew(cluster):
     assert_same(everything(context), end)
 
 
-@every_integrator
+def full_state(context):
+    return context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+
+
+@pytest.mark.parametrize("make", [MAKERS["SIER2"], MAKERS["SIER4"]], ids=["SIER2", "SIER4"])
 def test_exchanged_states_go_on_in_the_other_context(cluster, make):
     """As OpenMM's replica exchange does with one Context for all replicas."""
     _, system, point = cluster
-    starts = [point, (point[0], -point[1])]
     ends, saved = [], []
-    for start in starts:
+    for start in (point, (point[0], -point[1])):
         integrator = make()
         context = context_at(system, integrator, start)
         integrator.step(5)
-        saved.append(context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True))
+        saved.append(full_state(context))
         integrator.step(5)
         ends.append(everything(context))
     integrator = make()
@@ -347,6 +350,41 @@ def test_exchanged_states_go_on_in_the_other_context(cluster, make):
         context.setState(saved[turn])
         integrator.step(5)
         assert_same(everything(context), ends[turn])
+
+
+def test_replicas_that_share_a_context_have_noise_of_their_own(cluster):
+    """Trajectories under the same noise grow together (Sindhikara et al., J. Chem. Theory Comput. 5, 1624 (2009))."""
+    _, system, point = cluster
+    integrator = langevin(SIER2)
+    context = context_at(system, integrator, point)
+    integrator.step(5)
+    saved = full_state(context)
+    ends = []
+    for _ in range(3):
+        context.setState(saved)
+        integrator.step(5)
+        ends.append(integrator.getBodyState())
+    assert [end.draws for end in ends] == [10, 15, 20]
+    for one, two in ((0, 1), (1, 2), (0, 2)):
+        assert np.abs(ends[one].p - ends[two].p).max() > 0.1
+
+
+@pytest.mark.parametrize("seeds", [(1, 2), (0, 0), (3, 0)])
+def test_runs_with_other_seeds_from_one_state_differ(cluster, seeds):
+    _, system, point = cluster
+    integrator = langevin(SIER2)
+    context = context_at(system, integrator, point)
+    integrator.step(5)
+    saved = full_state(context)
+    ends = []
+    for seed in seeds:
+        integrator = langevin(SIER2)
+        integrator.setRandomNumberSeed(seed)
+        context = openmm.Context(system, integrator, platform())
+        context.setState(saved)
+        integrator.step(5)
+        ends.append(integrator.getBodyState().p)
+    assert np.abs(ends[0] - ends[1]).max() > 0.1
 
 
 OTHERS = [
@@ -448,7 +486,7 @@ def test_geometry_from_positions_is_stored_too(constrained, way):
     context = context_at(system, integrator, (positions, velocities))
     integrator.step(100)
     checkpoint = context.createCheckpoint()
-    state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+    state = full_state(context)
     integrator.step(100)
     for stepped in (False, True):
         other = SIER2Integrator(0.001, bodies=named)

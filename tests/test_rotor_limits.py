@@ -5,6 +5,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from openmm_sier import rotor
 from openmm_sier.elliptic import SERIES_LIMIT
@@ -103,6 +104,17 @@ def test_any_angle_gives_a_rotation(rng, exponents):
         before, after = ((rates * (apply(B, L) / size) ** 2).sum(axis=0) for B in (A, new))
         # A thousand sub-steps, each with the rounding of L~ times the largest rate.
         assert (np.abs(after - before) <= 1e-13 * rates.max(axis=0)).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("angle", [1.0, -1e3, 1e5])
+def test_uniform_rotation_lasts(axis, angle):
+    """A body that turns exactly about a principal axis goes on so, about the unstable one (here the second) too."""
+    moments, direction = np.array([0.6, 1.1, 1.7]), np.eye(3)[axis]
+    new, _ = rotor.exact(np.eye(3)[:, :, None], direction[:, None], moments, angle * moments[axis])
+    expected = Rotation.from_rotvec(-angle * direction).as_matrix()
+    # The angle, a product of three numbers, is rounded.
+    assert np.abs(new[:, :, 0] - expected).max() < 1e-15 * max(1, abs(angle))
 
 
 def test_no_scale_is_preferred(rng):

@@ -12,28 +12,29 @@ from openmm import app, unit
 
 from openmm_sier import survey
 from openmm_sier.sampling import Series
-from openmm_sier.schemes import DRIFT, KICK, alternating
+from openmm_sier.schemes import DRIFT, KICK, SIER4V, alternating
 from openmm_sier.survey import OTHERS, Row, Settings
-from tests.molecules import SoftCluster
+from tests.molecules import WATER, SoftCluster
 from tests.test_gradient import slope
 from tests.waters import water_box
 
-FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "omf5": 5, "omf3g": 4, "omf3gg": 5}
+CANDIDATES = {**OTHERS, "sier4v": SIER4V}
+FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "omf3g": 4, "omf3gg": 5}
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", CANDIDATES)
 def test_candidates_are_symmetric_and_of_fourth_order(name):
-    scheme = OTHERS[name]
+    scheme = CANDIDATES[name]
     assert scheme.order == 4
     assert scheme.is_palindrome
     assert scheme.force_evaluations == FORCES[name]
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", CANDIDATES)
 def test_candidates_are_of_fourth_order_in_the_dynamics(rng, name):
-    cluster = SoftCluster(["water"] * 3)
+    cluster = SoftCluster([WATER] * 3)
     # SRKN6b has so small a h^4 that h^6 shows unless the steps are short.
-    assert slope(cluster, OTHERS[name], cluster.start(rng), steps=(24, 48, 96)) == pytest.approx(4.0, abs=0.3)
+    assert slope(cluster, CANDIDATES[name], cluster.start(rng), steps=(24, 48, 96)) == pytest.approx(4.0, abs=0.3)
 
 
 def test_a_nystroem_scheme_of_sixth_order_needs_kicks_and_drifts():

@@ -1,16 +1,16 @@
-"""A water molecule in a uniform electric field: conservation of energy and of L_z (van Zon and Schofield 2007, Table 1)
+"""A water molecule in a uniform field: conservation of energy and of L_z (van Zon and Schofield 2007, Table 1).
 
-The paper does not say how long its runs were nor how it averaged. Here an ensemble of molecules, canonical at 297 K, each
-alone in the field, runs for a few ps from the same initial states with every method.
+The paper does not say how long its runs were nor how it averaged. Here an ensemble of molecules, canonical at 297 K,
+each alone in the field, runs for a few ps from the same initial states with every method.
 
-- Energy: rms(H)/rms(V) along each trajectory, and the mean of this ratio over the ensemble. The ratio of the ensemble's
-  mean rms values is nearly the same; the median is much smaller, since the error grows steeply with |L|.
-- L_z: the rms over trajectories and ensemble of L_z - <L_z>, over <|L_z|>. Only SEJ4 does not conserve L_z. Its error is
-  made by few molecules, so that the mean over trajectories instead of the root of the mean square is several times
+- Energy: rms(H)/rms(V) along each trajectory, and the mean of this ratio over the ensemble. The ratio of the
+  ensemble's mean rms values is nearly the same; the median is much smaller, since the error grows steeply with |L|.
+- L_z: the rms over trajectories and ensemble of L_z - <L_z>, over <|L_z|>. Only SEJ4 does not conserve L_z. Few
+  molecules make its error, so that the mean over trajectories instead of the root of the mean square is several times
   smaller, and it grows slowly with the length of the run.
 
-The field does not lie along an axis of coordinates. If it did, the third component of every torque would be zero and L_z
-constant to the bit for whatever conserves L in free rotation; so rounding shows.
+The field does not lie along an axis of coordinates. If it did, the third component of every torque would be zero and
+L_z constant to the bit for whatever conserves L in free rotation; so rounding shows.
 """
 
 from __future__ import annotations
@@ -134,7 +134,10 @@ class Field:
 
 
 class Spread:
-    """Mean and rms deviation of a quantity along each trajectory; values are taken from the first one, against rounding."""
+    """Mean and rms deviation of a quantity along each trajectory.
+
+    Sums are over deviations from the first value, so that they do not lose digits of a quantity that hardly changes.
+    """
 
     def __init__(self, first):
         self._first, self._sum, self._squares, self._count = first, 0 * first, 0 * first, 0

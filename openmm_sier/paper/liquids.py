@@ -19,7 +19,8 @@ class Cutoffs:
     """How the interactions of a liquid end.
 
     Attributes:
-        molecular_on, molecular_off: distances of the oxygens, nm, between which two molecules' interaction is switched off.
+        molecular_on, molecular_off: distances of the oxygens, nm, between which the interaction of two molecules is
+            switched off.
         pme: direct-space cut-off of the PME system, nm.
         pme_switch: where its Lennard-Jones interaction starts to be switched off, nm.
         ewald_tolerance: OpenMM's ewaldErrorTolerance. The direct-space sum is cut, not switched, at `pme`; at OpenMM's
@@ -79,9 +80,7 @@ def molecular_force(n: int, edge: float, cutoffs: Cutoffs):
             f"the molecular cut-off needs openmm.PythonForce, which OpenMM {openmm.version.version} does not have; "
             "install a newer one with: pip install -U openmm"
         )
-    potential = MolecularCutoff(
-        tip4p.SIGMA, tip4p.EPSILON, tip4p.CHARGE, cutoffs.molecular_on, cutoffs.molecular_off
-    )
+    potential = MolecularCutoff(tip4p.SIGMA, tip4p.EPSILON, tip4p.CHARGE, cutoffs.molecular_on, cutoffs.molecular_off)
     potential.check_box(np.full(3, edge))
     force = openmm.PythonForce(potential)
     force.setUsesPeriodicBoundaryConditions(True)

@@ -82,7 +82,9 @@ class MolecularCutoff:
             ValueError: an edge is shorter than twice the cut-off.
         """
         if 2 * self.off > np.min(box):
-            raise ValueError(f"a cut-off of {self.off} nm needs a box of at least {2 * self.off} nm, got {np.min(box):.4f}")
+            raise ValueError(
+                f"a cut-off of {self.off} nm needs a box of at least {2 * self.off} nm, got {np.min(box):.4f}"
+            )
 
     def _add_block(self, sites, i, j, box, forces):
         """Energy of the pairs (i, j); their forces are added to `forces`, (3, 4, n)."""

@@ -1,10 +1,12 @@
 """Exact free rotation with more digits than double precision, to measure the rounding errors of the exact propagator.
 
-It is the closed form in the paper's notation, Eq. Pmatrix, with its fixed pole and with psi from an elliptic integral of
-the third kind that is evaluated once over the whole span; nothing is shared with `openmm_sier.rotor`.
+It is the closed form in the paper's notation, Eq. Pmatrix, with its fixed pole and with psi from an elliptic integral
+of the third kind that is evaluated once over the whole span; nothing is shared with `openmm_sier.rotor`.
 """
 
 from __future__ import annotations
+
+from importlib import import_module
 
 import numpy as np
 
@@ -12,12 +14,16 @@ import numpy as np
 DIGITS = 34
 
 
-def _mpmath():
+def require():
+    """The module mpmath.
+
+    Raises:
+        ModuleNotFoundError: it is not installed.
+    """
     try:
-        import mpmath
+        return import_module("mpmath")
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError("the reference of the free rotation needs mpmath: pip install mpmath") from error
-    return mpmath
 
 
 def squared_deviations(A, body_L, moments, step, count) -> np.ndarray:
@@ -33,7 +39,7 @@ def squared_deviations(A, body_L, moments, step, count) -> np.ndarray:
     Returns:
         (n,), with the rounding of the difference alone.
     """
-    mp = _mpmath()
+    mp = require()
     squares = np.empty(A.shape[2])
     with mp.workdps(DIGITS):
         time = mp.mpf(step) * count
@@ -53,7 +59,7 @@ def attitude(body_L, moments, time):
 
     Source: van Zon and Schofield (2007), Eqs. Pmatrix and integral.
     """
-    mp = _mpmath()
+    mp = require()
     l, I = [mp.mpf(float(x)) for x in body_L], [mp.mpf(float(x)) for x in moments]
     square = sum(x * x for x in l)
     if sum(x * x / i for x, i in zip(l, I, strict=True)) * I[1] < square:

@@ -1,0 +1,157 @@
+"""The figures of the experiments. Needs matplotlib, an extra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+try:
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError("figures need matplotlib; install it with: pip install 'openmm-sier[plots]'") from error
+
+from openmm_sier.paper import published
+from openmm_sier.paper.dipole import Dipole
+from openmm_sier.paper.free_rotation import FreeRotation
+from openmm_sier.paper.methods import METHODS
+from openmm_sier.paper.tables import picoseconds
+from openmm_sier.paper.water import Water
+
+#: Colours that can be told apart by everyone (Okabe and Ito), one for each method, and its marker.
+COLOURS = {"MRDL": "#E69F00", "SEJ4": "#009E73", "SIER2": "#0072B2", "SIER4": "#D55E00"}
+MARKERS = {"MRDL": "s", "SEJ4": "^", "SIER2": "o", "SIER4": "D"}
+NAMES = [method.name for method in METHODS]
+
+STYLE: dict = {
+    "font.size": 13,
+    "axes.titlesize": 14,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "lines.linewidth": 2,
+    "lines.markersize": 7,
+    "legend.frameon": False,
+    "savefig.dpi": 160,
+}
+GREY = "0.35"
+
+
+def _panels(columns: int, title: str, **options):
+    figure = Figure(figsize=(6.4 * columns, 5.6), layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=17, fontweight="bold")
+    return figure, figure.subplots(1, columns, squeeze=False, **options)[0]
+
+
+def _plain_ticks(axis, values) -> None:
+    """Ticks of a logarithmic axis at given values, written out."""
+    axis.set_major_locator(mpl.ticker.FixedLocator(list(values)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def free_rotation(result: FreeRotation, path: Path) -> None:
+    """delta against t for each step, with the paper's linear laws."""
+    steps = list(dict.fromkeys(curve.step_fs for curve in result.curves))
+    with mpl.rc_context(STYLE):
+        figure, panels = _panels(len(steps), "Free rotation of a water molecule: error of the attitude", sharey=True)
+        for axes, step in zip(panels, steps, strict=True):
+            for curve in (c for c in result.curves if c.step_fs == step):
+                _error_curve(axes, curve)
+            axes.axhline(0.1, color=GREY, lw=1)
+            axes.annotate("10 %", (0, 0.1), (4, 3), xycoords=("axes fraction", "data"), textcoords="offset points",
+                          color=GREY)  # fmt: skip
+            axes.set(xscale="log", yscale="log", xlabel="time (ps)", ylim=(3e-17, 3))
+            axes.set_title(f"step {step:g} fs", loc="left")
+        panels[0].set_ylabel(r"$\delta$ = rms deviation from the exact attitude")
+        figure.text(0.99, 0.985, "dashed: the paper's law $\\delta = t/10\\tau$", ha="right", va="top", color=GREY)
+        figure.savefig(path)
+
+
+def _error_curve(axes, curve) -> None:
+    colour = COLOURS[curve.method]
+    times = np.array(curve.times)
+    axes.errorbar(times, curve.delta, curve.delta_error, fmt=MARKERS[curve.method] + "-", color=colour, capsize=2)
+    label = rf"{curve.method}: $\tau$ = {picoseconds(curve.tau)}"
+    tau = published.TAU.get((curve.method, curve.step_fs))
+    if tau is not None:
+        label += f"\n(paper: {picoseconds(tau)})"
+        ends = times[[0, -1]]
+        axes.plot(ends, np.minimum(ends / (10 * tau), 1), "--", color=colour, lw=1.2)
+    shift = {"SIER2": -12, "SIER4": 12}.get(curve.method, 0)
+    axes.annotate(label, (times[-1], curve.delta[-1]), (10, shift), textcoords="offset points", va="center",
+                  color=colour, fontsize=12, annotation_clip=False)  # fmt: skip
+
+
+def dipole(result: Dipole, path: Path) -> None:
+    """Table 1 as two panels, the paper's values as open symbols."""
+    panels_of = (
+        ("energy", 100, published.ENERGY, "rms(H) / rms(V)  (%)", "energy"),
+        ("momentum", 1, published.MOMENTUM, r"rms($L_z$) / $\langle|L_z|\rangle$", "angular momentum"),
+    )
+    steps = sorted({entry.force_step_fs for entry in result.entries})
+    with mpl.rc_context(STYLE):
+        figure, panels = _panels(2, "Water molecule in an electric field: what is conserved")
+        for axes, (field, scale, paper, label, title) in zip(panels, panels_of, strict=True):
+            for i, name in enumerate(NAMES):
+                shift = 1.025 ** (i - 1.5)
+                mine = [entry for entry in result.entries if entry.method == name]
+                x = np.array([entry.force_step_fs for entry in mine])
+                y, error = np.array([(getattr(e, field), getattr(e, field + "_error")) for e in mine]).T * scale
+                axes.errorbar(x * shift, y, error, fmt=MARKERS[name] + "-", color=COLOURS[name], capsize=2, label=name)
+                theirs = [(s, *paper[name, s]) for s in steps if (name, s) in paper]
+                if theirs:
+                    px, py, pe = np.array(theirs).T
+                    pe = np.minimum(pe, 0.9 * py)
+                    axes.errorbar(px * shift, py, pe, fmt=MARKERS[name], mfc="white", mew=1.8, color=COLOURS[name],
+                                  capsize=2, zorder=3)  # fmt: skip
+            axes.set(xscale="log", yscale="log", xlabel="time step per force evaluation, h/f (fs)", ylabel=label)
+            axes.set_title(title, loc="left")
+            _plain_ticks(axes.xaxis, steps)
+        axes = panels[0]
+        axes.errorbar([], [], [], fmt="o", mfc="white", mew=1.8, color=GREY, label="open: the paper")
+        axes.legend(loc="lower right", fontsize=12)
+        panels[1].text(0.5, 0.12, "rounding", transform=panels[1].transAxes, ha="center", color=GREY)
+        figure.savefig(path)
+
+
+def water(result: Water, path: Path) -> None:
+    """Fig. 1, one panel a system, with the crossing marked."""
+    kinds = list(dict.fromkeys(point.kind for point in result.points))
+    s = result.settings
+    with mpl.rc_context(STYLE):
+        title = f"Liquid water, {s.molecules} molecules at {s.temperature:g} K: energy error for the same work"
+        figure, panels = _panels(len(kinds), title, sharey=True)
+        for axes, kind in zip(panels, kinds, strict=True):
+            for name in NAMES:
+                mine = [p for p in result.points if p.kind == kind and p.method == name and p.runs > 0]
+                x, y, error = np.array([(p.force_step_fs, p.energy, p.energy_error) for p in mine]).T * [
+                    [1],
+                    [100],
+                    [100],
+                ]
+                compared = name in ("MRDL", "SEJ4")
+                axes.errorbar(x, y, error, fmt=MARKERS[name] + ("" if compared else "-"), color=COLOURS[name],
+                              mfc="none" if compared else None, ms=10 if compared else 7, capsize=2,
+                              label=name)  # fmt: skip
+            _mark_crossing(axes, result, kind)
+            axes.set(xscale="log", yscale="log", xlabel="time step per force evaluation, h/f (fs)")
+            axes.set_title(kind, loc="left")
+            steps = [point.force_step_fs for point in result.points if point.kind == kind]
+            _plain_ticks(axes.xaxis, [t for t in (0.1, 0.2, 0.5, 1, 2, 3, 5) if min(steps) <= t <= max(steps)])
+        panels[0].set_ylabel("rms(H) / rms(V)  (%)")
+        panels[0].legend(loc="upper left", fontsize=11)
+        figure.savefig(path)
+
+
+def _mark_crossing(axes, result: Water, kind: str) -> None:
+    crossing = next(c for c in result.crossings if c.kind == kind)
+    if not np.isfinite(crossing.force_step_fs):
+        return
+    axes.axvline(crossing.force_step_fs, color=GREY, lw=1)
+    axes.annotate(f"crossing at {crossing.force_step_fs:.2f} fs\n(paper: {published.CROSSING:g} fs)",
+                  (crossing.force_step_fs, 0.04), (-6, 0), xycoords=("data", "axes fraction"),
+                  textcoords="offset points", ha="right", color=GREY)  # fmt: skip
