@@ -239,7 +239,7 @@ def test_temperature_of_a_box():
         integrator.step(4)
         samples.append(integrator.bodies.temperatures(integrator.getBodyState(), removed=3))
     translation, rotation = np.mean(samples, axis=0)
-    # 174 degrees of freedom each: a sample scatters by sqrt(2/174) = 11 %, and 2.4 ps hold some 48 independent ones at a
-    # friction of 20/ps, which leaves 4.6 K; bounds of 4 standard errors.
+    # 174 degrees of freedom each: a sample scatters by sqrt(2/174) = 11 %, and 2.4 ps hold some 48 independent ones at
+    # a friction of 20/ps, which leaves 4.6 K; bounds of 4 standard errors.
     assert abs(translation - TEMPERATURE) < 18
     assert abs(rotation - TEMPERATURE) < 18

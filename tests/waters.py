@@ -15,7 +15,7 @@ def platform(name="Reference"):
     return openmm.Platform.getPlatformByName(name)
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def water_box(model="tip3p", molecules=64, ions=False):
     """Topology, positions (N, 3) in nm and force field of a cubic box of water, deterministic."""
     names = {"tip3p": "tip3p", "tip4pew": "tip4pew", "tip5p": "tip5p", "spce": "spce"}
@@ -61,7 +61,7 @@ def cluster_system(molecules=8, model="tip3p", **options):
 
 
 def relaxed(topology, positions, system, temperature=297.0, seed=7, steps=300):
-    """Positions and velocities (N, 3) after minimization and a short Langevin run, exactly rigid to single precision."""
+    """Positions and velocities (N, 3) after minimization and a short Langevin run."""
     integrator = openmm.LangevinMiddleIntegrator(temperature, 10.0, 0.001)
     integrator.setRandomNumberSeed(seed)
     simulation = app.Simulation(topology, system, integrator, platform("CPU"), {"Threads": "1"})
