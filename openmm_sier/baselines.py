@@ -100,10 +100,11 @@ def sej4(A, L, moments, h):
     for block, bodies in _blocks(moments, A.shape[2]):
         rows = _sorted_rows(bodies, A[:, :, block])
         w1, w2, end = _gauss_velocities(bodies.rates, rows, L[:, block], h)
-        omega = (0.5 * h) * (w1 + w2) + (math.sqrt(3) / 12 * h * h) * _cross(w1, w2)
+        turn1, turn2 = h * w1, h * w2
+        omega = 0.5 * (turn1 + turn2) + math.sqrt(3) / 12 * _cross(turn1, turn2)
         rows = _rotated(omega, rows)
+        new_L[:, block] = kernels.combine(end, *rows)
         new_A[:, :, block] = _unsorted_rows(bodies, rows)
-        new_L[:, block] = rows[0] * end[0] + rows[1] * end[1] + rows[2] * end[2]
     return new_A, new_L
 
 
@@ -138,8 +139,8 @@ def _sorted_rows(bodies, A):
 
 
 def _unsorted_rows(bodies, rows):
-    """The inverse of `_sorted_rows`; overwrites its argument."""
-    rows[1] *= bodies.parity
+    """The inverse of `_sorted_rows`."""
+    rows = np.stack([rows[0], bodies.parity * rows[1], rows[2]])
     A = np.empty_like(rows)
     if bodies.order.ndim == 1:
         A[bodies.order] = rows

@@ -22,25 +22,25 @@ def squared_phase(u, rates):
     return np.maximum(((a - c) * x2 + (b - c) * y2) * (a - b), ((a - b) * y2 + (a - c) * z2) * (b - c))
 
 
-def bodies_at(rng, n, phase, dtype=float):
-    """Descending rates, unit L~ and |L| h of bodies with moments over four decades that nutate by a squared phase."""
-    rates = np.sort(10 ** rng.uniform(-2, 2, (3, n)), axis=0)[::-1].astype(dtype)
-    u = rng.normal(size=(3, n)).astype(dtype) * 10 ** rng.uniform(-1, 1, (3, n))
+def bodies_at(rng, n, phase, decades, dtype=float):
+    """Descending rates over some decades, unit L~ and |L| h of bodies that nutate by a squared phase."""
+    rates = np.sort(10 ** rng.uniform(0, decades, (3, n)), axis=0)[::-1].astype(dtype)
+    u = rng.normal(size=(3, n)).astype(dtype) * 10 ** rng.uniform(0, decades / 2, (3, n))
     u /= np.sqrt((u * u).sum(axis=0))
     return rates, u, np.sqrt(phase / squared_phase(u, rates))
 
 
-@pytest.mark.parametrize("factor", [1 - 1e-9, 1 + 1e-9, 4.0, 16.0])
+@pytest.mark.parametrize("factor", [1 - 1e-9, 1 + 1e-9, 4.0])
 @pytest.mark.parametrize("limit", [limit for limit, _, _ in rotor.QUADRATURES])
 def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
     """Just below a limit, where truncation is worst, and above, where the next rule or composition takes over."""
-    rates, u, k = bodies_at(rng, 300, limit * factor)
-    A, moments = random_attitudes(rng, 300), 1 / rates
+    rates, u, k = bodies_at(rng, 250, limit * factor, decades=1)
+    A, moments = random_attitudes(rng, 250), 1 / rates
     L = np.einsum("abn,an->bn", A, u * k)
     expected, _ = oracles.rotation_by_taylor(A, L, moments, 1.0, dtype=np.longdouble, order=20)
     # Rounding of A L turns the body by up to 2e-16 of its fastest angle; some ten operations follow.
     scale = np.maximum(1, k * rates[0])
-    assert worst(rotor.exact(A, L, moments, 1.0)[0] - expected, scale) < 3e-15
+    assert worst(rotor.exact(A, L, moments, 1.0)[0] - expected, scale) < 2e-15
 
 
 def series_of_directions(middle, difference, order=24):
@@ -57,7 +57,7 @@ def series_of_directions(middle, difference, order=24):
 def test_quadrature_truncates_below_rounding(rng, rule):
     """The claim at `rotor.QUADRATURES`: the rule, in extended precision, against Gauss-Legendre with 24 nodes."""
     limit, end_weight, nodes = rotor.QUADRATURES[rule]
-    rates, middle, k = bodies_at(rng, 20_000, limit, np.longdouble)
+    rates, middle, k = bodies_at(rng, 20_000, limit, 4, np.longdouble)
     a, b, c = rates
     series = series_of_directions(middle, k * np.stack([c - b, a - c, b - a]))
 
