@@ -197,14 +197,12 @@ def closed_form_rotation(A, L, moments, h):
     start, (sn, cn, dn, end) = ellipj(phase, modulus)[3], ellipj(phase + rate, modulus)
     final = np.array([side * x_max * dn, sense * y_max * sn, z_max * cn])
 
-    lean = (z_max / x_at_z_max(z_max)) ** 2
-    mean = (third_kind(end, modulus, lean) - third_kind(start, modulus, lean)) / (rate * (1 - z_max**2))
+    # w = L^2 / L_perp^2 = 1 / (1 - z^2) with z = z_max cn.
+    least_perp = (1 - z_max) * (1 + z_max)
+    lean = z_max**2 / least_perp
+    mean = (third_kind(end, modulus, lean) - third_kind(start, modulus, lean)) / (rate * least_perp)
     P = paper_propagator(u, final, k * (c + (e - c) * mean))
     return matmul(U.transpose(1, 0, 2), matmul(P, matmul(U, A)))
-
-
-def x_at_z_max(z):
-    return np.sqrt((1 - z) * (1 + z))
 
 
 def third_kind(amplitude, m, lean):

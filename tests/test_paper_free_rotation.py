@@ -73,47 +73,48 @@ def test_squared_deviations(rng):
 
 @functools.cache
 def miniature():
-    settings = Settings(span=1.0, bodies=1500, exact_bodies=12, marks_per_decade=2, timed_bodies=100, timings=3)
-    return free_rotation.measure(settings)
+    """Until MRDL's delta is near 10 % at 8 fs, the paper's longer step."""
+    return free_rotation.measure(
+        Settings(steps_fs=(4.0, 8.0), span=8.0, bodies=1500, exact_bodies=12, timed_bodies=100, timings=3)
+    )
 
 
 def curve(method, step):
     return next(c for c in miniature().curves if (c.method, c.step_fs) == (method, step))
 
 
-@pytest.mark.parametrize("step", [1.66, 8.0])
 @pytest.mark.parametrize("method", ["MRDL", "SEJ4"])
-def test_tau_is_that_of_the_paper(method, step):
-    """Within 1.6: the paper's values have one or two digits and no error; ours of 1500 bodies has one of 20 %.
+def test_tau_is_that_of_the_paper(method):
+    """Within 1.5. With 1500 bodies the standard error is 10 % for MRDL and 20 % for SEJ4, whose tail is heavier.
 
     With another order of MRDL's factors or the other sign of SEJ4's commutator tau is off by more than 2.
     """
-    found = curve(method, step)
-    assert 1 / 1.6 < found.tau / published.TAU[method, step] < 1.6
+    found = curve(method, 8.0)
+    assert 1 / 1.5 < found.tau / published.TAU[method, 8.0] < 1.5
     assert found.tau_error < 0.3 * found.tau
-    assert found.exponent == pytest.approx(1, abs=0.15)
 
 
 @pytest.mark.parametrize(("method", "order"), [("MRDL", 2), ("SEJ4", 4)])
 def test_tau_scales_with_the_order(method, order):
-    """The same bodies at both steps; higher orders of the 8 fs step change the slope by less than 0.2."""
-    slope = math.log(curve(method, 1.66).tau / curve(method, 8.0).tau) / math.log(8 / 1.66)
+    """Of the median body, which is not near the separatrix; higher orders change the slope by less than 0.2."""
+    slope = math.log2(curve(method, 4.0).tau_median / curve(method, 8.0).tau_median)
     assert slope == pytest.approx(order, abs=0.2)
+    # Linear growth; the median oscillates a little while the shortest marks are within a period.
+    assert curve("SEJ4", 8.0).exponent == pytest.approx(1, abs=0.1)
 
 
-@pytest.mark.parametrize("step", [1.66, 8.0])
 @pytest.mark.parametrize("method", ["SIER2", "SIER4"])
-def test_sier_has_the_error_of_rounding(method, step):
+def test_sier_has_the_error_of_rounding(method):
     """The paper's tau is reached by linear extrapolation, and the first marks are at rounding of a few steps."""
-    found = curve(method, step)
-    assert found.tau > published.TAU["SIER2", step]
+    found = curve(method, 8.0)
+    assert found.tau > published.TAU["SIER2", 8.0]
     # Ten steps of at most four turns, 1e-16 each.
     assert 1e-17 < found.delta[0] < 4e-15
     assert found.energy < 1e-12
 
 
 def test_result_of_a_known_law():
-    """delta = t/(10 tau) for every body gives tau, the exponent 1 and the power law the same; past 10 % nothing counts."""
+    """delta = t/(10 tau) gives tau, the exponent 1 and the same by the power law; past 10 % nothing counts."""
     times = np.array([0.1, 1.0, 3.0, 10.0, 30.0])
     squares = (times[:, None] / (10 * 20.0) * np.ones(50)) ** 2
     squares[-1] = 0.5
@@ -121,6 +122,7 @@ def test_result_of_a_known_law():
     found = free_rotation._summarize("MRDL", 2.0, times, squares, energies)
     assert found.tau == pytest.approx(20)
     assert found.tau_power == pytest.approx(20)
+    assert found.tau_median == pytest.approx(20)
     assert found.exponent == pytest.approx(1)
     assert found.tau_error == pytest.approx(0, abs=1e-9)
     assert found.energy == pytest.approx(1e-3)

@@ -50,7 +50,7 @@ def squared_deviations(A, body_L, moments, step, count) -> np.ndarray:
 
 
 def attitude(body_L, moments, time):
-    """Attitude after a time of one asymmetric body that started with A = 1, an mpmath matrix.
+    """Attitude after a time of one asymmetric body that started with A = 1, an mpmath matrix of `DIGITS` or more.
 
     Args:
         body_L: (3,), angular momentum at the start; the state must not be on the separatrix.
@@ -60,13 +60,14 @@ def attitude(body_L, moments, time):
     Source: van Zon and Schofield (2007), Eqs. Pmatrix and integral.
     """
     mp = require()
-    l, I = [mp.mpf(float(x)) for x in body_L], [mp.mpf(float(x)) for x in moments]
-    square = sum(x * x for x in l)
-    if sum(x * x / i for x, i in zip(l, I, strict=True)) * I[1] < square:
-        # The paper's U*: exchange x and z, reverse y.
-        exchange = mp.matrix([[0, 0, 1], [0, -1, 0], [1, 0, 0]])
-        return exchange.T * _propagator(mp, [l[2], -l[1], l[0]], I[::-1], mp.mpf(time)) * exchange
-    return _propagator(mp, l, I, mp.mpf(time))
+    with mp.workdps(max(DIGITS, mp.mp.dps)):
+        l, I = [mp.mpf(float(x)) for x in body_L], [mp.mpf(float(x)) for x in moments]
+        square = sum(x * x for x in l)
+        if sum(x * x / i for x, i in zip(l, I, strict=True)) * I[1] < square:
+            # The paper's U*: exchange x and z, reverse y.
+            exchange = mp.matrix([[0, 0, 1], [0, -1, 0], [1, 0, 0]])
+            return exchange.T * _propagator(mp, [l[2], -l[1], l[0]], I[::-1], mp.mpf(time)) * exchange
+        return _propagator(mp, l, I, mp.mpf(time))
 
 
 def _propagator(mp, l, I, time):

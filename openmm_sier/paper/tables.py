@@ -65,6 +65,7 @@ def tau_table(result: FreeRotation) -> Table:
                 "as SIER2" if paper is None else picoseconds(paper),
                 f"{number(curve.tau / scale, curve.tau_error / scale)} {unit}",
                 ratio(curve.tau, paper),
+                picoseconds(curve.tau_median),
                 f"{curve.exponent:.2f}",
                 picoseconds(curve.tau_power),
                 f"{100 * curve.energy:.1e}",
@@ -73,7 +74,7 @@ def tau_table(result: FreeRotation) -> Table:
     span = result.settings.span
     return Table(
         f"Free rotation of water, {result.settings.temperature:g} K: tau from delta = t/(10 tau), runs of {span:g} ps",
-        ("h (fs)", "method", "paper", "tau", "ratio", "growth t^", "power law: 10 % at", "dE/E (%)"),
+        ("h (fs)", "method", "paper", "tau", "ratio", "median body", "growth t^", "power law: 10 % at", "dE/E (%)"),
         rows,
         left=2,
     )
