@@ -185,8 +185,9 @@ class RigidBodies:
 
     def _check(self):
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
-        if used.size and (used.min() < 0 or used.max() >= self.n_particles):
-            raise ValueError(f"bodies name particle {used.max()}, the system has {self.n_particles} particles")
+        outside = used[(used < 0) | (used >= self.n_particles)]
+        if outside.size:
+            raise ValueError(f"bodies name particle {outside[0]}, the system has {self.n_particles} particles")
         twice = np.flatnonzero(np.bincount(used, minlength=self.n_particles) > 1)
         if twice.size:
             raise ValueError(f"particle {twice[0]} is in more than one body")

@@ -230,14 +230,17 @@ class Engine:
     def adopt(self) -> None:
         """Take over what was changed in the Context from outside.
 
+        The state found depends on nothing but what the Context holds, so that a checkpoint of it leads on alike.
+
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now = _Snapshot(self._context)
         if self._state is None and len(now.positions) > 1 and not now.positions.any():
             raise openmm.OpenMMException("Particle positions have not been set")
-        unmoved = self._same_positions(self._echo, now) and _same_velocities(self._echo, now)
-        state = (None if unmoved else self._recall(now)) or self._reconcile(self._echo, now)
+        moved = not self._same_positions(self._echo, now)
+        state = self._recall(now, moved) if moved or not _same_velocities(self._echo, now) else None
+        state = state or self._reconcile(None if moved else self._echo, now)
         self._velocities[:] = now.velocities
         integrator = self._integrator
         heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
@@ -270,10 +273,11 @@ class Engine:
         self._demand_finite("velocity of", p, L)
         return p, L
 
-    def _recall(self, now: _Snapshot) -> BodyState | None:
+    def _recall(self, now: _Snapshot, moved: bool) -> BodyState | None:
         """The state stored in the integrator's variables, if it is that of the atoms to the last bit.
 
-        It is after a checkpoint or a State with integrator parameters was loaded.
+        It is after a checkpoint or a State with integrator parameters was loaded. Where velocities were set after that,
+        centres and attitudes are still believed.
         """
         integrator, plan = self._integrator, self._plan
         values = np.array([integrator.getPerDofVariableByName(name) for name in STATE_VARIABLES])
@@ -285,12 +289,16 @@ class Engine:
         state = storage.unpack(bodies, values)
         positions = bodies.place(state.q, state.A, now.positions.copy())
         velocities = bodies.move(state, now.velocities.copy())
-        if not (np.array_equal(positions, now.positions) and np.array_equal(velocities, now.velocities)):
+        reproduced = np.array_equal(positions, now.positions)
+        if not reproduced or not (moved or np.array_equal(velocities, now.velocities)):
             return None
         if bodies is not self._bodies:
             self._settle(bodies)
         self.forces.forget()
         self._take_positions(now)
+        if not np.array_equal(velocities, now.velocities):
+            p, L = self._momenta(now.velocities, state.A)
+            state = replace(state, p=p, L=L)
         return state
 
     def _take_positions(self, now: _Snapshot) -> None:

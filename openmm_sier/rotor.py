@@ -181,6 +181,10 @@ def exact(A, L, moments, h):
     n = A.shape[2]
     if bodies.rates.ndim == 2 and bodies.rates.shape[1] != n:
         raise ValueError(f"moments are given for {bodies.rates.shape[1]} bodies, A and L for {n}")
+    for name, values in (("angular momentum", L), ("attitude", A)):
+        finite = np.isfinite(values).reshape(-1, n).all(axis=0)
+        if not finite.all():
+            raise ValueError(f"the {name} of body {int(finite.argmin())} is not finite")
     new = np.empty((3, 3, n))
     if bodies.rates.ndim == 1 and (loops := executor()) is not None:
         far = np.empty(n, dtype=bool)
@@ -219,8 +223,6 @@ def _turn(bodies: Top, body_L, h):
 def _turn_scaled(bodies: Top, body_L, h):
     """`_turn` for angular momenta that vanish or whose squares leave the range of doubles."""
     scale = np.max(np.abs(body_L), axis=0)
-    if not np.isfinite(scale).all():
-        raise ValueError(f"the angular momentum of body {int(np.argmin(np.isfinite(scale)))} is not finite")
     x, y, z = np.stack(body_L) / np.where(scale > 0, scale, 1.0)
     norm = np.sqrt(x * x + y * y + z * z)
     unit = np.where(norm > 0, norm, 1.0)

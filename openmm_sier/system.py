@@ -244,10 +244,16 @@ def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
 
 
 def _constraint_lengths(system) -> dict[tuple[int, int], float]:
-    lengths = {}
+    lengths: dict[tuple[int, int], float] = {}
     for i in range(system.getNumConstraints()):
         a, b, distance = system.getConstraintParameters(i)
-        lengths[min(a, b), max(a, b)] = distance.value_in_unit(unit.nanometer)
+        length = distance.value_in_unit(unit.nanometer)
+        other = lengths.setdefault((min(a, b), max(a, b)), length)
+        if abs(other - length) > EMBEDDING_TOLERANCE:
+            raise RigidityError(
+                f"the constraints of atoms {min(a, b)} and {max(a, b)} contradict each other: they are to be {other:.4f} and "
+                f"{length:.4f} nm apart"
+            )
     return lengths
 
 
