@@ -248,11 +248,12 @@ def _constraint_lengths(system) -> dict[tuple[int, int], float]:
     for i in range(system.getNumConstraints()):
         a, b, distance = system.getConstraintParameters(i)
         length = distance.value_in_unit(unit.nanometer)
-        other = lengths.setdefault((min(a, b), max(a, b)), length)
+        pair = min(a, b), max(a, b)
+        other = lengths.setdefault(pair, length)
         if abs(other - length) > EMBEDDING_TOLERANCE:
             raise RigidityError(
-                f"the constraints of atoms {min(a, b)} and {max(a, b)} contradict each other: they are to be {other:.4f} and "
-                f"{length:.4f} nm apart"
+                f"the constraints of atoms {pair[0]} and {pair[1]} contradict each other: they are to be {other:.4f} "
+                f"and {length:.4f} nm apart"
             )
     return lengths
 
@@ -387,6 +388,8 @@ def _embed(k, distances):
     squares += squares.T
     centre = np.eye(k) - 1 / k
     values, vectors = np.linalg.eigh(-0.5 * centre @ squares @ centre)
+    # Rounding of squares: without this a planar body would be 1e-8 nm thick.
+    values[values < 1e-13 * values.max()] = 0
     kept = min(3, k)
     coordinates = np.zeros((k, 3))
     coordinates[:, :kept] = vectors[:, -kept:] * np.sqrt(np.maximum(values[-kept:], 0))

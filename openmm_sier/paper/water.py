@@ -67,10 +67,10 @@ QUICK = Settings(
     molecules=216,
     cutoffs=liquids.Cutoffs(molecular_on=0.7, molecular_off=0.9, pme=0.9, pme_switch=0.7),
     force_steps_fs=(0.7, 1.0, 1.4, 2.0, 2.8),
-    compared_from_fs=1.0,
+    compared_from_fs=1.4,
     compared_to_fs=2.0,
     fine_below_fs=0.0,
-    span=0.4,
+    span=0.25,
     runs=2,
     relax=0.4,
 )
