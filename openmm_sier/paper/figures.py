@@ -18,7 +18,7 @@ from openmm_sier.paper.dipole import Dipole
 from openmm_sier.paper.free_rotation import FreeRotation
 from openmm_sier.paper.methods import METHODS
 from openmm_sier.paper.tables import picoseconds
-from openmm_sier.paper.water import Water
+from openmm_sier.paper.water import Crossing, Water
 
 #: Colours that can be told apart by everyone (Okabe and Ito), one for each method, and its marker.
 COLOURS = {"MRDL": "#E69F00", "SEJ4": "#009E73", "SIER2": "#0072B2", "SIER4": "#D55E00"}
@@ -126,32 +126,38 @@ def water(result: Water, path: Path) -> None:
         title = f"Liquid water, {s.molecules} molecules at {s.temperature:g} K: energy error for the same work"
         figure, panels = _panels(len(kinds), title, sharey=True)
         for axes, kind in zip(panels, kinds, strict=True):
+            crossing = next(c for c in result.crossings if c.kind == kind)
             for name in NAMES:
                 mine = [p for p in result.points if p.kind == kind and p.method == name and p.runs > 0]
-                x, y, error = np.array([(p.force_step_fs, p.energy, p.energy_error) for p in mine]).T * [
-                    [1],
-                    [100],
-                    [100],
-                ]
-                compared = name in ("MRDL", "SEJ4")
-                axes.errorbar(x, y, error, fmt=MARKERS[name] + ("" if compared else "-"), color=COLOURS[name],
-                              mfc="none" if compared else None, ms=10 if compared else 7, capsize=2,
-                              label=name)  # fmt: skip
-            _mark_crossing(axes, result, kind)
+                _water_curve(axes, mine, name, crossing.slopes.get(name))
+            _mark_crossing(axes, crossing)
             axes.set(xscale="log", yscale="log", xlabel="time step per force evaluation, h/f (fs)")
             axes.set_title(kind, loc="left")
-            steps = [point.force_step_fs for point in result.points if point.kind == kind]
-            _plain_ticks(axes.xaxis, [t for t in (0.1, 0.2, 0.5, 1, 2, 3, 5) if min(steps) <= t <= max(steps)])
+            steps = sorted({point.force_step_fs for point in result.points if point.kind == kind})
+            round_steps = [t for t in (0.1, 0.2, 0.5, 1, 2, 3, 5, 7) if steps[0] <= t <= steps[-1]]
+            _plain_ticks(axes.xaxis, steps if len(steps) < 6 else round_steps)
+            handles, labels = axes.get_legend_handles_labels()
+            axes.legend([handle[0] for handle in handles], labels, loc="upper left", fontsize=12)
         panels[0].set_ylabel("rms(H) / rms(V)  (%)")
-        panels[0].legend(loc="upper left", fontsize=11)
         figure.savefig(path)
 
 
-def _mark_crossing(axes, result: Water, kind: str) -> None:
-    crossing = next(c for c in result.crossings if c.kind == kind)
-    if not np.isfinite(crossing.force_step_fs):
+def _water_curve(axes, points, name: str, slope: float | None) -> None:
+    if not points:
         return
-    axes.axvline(crossing.force_step_fs, color=GREY, lw=1)
-    axes.annotate(f"crossing at {crossing.force_step_fs:.2f} fs\n(paper: {published.CROSSING:g} fs)",
-                  (crossing.force_step_fs, 0.04), (-6, 0), xycoords=("data", "axes fraction"),
-                  textcoords="offset points", ha="right", color=GREY)  # fmt: skip
+    x, y, error = np.array([(p.force_step_fs, 100 * p.energy, 100 * p.energy_error) for p in points]).T
+    label = name if slope is None or not np.isfinite(slope) else f"{name}, slope {slope:.2f}"
+    # What the paper found to lie on SIER2 is drawn around its points.
+    around = {"fmt": MARKERS[name], "mfc": "none", "ms": 13, "mew": 1.6, "zorder": 1}
+    style = around if name in ("MRDL", "SEJ4") else {"fmt": MARKERS[name] + "-", "zorder": 3}
+    axes.errorbar(x, y, error, color=COLOURS[name], capsize=2, label=label, **style)
+
+
+def _mark_crossing(axes, crossing: Crossing) -> None:
+    axes.axvline(published.CROSSING, color=GREY, lw=1, ls=":")
+    text = f"dotted: the paper's crossing, {published.CROSSING:g} fs"
+    if np.isfinite(crossing.force_step_fs):
+        axes.axvline(crossing.force_step_fs, color=GREY, lw=1)
+        text = f"line: crossing at {crossing.force_step_fs:.2f} fs\n{text}"
+    axes.text(0.98, 0.03, text, transform=axes.transAxes, ha="right", color=GREY, fontsize=12,
+              bbox={"fc": "white", "ec": "none", "alpha": 0.95})  # fmt: skip
