@@ -85,6 +85,7 @@ class Plan:
     temperature: float
     friction: float
     pressure: float
+    seed: int
     forcefield: list[str] | None
     scheme: str
     dt: float
@@ -126,8 +127,8 @@ def run(options: Options) -> None:
     note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
     bodies = RigidBodies.from_system(box.system, box.topology)
     if plan.ensemble == "npt":
-        _add_barostat(box.system, plan, options.seed)
-    context = make_context(box.system, _integrator(plan, bodies, options.seed), options.platform)
+        _add_barostat(box.system, plan)
+    context = make_context(box.system, _integrator(plan, bodies), options.platform)
     if notes:
         _restore(context, state, notes, options, plan)
     else:
@@ -167,6 +168,7 @@ def _planned(options: Options) -> Plan:
         temperature=options.temperature,
         friction=1.0 if options.friction is None else options.friction,
         pressure=1.0 if options.pressure is None else options.pressure,
+        seed=options.seed,
         forcefield=options.forcefield,
         scheme=scheme,
         dt=dt,
@@ -186,20 +188,20 @@ def _check_ensemble(options: Options, ensemble: str) -> None:
         raise RunError("--pressure needs --ensemble npt")
 
 
-def _integrator(plan: Plan, bodies: RigidBodies, seed: int) -> SIERIntegrator:
+def _integrator(plan: Plan, bodies: RigidBodies) -> SIERIntegrator:
     step, scheme = plan.dt / 1000, CATALOGUE[plan.scheme]
     if plan.ensemble == "nve":
         return SIERIntegrator(step, scheme, bodies)
     integrator = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, bodies)
-    integrator.setRandomNumberSeed(seed)
+    integrator.setRandomNumberSeed(plan.seed)
     return integrator
 
 
-def _add_barostat(system, plan: Plan, seed: int) -> None:
+def _add_barostat(system, plan: Plan) -> None:
     if not system.usesPeriodicBoundaryConditions():
         raise RunError("--ensemble npt needs a periodic box, which the PDB file does not have")
     barostat = openmm.MonteCarloBarostat(plan.pressure * unit.bar, plan.temperature * unit.kelvin)
-    barostat.setRandomNumberSeed(seed)
+    barostat.setRandomNumberSeed(plan.seed)
     system.addForce(barostat)
 
 

@@ -27,7 +27,6 @@ from openmm_sier import (
     SIERLangevinIntegrator,
 )
 from openmm_sier.bodies import GAS_CONSTANT
-from tests.test_integrator import constrained_velocity_verlet
 from tests.waters import array, cluster_system, context_at, energies, phase_point, platform
 
 
@@ -207,6 +206,28 @@ def peer_of(kind, gas):
     return system, (positions, velocities), np.flatnonzero(~massive)
 
 
+def rotated_velocity_verlet(h):
+    """Constrained velocity Verlet (RATTLE) whose second half kick comes with the next step, positions being the same.
+
+    A CustomIntegrator moves virtual sites at the end of a step only, so that forces must not be asked for before.
+    """
+    verlet = openmm.CustomIntegrator(h)
+    verlet.addPerDofVariable("x1", 0)
+    verlet.addGlobalVariable("started", 0)
+    verlet.addUpdateContextState()
+    verlet.beginIfBlock("started > 0.5")
+    verlet.addComputePerDof("v", "v+0.5*dt*f/m+(x-x1)/dt")
+    verlet.addConstrainVelocities()
+    verlet.endBlock()
+    verlet.addComputePerDof("v", "v+0.5*dt*f/m")
+    verlet.addComputePerDof("x", "x+dt*v")
+    verlet.addComputePerDof("x1", "x")
+    verlet.addConstrainPositions()
+    verlet.addComputeGlobal("started", "1")
+    verlet.setConstraintTolerance(1e-10)
+    return verlet
+
+
 def virtual_site(parents, points, site):
     if len(points) == 2:
         span = points[1] - points[0]
@@ -216,8 +237,8 @@ def virtual_site(parents, points, site):
     z = np.cross(x, points[2] - points[0])
     frame = np.stack([x, np.cross(z, x), z])
     frame /= np.linalg.norm(frame, axis=1, keepdims=True)
-    weights = [1, 0, 0], [-1, 1, 0], [-1, 0, 1]
-    return openmm.LocalCoordinatesSite(*list(parents)[:3], *map(openmm.Vec3, *weights), frame @ (site - points[0]))
+    weights = [openmm.Vec3(*weight) for weight in ([1, 0, 0], [-1, 1, 0], [-1, 0, 1])]
+    return openmm.LocalCoordinatesSite(*list(parents)[:3], *weights, openmm.Vec3(*frame @ (site - points[0])))
 
 
 @every_kind
@@ -228,11 +249,10 @@ def test_they_move_as_openmm_moves_their_peers(kind):
     differences = []
     for h in (0.002, 0.001):
         ours = ends_of(SIER2Integrator(h, bodies=gas.clusters), gas, round(0.04 / h))
-        verlet = constrained_velocity_verlet(h)
+        verlet = rotated_velocity_verlet(h)
         context = context_at(system, verlet, point)
         context.computeVirtualSites()
         verlet.step(round(0.04 / h))
-        context.computeVirtualSites()
         differences.append(np.abs(ours[0] - phase_point(context)[0][atoms]).max())
     # The constraints of the peers hold to 1e-10.
     assert 1e-8 < differences[1] < 1e-4
@@ -297,8 +317,7 @@ def test_temperature_in_reports_counts_the_freedoms_of_the_bodies(kind):
     assert kinetic == pytest.approx(energies(simulation.context)[1], rel=1e-12)
 
 
-@pytest.mark.parametrize("constrained", [False, True])
-@pytest.mark.parametrize("kind", ["CO2", "BNZ"])
+@pytest.mark.parametrize(("kind", "constrained"), [("CO2", False), ("BNZ", False), ("NH3", False), ("NH3", True)])
 def test_velocities_to_temperature_have_it(kind, constrained):
     gas = Gas(kind, 150, constrained)
     integrator = SIER2Integrator(0.001, bodies=None if constrained else gas.clusters)
@@ -429,10 +448,9 @@ def test_mixture_moves_as_in_openmm(mixed):
     differences = []
     for h in (0.001, 0.0005):
         ends = []
-        for integrator in (SIER2Integrator(h), constrained_velocity_verlet(h)):
+        for integrator in (SIER2Integrator(h), rotated_velocity_verlet(h)):
             context = context_at(system, integrator, point)
             integrator.step(round(0.04 / h))
-            context.computeVirtualSites()
             ends.append(phase_point(context)[0])
         differences.append(np.abs(ends[0] - ends[1]).max())
         assert np.array_equal(ends[0][-1], point[0][-1])
