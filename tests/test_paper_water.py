@@ -6,6 +6,7 @@ import functools
 import itertools
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -17,9 +18,9 @@ from openmm_sier.paper import liquids, molecular_cutoff, start, tip4p, water
 from openmm_sier.paper.liquids import MOLECULAR, PME, Cutoffs
 from openmm_sier.paper.molecular_cutoff import MolecularCutoff
 from openmm_sier.paper.water import Settings
-from tests.molecules import SYSTEMS
 from tests.oracles import random_attitudes
 
+SYSTEMS = Path(__file__).parent.parent / "systems"
 ON, OFF, EDGE = 0.3, 0.5, 1.5
 POTENTIAL = MolecularCutoff(tip4p.SIGMA, tip4p.EPSILON, tip4p.CHARGE, ON, OFF)
 SMALL = Cutoffs(molecular_on=0.4, molecular_off=0.6, pme=0.6, pme_switch=0.5, ewald_tolerance=1e-5)
@@ -209,7 +210,7 @@ def test_crossing_is_where_the_paper_has_it():
 
 
 def test_mrdl_and_sej4_lie_on_sier2():
-    """The paper could not tell them apart: forces, not free rotation, make the error. From the same starts, within 2 %."""
+    """Forces make the error, not free rotation: from the same starts they agree within 2 %."""
     found = ratios()
     assert found["MRDL", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)
     assert found["SEJ4", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)

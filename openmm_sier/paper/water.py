@@ -50,8 +50,8 @@ class Settings:
     temperature: float = 297.0
     cutoffs: liquids.Cutoffs = field(default_factory=liquids.Cutoffs)
     kinds: tuple[str, ...] = (liquids.MOLECULAR, liquids.PME)
-    force_steps_fs: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0)
-    compared_from_fs: float = 0.7
+    force_steps_fs: tuple[float, ...] = (0.1, 0.25, 0.5, 1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0)
+    compared_from_fs: float = 1.0
     compared_to_fs: float = 7.0
     fine_below_fs: float = 0.4
     span: float = 1.0
