@@ -181,8 +181,8 @@ def exact(A, L, moments, h):
     n = A.shape[2]
     if bodies.rates.ndim == 2 and bodies.rates.shape[1] != n:
         raise ValueError(f"moments are given for {bodies.rates.shape[1]} bodies, A and L for {n}")
-    for name, values in (("angular momentum", L), ("attitude", A)):
-        finite = np.isfinite(values).reshape(-1, n).all(axis=0)
+    for name, values in (("angular momentum", L[None]), ("attitude", A)):
+        finite = np.isfinite(values).all(axis=(0, 1))
         if not finite.all():
             raise ValueError(f"the {name} of body {int(finite.argmin())} is not finite")
     new = np.empty((3, 3, n))
