@@ -22,8 +22,7 @@ import numpy as np
 from openmm_sier import propagation
 from openmm_sier.bodies import BodyState
 from openmm_sier.paper import tip4p
-from openmm_sier.paper.free_rotation import FS, Progress
-from openmm_sier.paper.methods import METHODS, Method
+from openmm_sier.paper.methods import FS, METHODS, Method, Progress
 from openmm_sier.paper.statistics import jackknife
 from openmm_sier.rotor import body_frame
 from openmm_sier.schemes import DRIFT, KICK

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,17 +22,12 @@ import numpy as np
 from openmm_sier import baselines, compiled, propagation, rotor
 from openmm_sier.bodies import BodyState, RigidBodies
 from openmm_sier.paper import reference, tip4p
-from openmm_sier.paper.methods import METHODS, Method
+from openmm_sier.paper.methods import FS, METHODS, Method, Progress
 from openmm_sier.paper.statistics import jackknife
 from openmm_sier.schemes import DRIFT, KICK
 
 #: Deviation up to which delta is proportional to t for an inexact map.
 MODERATE = 0.1
-
-#: Progress of an experiment: what is being done, and the fraction of the whole that is done.
-Progress = Callable[[str, float], None]
-
-FS = 1e-3
 
 
 @dataclass(frozen=True)

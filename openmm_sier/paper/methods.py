@@ -1,12 +1,19 @@
-"""The four integrators that the paper compares: a scheme, and a free-rotation map inside it."""
+"""The four integrators that the paper compares, a scheme and a free-rotation map inside it; what experiments share."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from openmm_sier import baselines, rotor
 from openmm_sier.propagation import Rotation
 from openmm_sier.schemes import SIER2, SIER4, Scheme
+
+#: ps in one fs.
+FS = 1e-3
+
+#: Progress of an experiment: what is being done, and the fraction of the whole that is done.
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ import openmm
 from openmm_sier.bodies import RigidityError
 from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.paper import liquids, start
-from openmm_sier.paper.free_rotation import FS, Progress
-from openmm_sier.paper.methods import METHODS, Method
+from openmm_sier.paper.methods import FS, METHODS, Method, Progress
 from openmm_sier.paper.statistics import jackknife
 
 #: Beyond this rms(H)/rms(V) a method has broken down, and longer steps are not tried.
