@@ -190,7 +190,7 @@ def _velocities_by_series(rates, u, norm, k):
 
     def moved_on(direction, increments):
         for _ in range(pieces):
-            direction = kernels.advance(moved, direction, increments)
+            direction = kernels.plus(*kernels.even_and_odd(moved, direction, increments))
         return direction
 
     first = moved_on(u, to_node)

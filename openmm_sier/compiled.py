@@ -18,11 +18,27 @@ from typing import Any
 import numpy as np
 
 from openmm_sier import elliptic, kernels
-from openmm_sier.kernels import combine, cross, motion, rotation_matrix, short_turn
+from openmm_sier.elliptic import sn_coefficients, sn_increment
+from openmm_sier.kernels import (
+    SMALL_ANGLE,
+    combine,
+    cross,
+    even_and_odd,
+    excess_weights,
+    join,
+    motion,
+    plus,
+    rate_excess,
+    rotation_matrix,
+    small_sine_cosine,
+)
 
 #: Sums and products may be contracted, but not reordered: NumPy and Numba agree to rounding.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
+
+#: Bodies that are rotated together, and numbers that each needs for it.
+TILE, ROWS = 64, 24
 
 #: Whether compiled code may be used.
 _allowed = os.environ.get("OPENMM_SIER_NUMBA", "1") != "0"
@@ -50,9 +66,10 @@ def _loops() -> SimpleNamespace | None:
         return None
     import numba
 
-    namespace: dict = {"np": np}
+    namespace: dict = {"np": np, "TILE": TILE, "ROWS": ROWS, "SMALL_ANGLE": kernels.SMALL_ANGLE}
     for function in kernels.ELEMENTWISE:
-        namespace[function.__name__] = numba.njit(_with_globals(function, namespace), **OPTIONS)
+        namespace[function.__name__] = numba.njit(_with_globals(function, namespace), forceinline=True, **OPTIONS)
+    namespace["turn_tile"] = numba.njit(_with_globals(turn_tile, namespace), **OPTIONS)
     # The cache on disk knows of the source of the loops alone, so that their names tell of the kernels' source.
     digest = hashlib.sha256((getsource(kernels) + getsource(elliptic)).encode()).hexdigest()[:12]
     loops = SimpleNamespace()
@@ -70,50 +87,82 @@ def _with_globals(function, namespace):
     return clone
 
 
-def rotate(A, L, rates, order, parity, h, rules, limits, out, far):
+def rotate(A, L, rates, order, parity, h, times, weights, limits, out, far):
     """Free rotation of bodies with equal moments; `far` is set for those that the series do not reach.
 
     Args:
         A, L: (3, 3, n) and (3, n).
         rates, order, parity: of `openmm_sier.rotor.Top`, shapes (3,), (3,) and ().
         h: time.
-        rules: the two quadratures, each (end weight, nodes).
-        limits: largest squared phases of the two, bounds of |L|^2, bound of the turn.
-        out: (3, 3, n), written where `far` is not set.
+        times, weights: of `openmm_sier.rotor.Rule`.
+        limits: largest squared phase, least and largest |L|^2.
+        out: (3, 3, n), valid where `far` is not set.
         far: (n,), bool.
     """
-    first, second = rules
-    near_limit, far_limit, low, high, cap = limits
-    a, b, c = rates[0], rates[1], rates[2]
-    o0, o1, o2 = order[0], order[1], order[2]
-    for n in range(A.shape[2]):
-        lx, ly, lz = L[0, n], L[1, n], L[2, n]
-        x = combine((lx, ly, lz), A[o0, 0, n], A[o0, 1, n], A[o0, 2, n])
-        y = combine((lx, ly, lz), A[o1, 0, n], A[o1, 1, n], A[o1, 2, n]) * parity
-        z = combine((lx, ly, lz), A[o2, 0, n], A[o2, 1, n], A[o2, 2, n])
-        square = x * x + y * y + z * z
-        far[n] = True
-        if not (square >= low and square <= high):
-            continue
+    longest, low, high = limits
+    tile = np.ones(ROWS * TILE)
+    for start in range(0, A.shape[2], TILE):
+        stop = min(start + TILE, A.shape[2])
+        for i in range(3):
+            sign = parity if i == 1 else 1.0
+            for j in range(3):
+                for n in range(start, stop):
+                    tile[(3 * i + j) * TILE + n - start] = sign * A[order[i], j, n]
+            for n in range(start, stop):
+                tile[(9 + i) * TILE + n - start] = L[i, n]
+        turn_tile(tile, (rates[0], rates[1], rates[2]), h, times, weights)
+        for i in range(3):
+            sign = parity if i == 1 else 1.0
+            for j in range(3):
+                for n in range(start, stop):
+                    out[order[i], j, n] = sign * tile[(12 + 3 * i + j) * TILE + n - start]
+        for n in range(start, stop):
+            square = tile[21 * TILE + n - start]
+            phase, angle = tile[22 * TILE + n - start], abs(tile[23 * TILE + n - start])
+            far[n] = not (low <= square <= high and phase <= longest and angle <= SMALL_ANGLE)
+
+
+def turn_tile(tile, rates, h, times, weights):
+    """Free rotation of a tile of bodies, from rows of it to others: A (9 rows), L (3), new A (9), |L|^2, phase, angle.
+
+    One array with constant distances between its rows, no branches and no calls that are not inlined: so the compiler
+    sees that bodies are independent, and handles several with each instruction.
+    """
+    for n in range(TILE):
+        x = tile[n], tile[TILE + n], tile[2 * TILE + n]
+        y = tile[3 * TILE + n], tile[4 * TILE + n], tile[5 * TILE + n]
+        z = tile[6 * TILE + n], tile[7 * TILE + n], tile[8 * TILE + n]
+        L = tile[9 * TILE + n], tile[10 * TILE + n], tile[11 * TILE + n]
+        along = combine(L, x[0], x[1], x[2]), combine(L, y[0], y[1], y[2]), combine(L, z[0], z[1], z[2])
+        square = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]
         norm = np.sqrt(square)
         inverse = 1 / norm
-        u = (x * inverse, y * inverse, z * inverse)
+        u = along[0] * inverse, along[1] * inverse, along[2] * inverse
         k = norm * h
-        moved = motion((a, b, c), u, k)
-        phase = max(moved[3], moved[4])
-        if not (phase <= far_limit and abs(k) * a <= cap):
-            continue
-        far[n] = False
-        if phase <= near_limit:
-            (w, i, j, l), _ = short_turn((a, b, c), moved, u, k, first[0], first[1])
-        else:
-            (w, i, j, l), _ = short_turn((a, b, c), moved, u, k, second[0], second[1])
+
+        moved = motion(rates, u, k)
+        series = sn_coefficients(moved[3], moved[4])
+        end = sn_increment(series, moved[3], moved[4], times[0])
+        even, odd = even_and_odd(moved, u, end)
+        m = plus(even, odd)
+        at_middle = excess_weights(rates, moved, m)
+        rate = at_middle[0] + weights[0] * rate_excess(at_middle, end)
+        for node in range(1, len(times)):
+            inside = sn_increment(series, moved[3], moved[4], times[node])
+            rate += weights[node] * rate_excess(at_middle, inside)
+        angle = 0.5 * k * rate
+        even, odd = even_and_odd(moved, m, end)
+        sine, cosine = small_sine_cosine(angle)
+        w, i, j, l = join(m, even, odd, sine, cosine)
         rows = rotation_matrix(w, i, j, l)
+
         for column in range(3):
-            A0, A1, A2 = A[o0, column, n], parity * A[o1, column, n], A[o2, column, n]
-            out[o0, column, n] = combine(rows[0], A0, A1, A2)
-            out[o1, column, n] = parity * combine(rows[1], A0, A1, A2)
-            out[o2, column, n] = combine(rows[2], A0, A1, A2)
+            tile[(12 + column) * TILE + n] = combine(rows[0], x[column], y[column], z[column])
+            tile[(15 + column) * TILE + n] = combine(rows[1], x[column], y[column], z[column])
+            tile[(18 + column) * TILE + n] = combine(rows[2], x[column], y[column], z[column])
+        tile[21 * TILE + n] = square
+        tile[22 * TILE + n] = max(moved[3], moved[4])
+        tile[23 * TILE + n] = angle
 
 
 def place(q, A, sites, atoms, positions):

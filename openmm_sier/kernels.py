@@ -9,9 +9,10 @@ of their components, rotations are quaternions (w, i, j, k) of any norm.
 
 from __future__ import annotations
 
-import numpy as np
+from openmm_sier.elliptic import short_sn_coefficients, sn_coefficients, sn_increment
 
-from openmm_sier.elliptic import sn_coefficients, sn_increment
+#: Largest angle of `small_sine_cosine`: its truncation error is below 2e-17 there.
+SMALL_ANGLE = 0.75
 
 
 def motion(rates, u, k):
@@ -34,86 +35,89 @@ def motion(rates, u, k):
     return alpha, beta, gamma, p, q
 
 
-def advance(moved, u, increments):
-    """The direction of L~ a time t later; `moved` is from `motion`, `increments` are those of t."""
+def even_and_odd(moved, u, increments):
+    """The parts of the direction of L~ a time t later that are even and odd in t, at right angles to each other.
+
+    Args:
+        moved: what `motion` gave.
+        u: direction of L~.
+        increments: what `sn_increment` gave for t.
+    """
     alpha, beta, gamma, _, _ = moved
     x, y, z = u
-    S, _, C, D = increments
-    yS = y * S
-    f = 1 / (1 - (alpha * gamma) * (yS * yS))
+    S, S2, C, D = increments
+    f = 1 / (1 - (alpha * gamma) * (y * y * S2))
+    fS = f * S
+    Cf, Df = C * f, D * f
+    even = (x * Df, y * (C * Df), z * Cf)
+    odd = (-(alpha * C) * (fS * y * z), (beta * fS) * (x * z), -(gamma * D) * (fS * x * y))
+    return even, odd
+
+
+def plus(a, b):
+    """The sum of two vectors."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def excess_weights(rates, moved, m):
+    """What `rate_excess` needs of L~ in the middle of the step, with 2E/L^2 at the first place."""
+    a, b, c = rates
+    alpha, _, gamma, _, _ = moved
+    X, Y, Z = m[0] * m[0], m[1] * m[1], m[2] * m[2]
+    leading = a * X + b * Y + c * Z
+    above, below = a - leading, c - leading
     return (
-        (x * D - (alpha * C) * (yS * z)) * f,
-        (y * (C * D) + (beta * S) * (x * z)) * f,
-        (z * C - (gamma * D) * (yS * x)) * f,
+        leading,
+        (X, Y, Z),
+        (above * X, (b - leading) * Y, below * Z),
+        (alpha, gamma, above * alpha, below * gamma),
+        (alpha * gamma) * Y,
+        X * (Y * Z),
     )
 
 
-def short_turn(rates, moved, u, k, end_weight, nodes):
-    """The free rotation over one step that the series reach.
-
-    Args:
-        rates: inverse moments.
-        moved: what `motion` gave.
-        u: direction of L~.
-        k: |L| h.
-        end_weight, nodes: quadrature, see `openmm_sier.rotor.QUADRATURES`.
-
-    Returns:
-        The quaternion of the body frame's rotation, and the direction of L~ after it.
-    """
-    a, b, c = rates
-    _, _, _, p, q = moved
-    series = sn_coefficients(p, q)
-    half = sn_increment(series, p, q, 0.5)
-    m = advance(moved, u, half)
-    v = advance(moved, m, half)
-
-    squares = (m[0] * m[0], m[1] * m[1], m[2] * m[2])
-    leading = a * squares[0] + b * squares[1] + c * squares[2]  # 2E/L^2
-    excess = end_weight * rate_excess(rates, moved, squares, leading, half)
-    for node, weight in nodes:
-        inside = sn_increment(series, p, q, 0.5 * node)
-        excess = excess + weight * rate_excess(rates, moved, squares, leading, inside)
-    return join(u, m, v, 0.5 * k * (leading + excess)), v
-
-
-def rate_excess(rates, moved, squares, leading, increments):
+def rate_excess(weights, increments):
     """Mean over the times +-t of g/|L| - 2E/L^2, with g = omega.(m + v)/(1 + m.v).
 
-    Numerator and denominator share the factor 1/G of `advance` and split into parts even and odd in t.
+    Numerator and denominator share the factor 1/G of `even_and_odd` and split into parts even and odd in t.
     """
-    a, b, c = rates
-    alpha, _, gamma, _, _ = moved
-    X, Y, Z = squares
+    _, (X, Y, Z), (aX, bY, cZ), (alpha, gamma, a_alpha, c_gamma), twist, product = weights
     _, S2, C, D = increments
-    XD, YCD, ZC = X * D, Y * (C * D), Z * C
-    even = XD + YCD + ZC
-    numerator = (a * XD + b * YCD + c * ZC) - leading * even
-    denominator = (1 - (alpha * gamma) * (Y * S2)) + even
-    turn_C, turn_D = alpha * (1 - C), gamma * (1 - D)
-    odd = turn_C + turn_D  # of the denominator, over S x y z
-    odd_product = S2 * (X * Y * Z) * odd
-    return (numerator * denominator - odd_product * (a * turn_C + c * turn_D - leading * odd)) / (
+    CD = C * D
+    numerator = aX * D + bY * CD + cZ * C
+    denominator = (1 - twist * S2) + (X * D + Y * CD + Z * C)
+    less_C, less_D = 1 - C, 1 - D
+    odd = alpha * less_C + gamma * less_D  # of the denominator, over S x y z
+    odd_product = S2 * product * odd
+    return (numerator * denominator - odd_product * (a_alpha * less_C + c_gamma * less_D)) / (
         denominator * denominator - odd_product * odd
     )
 
 
-def join(u, m, v, half_theta):
-    """Quaternion of R1(m -> v) R2(m, -theta) R1(u -> m).
+def join(m, e, o, sine, cosine):
+    """Quaternion of R1(m -> v) R2(m, -theta) R1(u -> m), with u = e - o, v = e + o and sine and cosine of theta/2.
 
     R1(m -> v) R1(u -> m) is R1(u -> v) after a turn about u by the area of the triangle u m v.
     """
-    ux, uy, uz = u
-    mx, my, mz = m
-    vx, vy, vz = v
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    uv = ux * vx + uy * vy + uz * vz
-    volume = -(mx * nx + my * ny + mz * nz)
-    cosines = 1 + (ux * mx + uy * my + uz * mz) + (mx * vx + my * vy + mz * vz) + uv
-    sine, cosine = np.sin(half_theta), np.cos(half_theta)
-    c = cosines * cosine + volume * sine
-    s = volume * cosine - cosines * sine
-    return (1 + uv) * c, s * (ux + vx) + c * nx, s * (uy + vy) + c * ny, s * (uz + vz) + c * nz
+    ex, ey, ez = e
+    nx, ny, nz = ey * o[2] - ez * o[1], ez * o[0] - ex * o[2], ex * o[1] - ey * o[0]
+    ee = ex * ex + ey * ey + ez * ez
+    volume = m[0] * nx + m[1] * ny + m[2] * nz
+    cosines = m[0] * ex + m[1] * ey + m[2] * ez + ee
+    c = cosines * cosine - volume * sine
+    s = volume * cosine + cosines * sine
+    return ee * c, c * nx - s * ex, c * ny - s * ey, c * nz - s * ez
+
+
+def small_sine_cosine(x):
+    """Sine and cosine of an angle up to `SMALL_ANGLE`, from their series at half of it."""
+    y = 0.5 * x
+    u = y * y
+    s = y * (
+        1 + u * (-1 / 6 + u * (1 / 120 + u * (-1 / 5040 + u * (1 / 362880 + u * (-1 / 39916800 + u / 6227020800)))))
+    )
+    c = 1 + u * (-1 / 2 + u * (1 / 24 + u * (-1 / 720 + u * (1 / 40320 + u * (-1 / 3628800 + u / 479001600)))))
+    return 2 * s * c, 1 - 2 * s * s
 
 
 def rotation_matrix(w, i, j, k):
@@ -142,13 +146,16 @@ def cross(a, b):
 
 #: In the order in which they call each other.
 ELEMENTWISE = (
+    short_sn_coefficients,
     sn_coefficients,
     sn_increment,
     motion,
-    advance,
+    even_and_odd,
+    plus,
+    excess_weights,
     rate_excess,
     join,
-    short_turn,
+    small_sine_cosine,
     rotation_matrix,
     combine,
     cross,

@@ -33,6 +33,7 @@ and S, C, D from `elliptic.sn_increment`, the Euler equations are solved without
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -40,7 +41,14 @@ import numpy as np
 
 from openmm_sier import kernels
 from openmm_sier.compiled import executor
-from openmm_sier.elliptic import SERIES_LIMIT, complete_integrals
+from openmm_sier.elliptic import (
+    SERIES_LIMIT,
+    SHORT_SERIES_LIMIT,
+    complete_integrals,
+    short_sn_coefficients,
+    sn_coefficients,
+    sn_increment,
+)
 
 #: Bodies handled at a time, so that the temporaries of a block stay in cache.
 BLOCK = 2048
@@ -50,7 +58,7 @@ BLOCK = 2048
 #: without the centre, where the integrand's deviation from its leading term vanishes.
 #: The truncation error is below 1e-17 of a turn at each limit (tests/test_rotor.py measures it).
 QUADRATURES = (
-    (0.005, 0.1, ((math.sqrt(3 / 7), 49 / 90),)),
+    (4 * SHORT_SERIES_LIMIT, 0.1, ((math.sqrt(3 / 7), 49 / 90),)),
     (
         4 * SERIES_LIMIT,
         1 / 21,
@@ -69,8 +77,22 @@ MOST_SUBSTEPS = 8192
 SQUARE_RANGE = (1e-240, 1e240)
 PHASE_CAP = 1e100
 
-RULES = tuple((end_weight, nodes) for _, end_weight, nodes in QUADRATURES)
-LIMITS = (QUADRATURES[0][0], LONGEST, *SQUARE_RANGE, PHASE_CAP)
+
+class Rule(NamedTuple):
+    """A quadrature rule over the half steps on both sides of the middle, for the series that reach as far."""
+
+    series: Callable
+    times: tuple[float, ...]  # of the step, from the middle; the first is its end
+    weights: tuple[float, ...]
+
+    @classmethod
+    def of(cls, series, end_weight, nodes) -> Rule:
+        return cls(series, (0.5, *(0.5 * node for node, _ in nodes)), (end_weight, *(weight for _, weight in nodes)))
+
+
+SHORT_RULE = Rule.of(short_sn_coefficients, *QUADRATURES[0][1:])
+RULE = Rule.of(sn_coefficients, *QUADRATURES[1][1:])
+LIMITS = (LONGEST, *SQUARE_RANGE)
 
 
 class Top(NamedTuple):
@@ -188,7 +210,9 @@ def exact(A, L, moments, h):
     new = np.empty((3, 3, n))
     if bodies.rates.ndim == 1 and (loops := executor()) is not None:
         far = np.empty(n, dtype=bool)
-        loops.rotate(A, L, bodies.rates, bodies.order, float(bodies.parity), h, RULES, LIMITS, new, far)
+        loops.rotate(
+            A, L, bodies.rates, bodies.order, float(bodies.parity), h, RULE.times, RULE.weights, LIMITS, new, far
+        )
         if far.any():
             new[:, :, far] = _rotate_block(bodies, A[:, :, far], L[:, far], h)
     else:
@@ -225,7 +249,7 @@ def _turn_scaled(bodies: Top, body_L, h):
     scale = np.max(np.abs(body_L), axis=0)
     x, y, z = np.stack(body_L) / np.where(scale > 0, scale, 1.0)
     norm = np.sqrt(x * x + y * y + z * z)
-    unit = np.where(norm > 0, norm, 1.0)
+    x, unit = np.where(norm > 0, (x, norm), 1.0)  # A body at rest does not turn about any axis.
     with np.errstate(over="ignore", under="ignore"):
         k = np.clip(norm * (scale * h), -1e300, 1e300)
     return _turn_unit(bodies.rates, (x / unit, y / unit, z / unit), k)
@@ -238,18 +262,40 @@ def _turn_unit(rates, u, k):
     phases = np.maximum(moved[3], moved[4])
     largest = phases.max()
     if largest <= LONGEST and np.abs(k).max() * np.max(rates[0]) <= PHASE_CAP:
-        return kernels.short_turn(rates, moved, u, k, *_quadrature(largest))[0]
+        return _short_turn(rates, moved, u, k, SHORT_RULE if largest <= QUADRATURES[0][0] else RULE)[0]
     far = ~((phases <= LONGEST) & (np.abs(k) * rates[0] <= PHASE_CAP))
     near_k = np.where(far, 0.0, k)
     near = kernels.motion(rates, u, near_k)
-    turns = np.stack(kernels.short_turn(rates, near, u, near_k, *_quadrature(LONGEST))[0])
+    turns = np.stack(_short_turn(rates, near, u, near_k, RULE)[0])
     rates_far = np.broadcast_to(np.reshape(rates, (3, -1)), (3, k.size))[:, far]
     turns[:, far] = _long_turn(rates_far, np.stack(u)[:, far], k[far])
     return turns
 
 
-def _quadrature(largest):
-    return RULES[0] if largest <= QUADRATURES[0][0] else RULES[1]
+def _short_turn(rates, moved, u, k, rule: Rule):
+    """The free rotation over one step that the series reach.
+
+    Args:
+        rates: inverse moments, (3,) or (3, n).
+        moved: what `kernels.motion` gave.
+        u: direction of L~.
+        k: |L| h, (n,).
+        rule: for the largest of the squared phases.
+
+    Returns:
+        The quaternion of the body frame's rotation, and the direction of L~ after it.
+    """
+    _, _, _, p, q = moved
+    times, weights = np.array(rule.times)[:, None], np.array(rule.weights)[:, None]
+    # All times at once: small sets of bodies pay for every call of a function.
+    increments = sn_increment(rule.series(p, q), p, q, times)
+    end = tuple(values[0] for values in increments)
+    m = kernels.plus(*kernels.even_and_odd(moved, u, end))
+    excess_weights = kernels.excess_weights(rates, moved, m)
+    excess = (weights * kernels.rate_excess(excess_weights, increments)).sum(axis=0)
+    half_theta = 0.5 * k * (excess_weights[0] + excess)
+    e, o = kernels.even_and_odd(moved, m, end)
+    return kernels.join(m, e, o, np.sin(half_theta), np.cos(half_theta)), kernels.plus(e, o)
 
 
 # --- steps that the series do not reach -------------------------------------------------------------------------
@@ -279,7 +325,7 @@ def _long_turn(rates, u, k):
     for done in range(pieces.max()):
         active = active[pieces[active] > done]
         part = (rates[:, active], u[:, active], k_piece[active])
-        step, v = kernels.short_turn(part[0], kernels.motion(*part), *part[1:], *_quadrature(LONGEST))
+        step, v = _short_turn(part[0], kernels.motion(*part), *part[1:], RULE)
         turns[:, active] = _normalized(_product(step, turns[:, active]))
         u[:, active] = _normalized(v)
     # What is left over belongs to a state on the separatrix to its last bit. Nothing in the state says when it leaves

@@ -8,7 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import rotor
-from openmm_sier.elliptic import SERIES_LIMIT
+from openmm_sier.elliptic import SERIES_LIMIT, SHORT_SERIES_LIMIT
+from openmm_sier.kernels import SMALL_ANGLE, small_sine_cosine
 from tests import oracles
 from tests.families import FAMILIES, asymmetric, linear, point, sample, spherical
 from tests.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
@@ -79,8 +80,17 @@ def test_quadrature_truncates_below_rounding(rng, rule):
 
 def test_quadrature_limits_follow_from_the_series():
     """The series is used over half a step at most."""
+    assert rotor.QUADRATURES[0][0] / 4 <= SHORT_SERIES_LIMIT
     assert rotor.QUADRATURES[-1][0] / 4 <= SERIES_LIMIT
     assert rotor.QUADRATURES[-1][0] == rotor.LONGEST
+
+
+def test_sine_and_cosine_of_small_angles():
+    """The claim at `kernels.SMALL_ANGLE`, in extended precision, where the first term left out is 1.2e-17."""
+    x = np.linspace(-SMALL_ANGLE, SMALL_ANGLE, 1001).astype(np.longdouble)
+    sine, cosine = small_sine_cosine(x)
+    assert np.abs(sine - np.sin(x)).max() < 3e-17
+    assert np.abs(cosine - np.cos(x)).max() < 3e-17
 
 
 # --- ends of the range ------------------------------------------------------------------------------------------------
