@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from openmm_sier import kernels
+from openmm_sier import arrays, kernels
 from openmm_sier.compiled import executor
 from openmm_sier.rotor import body_frame
 
@@ -116,20 +116,11 @@ class Species:
         """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
         return [_as_slice(column) for column in self.atoms.T]
 
-    def arms(self, A):
-        """Vectors from the centre of mass to each site in the lab frame: (3, m) for each, None for a site on it."""
-        return [_combine(site, A) for site in self.sites.T]
-
-
-def _combine(site, A):
-    """A^T r~ without the components of r~ that are zero."""
-    used = np.flatnonzero(site)
-    if not used.size:
-        return None
-    arm = site[used[0]] * A[used[0]]
-    for row in used[1:]:
-        arm += site[row] * A[row]
-    return arm
+    @cached_property
+    def extents(self) -> tuple[list[int], np.ndarray]:
+        """The principal axes along which the body extends, and for each site 1 and its coordinates on those."""
+        axes = np.flatnonzero(self.sites.any(axis=1)).tolist()
+        return axes, np.vstack([np.ones_like(self.masses), self.sites[axes]])
 
 
 def _as_slice(indices):
@@ -281,7 +272,7 @@ class RigidBodies:
         for s, part in zip(self.species, self.parts, strict=True):
             weights = s.masses if weighted else np.ones_like(s.masses)
             if loops is None:
-                _collect(s, vectors, A[:, :, part], weights, total[:, part], moment[:, part])
+                arrays.collect(s, vectors, A[:, :, part], weights, total[:, part], moment[:, part])
             else:
                 loops.collect(vectors, A[:, :, part], s.sites, weights, s.atoms, total[:, part], moment[:, part])
         return total, moment
@@ -293,8 +284,7 @@ class RigidBodies:
         loops = executor()
         for s, part in zip(self.species, self.parts, strict=True):
             if loops is None:
-                for column, arm in zip(s.columns, s.arms(A[:, :, part]), strict=True):
-                    positions[column] = (q[:, part] if arm is None else q[:, part] + arm).T
+                arrays.place(s, q[:, part], A[:, :, part], positions)
             else:
                 loops.place(q[:, part], A[:, :, part], s.sites, s.atoms, positions)
         return positions
@@ -305,9 +295,7 @@ class RigidBodies:
         loops = executor()
         for s, part in zip(self.species, self.parts, strict=True):
             if loops is None:
-                for column, arm in zip(s.columns, s.arms(state.A[:, :, part]), strict=True):
-                    swing = 0.0 if arm is None else np.stack(kernels.cross(omega[:, part], arm))
-                    velocities[column] = (v[:, part] + swing).T
+                arrays.move(s, v[:, part], omega[:, part], state.A[:, :, part], velocities)
             else:
                 loops.move(v[:, part], omega[:, part], state.A[:, :, part], s.sites, s.atoms, velocities)
         return velocities
@@ -348,18 +336,6 @@ class RigidBodies:
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
-
-
-def _collect(species: Species, vectors, A, weights, total, moment) -> None:
-    """Write the sums of weighted vectors over the atoms of each body, and of their moments, executed by NumPy."""
-    for j, (column, arm) in enumerate(zip(species.columns, species.arms(A), strict=True)):
-        value = weights[j] * vectors[column].T
-        if j:
-            total += value
-        else:
-            total[:] = value
-        if arm is not None:
-            moment += np.stack(kernels.cross(arm, value))
 
 
 def fit_attitudes(species: Species, arms, kept=None):

@@ -102,7 +102,7 @@ class Engine:
     @property
     def bodies(self) -> RigidBodies:
         """The rigid bodies of the Context's System."""
-        return self._bodies or self._settle(self._plan.bodies(_Snapshot(self._context).positions))
+        return self._bodies or self._settle_by(_Snapshot(self._context).positions)
 
     @property
     def state(self) -> BodyState:
@@ -110,6 +110,15 @@ class Engine:
         if self._state is None:
             raise openmm.OpenMMException("The Context has no positions yet")
         return self._state
+
+    def _settle_by(self, positions) -> RigidBodies:
+        """Bodies of the geometry that travels with the Context's state; the first time positions tell it."""
+        sites = np.array(self._integrator.getPerDofVariableByName(SITES))
+        if self._bodies is not None and np.array_equal(storage.sites(self._bodies), sites):
+            return self._bodies
+        bodies = self._settle(self._plan.bodies(positions, sites))
+        self._integrator.setPerDofVariableByName(SITES, storage.sites(bodies))
+        return bodies
 
     def _settle(self, bodies: RigidBodies) -> RigidBodies:
         integrator, context = self._integrator, self._context
@@ -143,7 +152,7 @@ class Engine:
             raise
 
     def _one_step(self) -> None:
-        before, mark = self.state, self._context.getState(positions=self._has_actors)
+        before, mark = self.state, self._mark()
         try:
             self._state = self._next_state()
         except BaseException:
@@ -188,14 +197,21 @@ class Engine:
         velocity = state.p.sum(axis=1) / self.bodies.masses.sum()
         return replace(state, p=state.p - self.bodies.masses * velocity[:, None])
 
+    def _mark(self):
+        """What `_rewind` goes back to: time, step count, and what actors change besides the bodies."""
+        context = self._context
+        changing = context.getState(positions=True) if self._has_actors else None
+        return context.getTime(), context.getStepCount(), changing
+
     def _rewind(self, mark) -> None:
         context = self._context
-        context.setTime(mark.getTime())
-        context.setStepCount(mark.getStepCount())
-        context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
-        if self._has_actors:
+        time, step_count, changed = mark
+        context.setTime(time)
+        context.setStepCount(step_count)
+        if changed is not None:
+            context.setPeriodicBoxVectors(*changed.getPeriodicBoxVectors())
             # A barostat moves what belongs to no body too.
-            self._positions[:] = mark.getPositions(asNumpy=True)._value
+            self._positions[:] = changed.getPositions(asNumpy=True)._value
         self.forces.forget()
         self._placed = (None, None)
 
@@ -239,6 +255,8 @@ class Engine:
         if self._state is None and len(now.positions) > 1 and not now.positions.any():
             raise openmm.OpenMMException("Particle positions have not been set")
         moved = not self._same_positions(self._echo, now)
+        if moved and self._plan.needs_positions:
+            self._settle_by(now.positions)
         state = self._recall(now, moved) if moved or not _same_velocities(self._echo, now) else None
         state = state or self._reconcile(None if moved else self._echo, now)
         self._velocities[:] = now.velocities
@@ -279,21 +297,16 @@ class Engine:
         It is after a checkpoint or a State with integrator parameters was loaded. Where velocities were set after that,
         centres and attitudes are still believed.
         """
-        integrator, plan = self._integrator, self._plan
+        integrator, bodies = self._integrator, self.bodies
         values = np.array([integrator.getPerDofVariableByName(name) for name in STATE_VARIABLES])
         if not values.any():
             return None
-        bodies = self.bodies
-        if plan.needs_positions:
-            bodies = plan.bodies(now.positions, np.array(integrator.getPerDofVariableByName(SITES)))
         state = storage.unpack(bodies, values)
         positions = bodies.place(state.q, state.A, now.positions.copy())
         velocities = bodies.move(state, now.velocities.copy())
         reproduced = np.array_equal(positions, now.positions)
         if not reproduced or not (moved or np.array_equal(velocities, now.velocities)):
             return None
-        if bodies is not self._bodies:
-            self._settle(bodies)
         self.forces.forget()
         self._take_positions(now)
         if not np.array_equal(velocities, now.velocities):
@@ -322,8 +335,6 @@ class Engine:
         context.setVelocities(self.bodies.move(state, self._velocities))
         for name, values in zip(STATE_VARIABLES, storage.pack(self.bodies, state), strict=True):
             integrator.setPerDofVariableByName(name, values)
-        if self._plan.needs_positions:
-            integrator.setPerDofVariableByName(SITES, storage.sites(self.bodies))
         integrator.setGlobalVariableByName(HEAT, state.heat)
         integrator.setGlobalVariableByName(DRAWS, state.draws)
         self._echo = _Snapshot(context)

@@ -6,7 +6,7 @@ import numpy as np
 
 from openmm_sier.bodies import BodyState, RigidBodies
 
-#: Per-atom vectors that hold the 18 numbers of a body of two or more atoms. A point has 6: its attitude means nothing.
+#: Per-atom vectors that hold the six vectors of a body of two or more atoms.
 VARIABLES = 3
 
 
@@ -17,13 +17,9 @@ def pack(bodies: RigidBodies, state: BodyState) -> np.ndarray:
         Shape (VARIABLES, N, 3); zero for particles of no body.
     """
     values = np.zeros((VARIABLES, bodies.n_particles, 3))
-    everything = np.concatenate([state.q, state.p, state.L, state.A.reshape(9, -1)])
     for species, part in zip(bodies.species, bodies.parts, strict=True):
-        m, k = species.atoms.shape
-        block = np.zeros((VARIABLES * 3 * k, m))
-        rows = _rows(k)
-        block[:rows] = everything[:rows, part]
-        values[:, species.atoms] = block.reshape(VARIABLES, k, 3, m).transpose(0, 3, 1, 2)
+        for (variable, column), vectors in zip(_places(species), _vectors(state), strict=False):
+            values[variable, column] = vectors[:, part].T
     return values
 
 
@@ -34,14 +30,12 @@ def unpack(bodies: RigidBodies, values: np.ndarray) -> BodyState:
         bodies: the bodies it was packed for.
         values: shape (VARIABLES, N, 3).
     """
-    everything = np.zeros((18, bodies.n))
-    everything[9:] = np.eye(3).reshape(9, 1)
+    A = np.repeat(np.eye(3)[:, :, None], bodies.n, axis=2)
+    state = BodyState(*np.zeros((2, 3, bodies.n)), A, np.zeros((3, bodies.n)))
     for species, part in zip(bodies.species, bodies.parts, strict=True):
-        m, k = species.atoms.shape
-        rows = _rows(k)
-        everything[:rows, part] = values[:, species.atoms].transpose(0, 2, 3, 1).reshape(-1, m)[:rows]
-    q, p, L = everything[0:3], everything[3:6], everything[6:9]
-    return BodyState(q.copy(), p.copy(), everything[9:].reshape(3, 3, -1).copy(), L.copy())
+        for (variable, column), vectors in zip(_places(species), _vectors(state), strict=False):
+            vectors[:, part] = values[variable, column].T
+    return state
 
 
 def sites(bodies: RigidBodies) -> np.ndarray:
@@ -52,5 +46,14 @@ def sites(bodies: RigidBodies) -> np.ndarray:
     return values
 
 
-def _rows(n_atoms: int) -> int:
-    return 18 if n_atoms > 1 else 6
+def _vectors(state: BodyState):
+    """What is stored of a state, in its order."""
+    return state.q, state.p, state.L, *state.A
+
+
+def _places(species) -> list[tuple]:
+    """Where the vectors of a species' bodies go: variable and atoms."""
+    if len(species.columns) == 1:
+        # A point body's attitude means nothing, and it has no angular momentum.
+        return [(variable, species.columns[0]) for variable in range(2)]
+    return [(variable, column) for variable in range(VARIABLES) for column in species.columns]
