@@ -274,7 +274,9 @@ class RigidBodies:
             if loops is None:
                 arrays.collect(s, vectors, A[:, :, part], weights, total[:, part], moment[:, part])
             else:
-                loops.collect(vectors, A[:, :, part], s.sites, weights, s.atoms, total[:, part], moment[:, part])
+                loops.collect(
+                    len(s.atoms), vectors, A[:, :, part], s.sites, weights, s.atoms, total[:, part], moment[:, part]
+                )
         return total, moment
 
     # --- from bodies to atoms ---
@@ -286,7 +288,7 @@ class RigidBodies:
             if loops is None:
                 arrays.place(s, q[:, part], A[:, :, part], positions)
             else:
-                loops.place(q[:, part], A[:, :, part], s.sites, s.atoms, positions)
+                loops.place(len(s.atoms), q[:, part], A[:, :, part], s.sites, s.atoms, positions)
         return positions
 
     def move(self, state: BodyState, velocities) -> np.ndarray:
@@ -297,7 +299,7 @@ class RigidBodies:
             if loops is None:
                 arrays.move(s, v[:, part], omega[:, part], state.A[:, :, part], velocities)
             else:
-                loops.move(v[:, part], omega[:, part], state.A[:, :, part], s.sites, s.atoms, velocities)
+                loops.move(len(s.atoms), v[:, part], omega[:, part], state.A[:, :, part], s.sites, s.atoms, velocities)
         return velocities
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The formulas of `openmm_sier.kernels` compiled by Numba, one body at a time.
+"""The formulas of `openmm_sier.kernels` compiled by Numba.
 
 Numba is an extra (`openmm-sier[fast]`). Where it is installed it is used; the environment variable OPENMM_SIER_NUMBA=0
 keeps it out. Compiled code is cached on disk.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
 from importlib import util
@@ -39,6 +40,9 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "nump
 
 #: Bodies that are rotated together, and numbers that each needs for it.
 TILE, ROWS = 64, 24
+
+#: Number of bodies from which on several threads share a loop; to start them takes as long as some hundred bodies do.
+LARGE = 8192
 
 #: Whether compiled code may be used.
 _allowed = os.environ.get("OPENMM_SIER_NUMBA", "1") != "0"
@@ -76,8 +80,52 @@ def _loops() -> SimpleNamespace | None:
     for loop in (rotate, place, move, collect):
         clone = _with_globals(loop, namespace)
         clone.__qualname__ = f"{loop.__name__}_{digest}"
-        setattr(loops, loop.__name__, numba.njit(clone, cache=True, **OPTIONS))
+        setattr(loops, loop.__name__, _threaded(numba.njit(clone, cache=True, **OPTIONS)))
     return loops
+
+
+def _threaded(loop):
+    """The loop over n bodies, which several threads share where there are many."""
+
+    def run(n, *arguments):
+        if n < LARGE or threads() == 1:
+            loop(0, n, *arguments)
+            return
+        share = -(-n // threads())
+        spans = [(start, min(start + share, n)) for start in range(0, n, share)]
+        _finish([_pool().submit(loop, *span, *arguments) for span in spans])
+
+    return run
+
+
+def _finish(tasks) -> None:
+    """Wait for all tasks: also when interrupted, since they write to arrays that the caller goes on to use."""
+    interrupt = None
+    while True:
+        try:
+            wait(tasks)
+            break
+        except KeyboardInterrupt as stop:
+            interrupt = stop
+    if interrupt is not None:
+        raise interrupt
+    for task in tasks:
+        task.result()
+
+
+@cache
+def threads() -> int:
+    """As many as OpenMM's CPU platform takes."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        return max(1, int(os.environ["OPENMM_CPU_THREADS"]))
+    except (KeyError, ValueError):
+        return cores
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads(), thread_name_prefix="openmm_sier")
 
 
 def _with_globals(function, namespace):
@@ -87,10 +135,11 @@ def _with_globals(function, namespace):
     return clone
 
 
-def rotate(A, L, rates, order, parity, h, times, weights, limits, out, far):
+def rotate(start, stop, A, L, rates, order, parity, h, times, weights, limits, out, far):
     """Free rotation of bodies with equal moments; `far` is set for those that the series do not reach.
 
     Args:
+        start, stop: range of the bodies.
         A, L: (3, 3, n) and (3, n).
         rates, order, parity: of `openmm_sier.rotor.Top`, shapes (3,), (3,) and ().
         h: time.
@@ -101,24 +150,24 @@ def rotate(A, L, rates, order, parity, h, times, weights, limits, out, far):
     """
     longest, low, high = limits
     tile = np.ones(ROWS * TILE)
-    for start in range(0, A.shape[2], TILE):
-        stop = min(start + TILE, A.shape[2])
+    for first in range(start, stop, TILE):
+        end = min(first + TILE, stop)
         for i in range(3):
             sign = parity if i == 1 else 1.0
             for j in range(3):
-                for n in range(start, stop):
-                    tile[(3 * i + j) * TILE + n - start] = sign * A[order[i], j, n]
-            for n in range(start, stop):
-                tile[(9 + i) * TILE + n - start] = L[i, n]
+                for n in range(first, end):
+                    tile[(3 * i + j) * TILE + n - first] = sign * A[order[i], j, n]
+            for n in range(first, end):
+                tile[(9 + i) * TILE + n - first] = L[i, n]
         turn_tile(tile, (rates[0], rates[1], rates[2]), h, times, weights)
         for i in range(3):
             sign = parity if i == 1 else 1.0
             for j in range(3):
-                for n in range(start, stop):
-                    out[order[i], j, n] = sign * tile[(12 + 3 * i + j) * TILE + n - start]
-        for n in range(start, stop):
-            square = tile[21 * TILE + n - start]
-            phase, angle = tile[22 * TILE + n - start], abs(tile[23 * TILE + n - start])
+                for n in range(first, end):
+                    out[order[i], j, n] = sign * tile[(12 + 3 * i + j) * TILE + n - first]
+        for n in range(first, end):
+            square = tile[21 * TILE + n - first]
+            phase, angle = tile[22 * TILE + n - first], abs(tile[23 * TILE + n - first])
             far[n] = not (low <= square <= high and phase <= longest and angle <= SMALL_ANGLE)
 
 
@@ -165,9 +214,9 @@ def turn_tile(tile, rates, h, times, weights):
         tile[23 * TILE + n] = angle
 
 
-def place(q, A, sites, atoms, positions):
+def place(start, stop, q, A, sites, atoms, positions):
     """Positions of the atoms of bodies: q (3, n), A (3, 3, n), sites (3, k), atoms (n, k), positions (N, 3) written."""
-    for n in range(atoms.shape[0]):
+    for n in range(start, stop):
         for j in range(atoms.shape[1]):
             site = (sites[0, j], sites[1, j], sites[2, j])
             atom = atoms[n, j]
@@ -175,9 +224,9 @@ def place(q, A, sites, atoms, positions):
                 positions[atom, x] = q[x, n] + combine(site, A[0, x, n], A[1, x, n], A[2, x, n])
 
 
-def move(v, omega, A, sites, atoms, velocities):
+def move(start, stop, v, omega, A, sites, atoms, velocities):
     """Velocities of the atoms of bodies: v and omega (3, n), the rest as for `place`, velocities (N, 3) written."""
-    for n in range(atoms.shape[0]):
+    for n in range(start, stop):
         turn = (omega[0, n], omega[1, n], omega[2, n])
         for j in range(atoms.shape[1]):
             site = (sites[0, j], sites[1, j], sites[2, j])
@@ -189,9 +238,9 @@ def move(v, omega, A, sites, atoms, velocities):
                 velocities[atoms[n, j], axis] = v[axis, n] + swing[axis]
 
 
-def collect(vectors, A, sites, weights, atoms, total, moment):
+def collect(start, stop, vectors, A, sites, weights, atoms, total, moment):
     """Sums over the atoms of bodies of weighted vectors (N, 3) and of their moments, (3, n) each, written."""
-    for n in range(atoms.shape[0]):
+    for n in range(start, stop):
         fx = fy = fz = tx = ty = tz = 0.0
         for j in range(atoms.shape[1]):
             site = (sites[0, j], sites[1, j], sites[2, j])

@@ -210,9 +210,8 @@ def exact(A, L, moments, h):
     new = np.empty((3, 3, n))
     if bodies.rates.ndim == 1 and (loops := executor()) is not None:
         far = np.empty(n, dtype=bool)
-        loops.rotate(
-            A, L, bodies.rates, bodies.order, float(bodies.parity), h, RULE.times, RULE.weights, LIMITS, new, far
-        )
+        frame = (bodies.rates, bodies.order, float(bodies.parity))
+        loops.rotate(n, A, L, *frame, h, RULE.times, RULE.weights, LIMITS, new, far)
         if far.any():
             new[:, :, far] = _rotate_block(bodies, A[:, :, far], L[:, far], h)
     else:

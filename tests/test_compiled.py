@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -70,6 +71,63 @@ def test_sums_and_places_agree(kind):
     ):
         plain, fast = both(function)
         assert np.abs(plain - fast).max() < ROUNDING * max(1.0, np.abs(plain).max())
+
+
+@pytest.fixture
+def three_threads(monkeypatch):
+    """Loops over ten bodies or more are shared by three threads."""
+    monkeypatch.setattr(compiled, "LARGE", 10)
+    monkeypatch.setattr(compiled, "threads", lambda: 3)
+    compiled._pool.cache_clear()
+    yield
+    compiled._pool().shutdown()
+    compiled._pool.cache_clear()
+
+
+def whole_step(bodies, state, forces):
+    """Everything that the loops compute, with a body at rest, which the rotation leaves to NumPy."""
+    L = state.L.copy()
+    L[:, 5] = 0
+    A, _ = rotor.exact(state.A, L, bodies.species[0].moments, 1e-3)
+    positions = bodies.place(state.q, A, np.zeros_like(forces))
+    return A, positions, bodies.move(state, np.zeros_like(forces)), *bodies.forces_and_torques(forces, A)
+
+
+def test_threads_give_the_same_bits(request):
+    bodies, state = ensemble("asymmetric", 200)
+    forces = np.random.default_rng(3).normal(size=(bodies.n_particles, 3))
+    alone = whole_step(bodies, state, forces)
+    request.getfixturevalue("three_threads")
+    for one, other in zip(alone, whole_step(bodies, state, forces), strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_an_interrupt_waits_for_the_threads(three_threads, monkeypatch):
+    """What is interrupted twice is finished all the same, and the interrupt comes out."""
+    finished = []
+    wait, interrupts = compiled.wait, [KeyboardInterrupt, KeyboardInterrupt]
+
+    def interrupted(tasks):
+        if interrupts:
+            raise interrupts.pop()
+        return wait(tasks)
+
+    def loop(start, stop):
+        time.sleep(0.02)
+        finished.append((start, stop))
+
+    monkeypatch.setattr(compiled, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        compiled._threaded(loop)(11)
+    assert sorted(finished) == [(0, 4), (4, 8), (8, 11)]
+
+
+def test_errors_of_threads_come_out(three_threads):
+    def loop(start, stop):
+        raise ValueError("what went wrong")
+
+    with pytest.raises(ValueError, match="what went wrong"):
+        compiled._threaded(loop)(11)
 
 
 def test_disabled_is_undone_by_an_error():
