@@ -169,10 +169,10 @@ def _paper(options) -> None:
 # --- comparisons ---
 
 
-def _add_comparison(commands, name: str, title: str, description: str, box_needed: bool = True):
+def _add_comparison(commands, name: str, title: str, description: str):
     """A parser with the arguments that all comparisons of integrators share."""
     parser = commands.add_parser(name, help=title, description=description)
-    parser.add_argument("box", metavar="BOX.pdb", type=Path, nargs=None if box_needed else "?")
+    parser.add_argument("box", metavar="BOX.pdb", type=Path, nargs="?", help="default: 512 molecules of TIP3P water")
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
     parser.add_argument("--platform", help="of OpenMM (default: the fastest)")
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out"), help="for the numbers and the figure")
@@ -183,8 +183,14 @@ def _settings(cls, options):
     """The settings of a comparison from the options of its command; what was not given keeps its default."""
     given = {name: getattr(options, name, None) for name in cls.__dataclass_fields__}
     given = {
-        name: tuple(value) if name in ("dt", "methods", "schemes") else value for name, value in given.items() if value
+        name: tuple(value) if isinstance(value, list) and name != "forcefield" else value
+        for name, value in given.items()
+        if value
     }
+    if "box" not in given:
+        from openmm_sier.forcefields import shipped_box
+
+        given["box"] = shipped_box()
     return cls(**given)
 
 
@@ -201,6 +207,14 @@ def _add_equipartition(commands) -> argparse.ArgumentParser:
     parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
     parser.add_argument("--methods", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
     parser.add_argument("--time", metavar="PS", type=_positive, help="of each run (default: 20)")
+    parser.add_argument("--replicas", type=_whole, help="runs of each, with seeds that follow --seed (default: 1)")
+    parser.add_argument(
+        "--pool",
+        metavar="DIR",
+        type=Path,
+        nargs="+",
+        help="instead of runs: pool those of earlier --out directories",
+    )
     parser.add_argument("--equilibrate", metavar="PS", type=_positive, help="default: 10")
     parser.add_argument("--temperature", metavar="K", type=_positive, help="default: 297")
     parser.add_argument("--friction", metavar="1/PS", type=_positive, help="default: 1")
@@ -213,7 +227,10 @@ def _add_equipartition(commands) -> argparse.ArgumentParser:
 def _equipartition(options) -> None:
     from openmm_sier import equipartition
 
-    equipartition.run(_settings(equipartition.Settings, options), options.out)
+    if options.pool:
+        equipartition.pool(options.pool, options.out)
+    else:
+        equipartition.run(_settings(equipartition.Settings, options), options.out)
 
 
 def _add_schemes(commands) -> argparse.ArgumentParser:
@@ -222,7 +239,6 @@ def _add_schemes(commands) -> argparse.ArgumentParser:
         "schemes",
         "compare the energy conservation of all schemes",
         "Energy error and long-run drift of every scheme and of OpenMM's Verlet, against force evaluations per ps.",
-        box_needed=False,
     )
     parser.add_argument(
         "--dt", metavar="FS", type=_positive, nargs="+", help="per force evaluation (default: 1 to 2.5)"
@@ -244,11 +260,17 @@ def _add_bench(commands) -> argparse.ArgumentParser:
     parser = _add_comparison(
         commands,
         "bench",
-        "measure what a step costs beyond its forces",
-        "Cost of a step over that of its forces and over OpenMM's integrators, and of the free rotation alone.",
+        "measure what a step and what accuracy cost",
+        "Cost of a step over that of its forces and over OpenMM's integrators, of the free rotation and of the layer "
+        "above the forces alone; energy error against cost, beside LAMMPS (lmp) and GROMACS (gmx) where they are on "
+        "the PATH. Takes some 10 minutes of two cores; --parts and --copies make it shorter.",
     )
+    parser.add_argument("--parts", nargs="+", help="of steps, rotations, layer, accuracy (default: all)")
     parser.add_argument("--copies", type=_whole, nargs="+", help="of the box along each edge (default: 1 2 4)")
+    parser.add_argument("--bodies", type=_whole, nargs="+", help="without forces (default: 512 4096 32768 131072)")
     parser.add_argument("--rounds", type=_whole, help="default: 7")
+    parser.add_argument("--time", metavar="PS", type=_positive, help="of runs for the energy error (default: 1)")
+    parser.add_argument("--seed", type=_whole, help="default: 1")
     parser.set_defaults(execute=_bench)
     return parser
 

@@ -47,6 +47,9 @@ LARGE = 8192
 #: Whether compiled code may be used.
 _allowed = os.environ.get("OPENMM_SIER_NUMBA", "1") != "0"
 
+#: Whether one thread has to do.
+_alone = False
+
 
 def executor() -> SimpleNamespace | None:
     """The compiled loops over bodies, or None where NumPy is to execute the kernels."""
@@ -62,6 +65,17 @@ def disabled():
         yield
     finally:
         _allowed = before
+
+
+@contextmanager
+def single_threaded():
+    """Within this one thread executes the compiled loops, however many bodies there are."""
+    global _alone
+    before, _alone = _alone, True
+    try:
+        yield
+    finally:
+        _alone = before
 
 
 @cache
@@ -113,9 +127,13 @@ def _finish(tasks) -> None:
         task.result()
 
 
-@cache
 def threads() -> int:
-    """As many as OpenMM's CPU platform takes."""
+    """How many share a loop over many bodies: as many as OpenMM's CPU platform takes."""
+    return 1 if _alone else _available_threads()
+
+
+@cache
+def _available_threads() -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         return max(1, int(os.environ["OPENMM_CPU_THREADS"]))
@@ -125,7 +143,7 @@ def threads() -> int:
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads(), thread_name_prefix="openmm_sier")
+    return ThreadPoolExecutor(_available_threads(), thread_name_prefix="openmm_sier")
 
 
 def _with_globals(function, namespace):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from openmm import unit
 from openmm_sier import console, sampling
 from openmm_sier.bodies import RigidBodies
 from openmm_sier.forcefields import read_box
-from openmm_sier.preparation import make_context
+from openmm_sier.preparation import equilibrated, make_context
 from openmm_sier.version import __version__
 
 #: Time in fs between two samples. Water's angular velocities decorrelate in some 20 fs.
@@ -24,12 +25,15 @@ INTERVAL = 12.0
 SETTLING = 2.0
 
 BAROSTAT_INTERVAL = 25
+
+#: What the numbers are written to.
+FILE = "equipartition.json"
 DALTON_PER_NM3 = 1.66053906660e-3  # in g/cm^3
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is compared. Times in ps; the steps per force evaluation in fs."""
+    """What is compared. Times in ps; the steps per force evaluation in fs; seeds of replicas follow the first."""
 
     box: Path
     forcefield: list[str] | None = None
@@ -42,6 +46,7 @@ class Settings:
     friction: float = 1.0
     pressure: float = 1.0
     seed: int = 1
+    replicas: int = 1
     platform: str | None = None
 
 
@@ -73,11 +78,10 @@ class Row:
 
 
 def compare(settings: Settings) -> list[Row]:
-    """Run every method at every step from one equilibrated start."""
-    chosen = methods(settings)
+    """Run every method at every step from equilibrated starts, one a replica, and pool the replicas."""
+    methods(settings)
     box = read_box(settings.box, settings.forcefield)
     bodies = RigidBodies.from_system(box.system, box.topology)
-    start = _equilibrated(box, settings)
     system = openmm.XmlSerializer.clone(box.system)
     system.addForce(openmm.CMMotionRemover())
     if settings.ensemble == "npt":
@@ -85,11 +89,39 @@ def compare(settings: Settings) -> list[Row]:
         barostat.setRandomNumberSeed(settings.seed)
         system.addForce(barostat)
     rows = []
-    for method in chosen:
-        for dt in settings.dt:
-            rows.append(_measure(method, dt, system, bodies, start, settings))
-            console.note(_line(rows[-1]))
-    return rows
+    for seed in range(settings.seed, settings.seed + settings.replicas):
+        mine = replace(settings, seed=seed)
+        start = equilibrated(box, mine)
+        for method in methods(mine):
+            for dt in settings.dt:
+                rows.append(_measure(method, dt, system, bodies, start, mine))
+                console.note(_line(rows[-1]))
+    return pooled(rows)
+
+
+def pooled(rows: list[Row]) -> list[Row]:
+    """One row for each method and step, the runs weighted by their lengths; independent errors add up in squares."""
+    groups: dict[tuple, list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.method, row.step, row.fs_per_force), []).append(row)
+    return [_pool_of(group) for group in groups.values()]
+
+
+def _pool_of(rows: list[Row]) -> Row:
+    if len(rows) == 1:
+        return rows[0]
+    if broken := [row for row in rows if row.broken]:
+        return broken[0]
+    times = np.array([row.time for row in rows])
+    weights = times / times.sum()
+
+    def together(name):
+        means, errors = np.array([getattr(row, name) for row in rows]).T
+        return float(weights @ means), float(np.sqrt(((weights * errors) ** 2).sum()))
+
+    means = {name: together(name) for name in ("translation", "rotation", "difference", "potential", "density")}
+    drift = float(weights @ [row.drift for row in rows])
+    return replace(rows[0], time=float(times.sum()), drift=drift, **means)
 
 
 def methods(settings: Settings) -> list[sampling.Method]:
@@ -110,19 +142,6 @@ def methods(settings: Settings) -> list[sampling.Method]:
                 f"unknown method {name!r} in the {settings.ensemble} ensemble; known are {', '.join(known)}"
             )
     return [known[name] for name in chosen]
-
-
-def _equilibrated(box, settings: Settings):
-    """State of a start at the temperature, from OpenMM's Langevin integrator at a step of 1 fs."""
-    integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.001)
-    integrator.setRandomNumberSeed(settings.seed)
-    integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
-    context = make_context(box.system, integrator, settings.platform)
-    context.setPositions(box.positions)
-    context.applyConstraints(sampling.CONSTRAINT_TOLERANCE)
-    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
-    integrator.step(round(settings.equilibrate / 0.001))
-    return context.getState(positions=True, velocities=True)
 
 
 def _measure(method, dt, system, bodies, start, settings: Settings) -> Row:
@@ -168,21 +187,44 @@ def run(settings: Settings, out: Path) -> list[Row]:
     """Compare, print the table, and write equipartition.json and, with matplotlib, equipartition.png to a directory."""
     out.mkdir(parents=True, exist_ok=True)
     rows = compare(settings)
-    show(rows, settings)
-    record = {
-        "version": __version__,
-        "openmm": openmm.__version__,
-        "settings": asdict(settings) | {"box": settings.box.name},
-    }
+    _report(rows, asdict(settings) | {"box": settings.box.name}, out)
+    return rows
+
+
+def pool(directories: Sequence[Path], out: Path) -> list[Row]:
+    """Pool the runs of earlier comparisons, print the table, and write what `run` does.
+
+    Args:
+        directories: what they wrote to; all of one box, ensemble, temperature, friction and pressure.
+        out: directory for the result.
+
+    Raises:
+        ValueError: two of them were made with other settings.
+    """
+    records = [json.loads((directory / FILE).read_text()) for directory in directories]
+    for directory, record in zip(directories, records, strict=True):
+        for name in ("box", "forcefield", "ensemble", "temperature", "friction", "pressure"):
+            if (one := record["settings"][name]) != (other := records[0]["settings"][name]):
+                raise ValueError(
+                    f"{directory} and {directories[0]} cannot be pooled: their settings of {name} are {one} and {other}"
+                )
+    out.mkdir(parents=True, exist_ok=True)
+    rows = pooled([row for directory in directories for row in load(directory / FILE)])
+    _report(rows, records[0]["settings"] | {"pooled": [record["settings"] for record in records]}, out)
+    return rows
+
+
+def _report(rows: list[Row], settings: dict, out: Path) -> None:
+    show(rows, settings["ensemble"])
+    record = {"version": __version__, "openmm": openmm.__version__, "settings": settings}
     record["rows"] = [asdict(row) for row in rows]
-    (out / "equipartition.json").write_text(json.dumps(record, indent=1, default=str))
+    (out / FILE).write_text(json.dumps(record, indent=1, default=str))
     try:
         from openmm_sier.figures import equipartition_figure
     except ModuleNotFoundError:
         console.note("no figure: matplotlib is missing, install it with: pip install 'openmm-sier[plots]'")
     else:
-        equipartition_figure(rows, settings.ensemble, out / "equipartition.png")
-    return rows
+        equipartition_figure(rows, settings["ensemble"], out / "equipartition.png")
 
 
 def load(path: Path) -> list[Row]:
@@ -191,18 +233,19 @@ def load(path: Path) -> list[Row]:
     return [Row(**dict[str, Any]((k, tuple(v) if isinstance(v, list) else v) for k, v in row.items())) for row in rows]
 
 
-def show(rows: list[Row], settings: Settings) -> None:
+def show(rows: list[Row], ensemble: str) -> None:
     """Print the table."""
 
     def cell(pair, digits):
         return "-" if np.isnan(pair[0]) else f"{pair[0]:.{digits}f} ± {pair[1]:.{digits}f}"
 
     console.table(
-        f"Equipartition, {settings.ensemble.upper()}, {settings.time:g} ps each; velocities at whole steps",
+        f"Equipartition, {ensemble.upper()}; velocities at whole steps",
         [
             "method",
             "step/fs",
             "fs per force",
+            "ps",
             "T_trans/K",
             "T_rot/K",
             "T_rot - T_trans/K",
@@ -214,6 +257,7 @@ def show(rows: list[Row], settings: Settings) -> None:
                 row.method,
                 f"{row.step:g}",
                 f"{row.fs_per_force:g}",
+                f"{row.time:g}",
                 cell(row.translation, 1),
                 cell(row.rotation, 1),
                 cell(row.difference, 2),

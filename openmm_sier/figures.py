@@ -84,3 +84,34 @@ def schemes_figure(rows, path: Path) -> None:
             axes.set_xlabel("force evaluations per picosecond")
         figure.legend(*error.get_legend_handles_labels(), loc="outside right upper", frameon=False)
         figure.savefig(path, dpi=160)
+
+
+def cost_figure(points, path: Path) -> None:
+    """Energy error against force evaluations per picosecond, and speed against energy error, one line a method.
+
+    Args:
+        points: of `openmm_sier.bench.accuracy.measure`.
+        path: PNG file to write.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11, 4.8), layout="constrained")
+        cost, speed = figure.subplots(1, 2)
+        for i, method in enumerate(dict.fromkeys(point.method for point in points)):
+            mine = sorted((p for p in points if p.method == method), key=lambda p: p.fs_per_force)
+            style: dict = {"color": COLOURS[i % 8], "marker": "os^Dv<>P"[i % 8], "ms": 5}
+            error = 100 * np.array([p.error for p in mine])
+            cost.plot([1000 / p.fs_per_force for p in mine], error, label=method, **style)
+            speed.plot(error, [p.fs_per_second for p in mine], **style)
+        cost.set_xlabel("force evaluations per picosecond")
+        cost.set_ylabel("rms(H)/rms(V) (%)")
+        cost.set_title("Accuracy for a number of forces", loc="left")
+        speed.set_xlabel("rms(H)/rms(V) (%)")
+        speed.set_ylabel("simulated fs per second of wall time")
+        speed.set_title("Speed for an accuracy", loc="left")
+        for axes in (cost, speed):
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_major_formatter("{x:g}")
+        figure.legend(*cost.get_legend_handles_labels(), loc="outside right upper", frameon=False)
+        figure.savefig(path, dpi=160)

@@ -13,6 +13,9 @@ from openmm import app, unit
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 SHIPPED = (Path(__file__).parent / "systems", Path(__file__).parent.parent / "systems")
 
+#: The box where none is given, one of the project's own.
+DEFAULT_BOX = "tip3p-512.pdb"
+
 #: A PDB file names its force field in records that begin like this; one file name follows.
 REMARK = "REMARK  99 FORCEFIELD"
 
@@ -261,6 +264,18 @@ def read_box(path: str | Path, files: Sequence[str] | None = None) -> Box:
     if len(listed) != pdb.topology.getNumAtoms():
         listed = np.arange(topology.getNumAtoms())
     return Box(topology, positions, pme_system(topology, forcefield), choice, listed)
+
+
+def shipped_box(name: str = DEFAULT_BOX) -> Path:
+    """One of the project's own boxes.
+
+    Raises:
+        ForceFieldError: it did not come with this installation.
+    """
+    for directory in SHIPPED:
+        if (directory / name).is_file():
+            return directory / name
+    raise ForceFieldError(f"the box {name} did not come with this installation; name a PDB file")
 
 
 def make_whole(positions, topology) -> np.ndarray:

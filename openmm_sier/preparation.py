@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 import openmm
 from openmm import unit
 
 from openmm_sier.console import StepProgress, note
+from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.langevin import SIERLangevinIntegrator
 from openmm_sier.schemes import SIER2
-
-if TYPE_CHECKING:
-    from openmm_sier.run import Options
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized. Among 512 molecules of water at 297 K the
 #: largest is 1000 to 2200.
@@ -27,6 +25,33 @@ EQUILIBRATION_STEP = 0.002
 CHUNK = 20
 
 
+class Start(Protocol):
+    """The settings of a command that tell how to begin."""
+
+    @property
+    def temperature(self) -> float:
+        """K."""
+
+    @property
+    def equilibrate(self) -> float:
+        """Time, ps."""
+
+    @property
+    def seed(self) -> int:
+        """Of velocities and noise."""
+
+    @property
+    def platform(self) -> str | None:
+        """Of OpenMM; None takes the fastest."""
+
+
+def equilibrated(box, settings: Start):
+    """State of a box (`openmm_sier.forcefields.Box`) at a temperature."""
+    context = make_context(box.system, SIERIntegrator(EQUILIBRATION_STEP, SIER2), settings.platform)
+    prepare(context, box.positions, settings)
+    return context.getState(positions=True, velocities=True)
+
+
 def make_context(system, integrator, platform: str | None):
     """A Context on a platform of a given name, in mixed precision where there is a choice; None takes the fastest."""
     for index in range(openmm.Platform.getNumPlatforms()):
@@ -38,13 +63,20 @@ def make_context(system, integrator, platform: str | None):
     return openmm.Context(system, integrator, openmm.Platform.getPlatformByName(platform))
 
 
-def prepare(context, positions, options: Options) -> None:
-    """Positions and velocities of a new run: minimized if need be, thermalized, the centre of mass at rest."""
+def prepare(context, positions, options: Start, minimize: bool | None = None) -> None:
+    """Positions and velocities of a new run: minimized, thermalized, the centre of mass at rest.
+
+    Args:
+        context: with a SIERIntegrator.
+        positions: (N, 3), a quantity.
+        options: how to begin.
+        minimize: whether to minimize first; None does where the start has forces that a liquid has not.
+    """
     context.setPositions(positions)
     context.computeVirtualSites()
     context.applyConstraints(1e-6)
     strongest = _strongest_force(context)
-    if options.minimize or (options.minimize is None and strongest > LARGE_FORCE):
+    if minimize or (minimize is None and strongest > LARGE_FORCE):
         openmm.LocalEnergyMinimizer.minimize(context)
         note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
     positions, velocities = thermalize(context, options)
@@ -64,12 +96,12 @@ def _strongest_force(context) -> float:
     return float(np.linalg.norm(F, axis=0).max())
 
 
-def thermalize(context, options: Options):
+def thermalize(context, options: Start):
     """Positions and velocities at the wanted temperature, after a run at constant temperature.
 
     Args:
         context: holds the positions to start from; it is left as it was.
-        options: temperature, time of equilibration, seed and platform.
+        options: how to begin.
     """
     bodies = context.getIntegrator().bodies
     langevin = SIERLangevinIntegrator(options.temperature, FRICTION, EQUILIBRATION_STEP, SIER2, bodies)

@@ -132,7 +132,7 @@ def run(options: Options) -> None:
     if notes:
         _restore(context, state, notes, options, plan)
     else:
-        prepare(context, box.positions, options)
+        prepare(context, box.positions, options, options.minimize)
         # The checkpoint goes first, so that none is ever left with files that are not its own.
         for path in reversed(paths):
             path.unlink(missing_ok=True)
@@ -253,7 +253,8 @@ def _restore(context, state, notes: dict[str, Any], options: Options, plan: Plan
     Raises:
         RunError: the checkpoint is of another system, or nothing is left to be done.
     """
-    if notes["step"] >= plan.steps:
+    # An .h5 file comes last of all: a run that was killed before is still to be finished.
+    if notes["step"] > plan.steps or (notes["step"] == plan.steps and Path(plan.out).exists()):
         raise RunError(
             f"{options.restart} is at step {notes['step']} ({notes['step'] * plan.dt / 1000:g} ps), "
             f"the run is to end at step {plan.steps}; ask for more with --steps or --time"

@@ -30,8 +30,8 @@ def unpack(bodies: RigidBodies, values: np.ndarray) -> BodyState:
         bodies: the bodies it was packed for.
         values: shape (VARIABLES, N, 3).
     """
-    A = np.repeat(np.eye(3)[:, :, None], bodies.n, axis=2)
-    state = BodyState(*np.zeros((2, 3, bodies.n)), A, np.zeros((3, bodies.n)))
+    q, p, L = np.zeros((3, 3, bodies.n))
+    state = BodyState(q, p, np.repeat(np.eye(3)[:, :, None], bodies.n, axis=2), L)
     for species, part in zip(bodies.species, bodies.parts, strict=True):
         for (variable, column), vectors in zip(_places(species), _vectors(state), strict=False):
             vectors[:, part] = values[variable, column].T

@@ -14,16 +14,12 @@ import openmm
 
 from openmm_sier import console, sampling
 from openmm_sier.bodies import RigidBodies
-from openmm_sier.forcefields import SHIPPED, read_box
-from openmm_sier.integrator import SIER2Integrator, SIERIntegrator
-from openmm_sier.preparation import make_context, prepare
-from openmm_sier.run import Options
+from openmm_sier.forcefields import read_box
+from openmm_sier.integrator import SIERIntegrator
+from openmm_sier.preparation import equilibrated, make_context
 from openmm_sier.sampling import Method, Series
 from openmm_sier.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, Scheme, Stage, alternating
 from openmm_sier.version import __version__
-
-#: The box where none is given, one of the project's own.
-DEFAULT_BOX = "tip3p-512.pdb"
 
 #: Time in fs between two samples: a fifth to a half of the periods of librations in water, 35 to 80 fs.
 INTERVAL = 12.0
@@ -104,7 +100,7 @@ OTHERS = {
 class Settings:
     """What is compared. Times in ps; `dt`, the simulated time per force evaluation, in fs."""
 
-    box: Path | None = None
+    box: Path
     forcefield: list[str] | None = None
     dt: tuple[float, ...] = (1.0, 1.5, 2.0, 2.5)
     schemes: tuple[str, ...] | None = None
@@ -162,9 +158,9 @@ def compare(settings: Settings) -> list[Row]:
         ValueError: a scheme is unknown.
     """
     chosen = _chosen(settings)
-    box = read_box(_box(settings), settings.forcefield)
+    box = read_box(settings.box, settings.forcefield)
     bodies = RigidBodies.from_system(box.system, box.topology)
-    start = _equilibrated(box, bodies, settings)
+    start = equilibrated(box, settings)
     rows = []
     for dt in settings.dt:
         for method, order in chosen:
@@ -179,29 +175,6 @@ def _chosen(settings: Settings) -> list[tuple[Method, int]]:
         if name not in methods:
             raise ValueError(f"unknown scheme {name!r}; known are {', '.join(methods)}")
     return [methods[name] for name in settings.schemes or methods]
-
-
-def _box(settings: Settings) -> Path:
-    if settings.box is not None:
-        return settings.box
-    for directory in SHIPPED:
-        if (directory / DEFAULT_BOX).is_file():
-            return directory / DEFAULT_BOX
-    raise ValueError(f"the box {DEFAULT_BOX} did not come with this installation; name a PDB file")
-
-
-def _equilibrated(box, bodies: RigidBodies, settings: Settings):
-    """State of a start at the temperature."""
-    context = make_context(box.system, SIER2Integrator(0.001, bodies), settings.platform)
-    options = Options(
-        box=_box(settings),
-        temperature=settings.temperature,
-        equilibrate=settings.equilibrate,
-        seed=settings.seed,
-        platform=settings.platform,
-    )
-    prepare(context, box.positions, options)
-    return context.getState(positions=True, velocities=True)
 
 
 def _measure(method: Method, order: int, dt: float, system, bodies, start, settings: Settings) -> Row:
@@ -268,7 +241,7 @@ def run(settings: Settings, out: Path) -> list[Row]:
     record = {
         "version": __version__,
         "openmm": openmm.__version__,
-        "settings": asdict(settings) | {"box": _box(settings).name},
+        "settings": asdict(settings) | {"box": settings.box.name},
         "rows": [asdict(row) for row in rows],
     }
     (out / "schemes.json").write_text(json.dumps(record, indent=1))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from openmm_sier import bench, cli, equipartition, sampling
+from openmm_sier import cli, equipartition, forcefields, sampling
 from tests.test_cli import SMALL, complaint, log, write_lattice
 
 
@@ -81,6 +80,47 @@ def test_equipartition_in_miniature(box, capsys, monkeypatch):
     assert "T_rot - T_trans" in capsys.readouterr().out
 
 
+def row(mean, error, time, **values):
+    pair = (mean, error)
+    given = dict.fromkeys(("translation", "rotation", "difference", "potential", "density"), pair)
+    return equipartition.Row("SIER4", 4.0, 1.0, time, **given, drift=mean, **values)
+
+
+def test_replicas_are_pooled_by_their_lengths():
+    """Three times the length weighs as much, and has a standard error less by the square root of it."""
+    (found,) = equipartition.pooled([row(1.0, 0.3, 30.0), row(2.0, 0.3 * 3**0.5, 10.0)])
+    assert found.time == 40.0
+    # The best estimate of all, whose error is that of one run of 40 ps.
+    assert found.difference == pytest.approx((1.25, 0.3 * (3 / 4) ** 0.5))
+    assert found.drift == pytest.approx(1.25)
+    broken = row(0.0, 1.0, 10.0, broken="too hot")
+    assert equipartition.pooled([row(1.0, 0.3, 30.0), broken]) == [broken]
+
+
+def test_equipartition_pools_directories(box, capsys, monkeypatch):
+    monkeypatch.setattr(equipartition, "SETTLING", 0.02)
+    short = ("--dt", "2", "--methods", "sier2", "--time", "0.1", "--equilibrate", "0.02", "--platform", "Reference")
+    run("equipartition", box, *short, "--replicas", "2", "--out", "both")
+    for seed in ("1", "2"):
+        run("equipartition", box, *short, "--seed", seed, "--out", seed)
+    run("equipartition", "--pool", "1", "2", "--out", "pooled")
+    together = equipartition.load(Path("both/equipartition.json"))
+    assert equipartition.load(Path("pooled/equipartition.json")) == together
+    assert together[0].time == pytest.approx(0.2)
+    run("equipartition", box, *short, "--temperature", "350", "--out", "hot")
+    assert "hot and 1 cannot be pooled: their settings of temperature are 350.0 and 297.0" in complaint(
+        capsys, "equipartition", "--pool", "1", "hot", "--out", "no"
+    )
+    assert not Path("no").exists()
+
+
+def test_default_box_is_one_of_the_projects_own(tmp_path, monkeypatch):
+    assert forcefields.shipped_box().name == "tip3p-512.pdb"
+    monkeypatch.setattr(forcefields, "SHIPPED", (tmp_path,))
+    with pytest.raises(ValueError, match=r"tip3p-512.pdb did not come with this installation; name a PDB file"):
+        forcefields.shipped_box()
+
+
 def test_equipartition_refuses_unknown_methods(box, capsys):
     assert "unknown method 'leapfrog'" in complaint(capsys, "equipartition", str(box), "--methods", "leapfrog")
 
@@ -97,17 +137,3 @@ def test_mean_and_error_of_correlated_samples():
     # 20 blocks know their scatter to 16 %.
     assert error == pytest.approx(expected, rel=0.5)
     assert abs(mean) < 4 * expected
-
-
-def test_bench_in_miniature(box):
-    run("bench", box, "--copies", "1", "--rounds", "1", "--platform", "Reference", "--out", "b")
-    record = json.loads(Path("b/bench.json").read_text())
-    assert [row["molecules"] for row in record["steps"]] == [27] * 5
-    assert all(row["median"] > 0 for row in record["steps"])
-
-
-def test_interleaved_timings_discard_the_first_round():
-    calls = []
-    seconds = bench.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
-    assert calls == ["a", "b"] * 3
-    assert [len(values) for values in seconds.values()] == [2, 2]

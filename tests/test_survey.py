@@ -156,7 +156,3 @@ def test_an_unknown_scheme_is_refused_before_anything_is_read(settings, tmp_path
     wrong = dataclasses.replace(settings, box=tmp_path / "none.pdb", schemes=("sier4g", "sier5"))
     with pytest.raises(ValueError, match=r"unknown scheme 'sier5'; known are verlet, sier2, .*srkn6b"):
         survey.compare(wrong)
-
-
-def test_default_box_is_one_of_the_projects_own():
-    assert survey._box(Settings()).name == "tip3p-512.pdb"

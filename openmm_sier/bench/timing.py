@@ -1,0 +1,83 @@
+"""Timings that a machine's changing speed does not spoil, and what they depend on."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import openmm
+
+from openmm_sier import compiled
+from openmm_sier.version import __version__
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is measured.
+
+    Attributes:
+        box: PDB file of the unit that larger boxes repeat.
+        forcefield: of it; None picks one.
+        copies: repetitions of the box along each edge, one size each.
+        bodies: sizes of the sets of bodies for the rotation and the layer alone.
+        rounds: how often everything takes its turn.
+        time: length of the runs that measure the energy error, ps.
+        temperature, equilibrate: K, and ps before those runs.
+        parts: names of what is measured, of `openmm_sier.bench.PARTS`; None takes all.
+        platform: OpenMM platform; None takes the fastest.
+        seed: of velocities.
+    """
+
+    box: Path
+    forcefield: list[str] | None = None
+    copies: tuple[int, ...] = (1, 2, 4)
+    bodies: tuple[int, ...] = (512, 4096, 32768, 131072)
+    rounds: int = 7
+    time: float = 1.0
+    temperature: float = 297.0
+    equilibrate: float = 2.0
+    parts: tuple[str, ...] | None = None
+    platform: str | None = None
+    seed: int = 1
+
+
+def machine() -> dict:
+    """What the timings depend on."""
+    model = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
+        if line.startswith("model name"):
+            model = line.partition(":")[2].strip()
+            break
+    return {
+        "processor": model,
+        "cores": os.cpu_count(),
+        "threads": compiled.threads(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "openmm": openmm.__version__,
+        "openmm_sier": __version__,
+        "executor": "NumPy" if compiled.executor() is None else "Numba",
+    }
+
+
+def interleaved(actions: Mapping[str, Callable[[], None]], rounds: int) -> dict[str, np.ndarray]:
+    """Seconds that each action took in each round; one round before is not counted."""
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    for number in range(rounds + 1):
+        for name, action in actions.items():
+            start = time.perf_counter()
+            action()
+            if number:
+                times[name].append(time.perf_counter() - start)
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def summary(values: np.ndarray) -> tuple[float, float]:
+    """Median, and half the range between the quartiles."""
+    low, median, high = np.percentile(values, [25, 50, 75])
+    return float(median), float(0.5 * (high - low))
