@@ -44,6 +44,14 @@ PASSIVE_FORCES = (
     openmm.CMMotionRemover,
 )
 
+#: These change the box and positions together, and neither read nor change velocities.
+BAROSTATS = (
+    openmm.MonteCarloBarostat,
+    openmm.MonteCarloAnisotropicBarostat,
+    openmm.MonteCarloMembraneBarostat,
+    openmm.MonteCarloFlexibleBarostat,
+)
+
 #: Per-atom and global variables of the CustomIntegrator in which the bodies' state travels.
 STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(storage.VARIABLES))
 SITES = "sier_sites"
@@ -69,7 +77,9 @@ class Engine:
         self._plan = integrator._plan_bodies(system)
         forces = [system.getForce(i) for i in range(system.getNumForces())]
         self._sweep_frequencies = [f.getFrequency() for f in forces if isinstance(f, openmm.CMMotionRemover)]
-        self._has_actors = any(not isinstance(f, PASSIVE_FORCES) for f in forces)
+        actors = [f for f in forces if not isinstance(f, PASSIVE_FORCES)]
+        self._has_actors = bool(actors)
+        self._barostats_alone = all(isinstance(f, BAROSTATS) for f in actors)
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self._positions, self._velocities = np.zeros((n, 3)), np.zeros((n, 3))
         self._placed: tuple = (None, None)
@@ -80,10 +90,6 @@ class Engine:
         self._bodies: RigidBodies | None = None
         if not self._plan.needs_positions:
             self._settle(self._plan.bodies(None))
-        if not any(np.any(integrator.getPerDofVariableByName(name)) for name in STATE_VARIABLES):
-            # `reinitialize` without the state clears these variables but not the global ones.
-            integrator.setGlobalVariableByName(HEAT, 0)
-            integrator.setGlobalVariableByName(DRAWS, 0)
 
     @property
     def _context(self):
@@ -174,11 +180,30 @@ class Engine:
         if not self._has_actors:
             self._native_step()
             return self.state
+        if self._barostats_alone:
+            return self._update_box()
         self._publish()
         before = self._echo
         self._native_step()
         self._echo = _Snapshot(self._context)
         return self._reconcile(before, self._echo)
+
+    def _update_box(self) -> BodyState:
+        """What barostats do; most often nothing, and then nothing has to be read back."""
+        state = self.state
+        self._place(state.q, state.A)
+        before = self._box()
+        self._native_step()
+        if self._box() == before:
+            return state
+        now = _Snapshot(self._context)
+        q, A = self.bodies.fit(now.positions, state)
+        self._take_positions(now)
+        self.forces.forget()
+        return replace(state, q=q, A=A)
+
+    def _box(self) -> bytes:
+        return self._context.getState().getPeriodicBoxVectors(asNumpy=True)._value.tobytes()
 
     def _native_step(self) -> None:
         integrator, context = self._integrator, self._context
@@ -236,10 +261,11 @@ class Engine:
         )
 
     def temperature(self) -> float:
-        """In K, of all degrees of freedom."""
+        """In K, of all degrees of freedom; NaN where there are none."""
         self.adopt()
         freedoms = self.bodies.degrees_of_freedom - (3 if self.removes_motion else 0)
-        return 2 * sum(self.bodies.kinetic_energies(self.state)) / (freedoms * GAS_CONSTANT)
+        kinetic = sum(self.bodies.kinetic_energies(self.state))
+        return 2 * kinetic / (freedoms * GAS_CONSTANT) if freedoms > 0 else float("nan")
 
     # --- agreement with the Context ---
 

@@ -304,6 +304,21 @@ def _binding(method):
     return wrapper
 
 
+def _forgetting(method):
+    """`Context.reinitialize`, which without the state clears the per-atom variables but not the global ones."""
+
+    @functools.wraps(method)
+    def wrapper(self, preserveState=False):
+        result = method(self, preserveState)
+        integrator = getattr(self, "_integrator", None)
+        if isinstance(integrator, SIERIntegrator) and not preserveState:
+            integrator.setGlobalVariableByName(HEAT, 0)
+            integrator.setGlobalVariableByName(DRAWS, 0)
+        return result
+
+    return wrapper
+
+
 def _updating(method):
     """`updateParametersInContext` of a Force, after which the Context's forces are not those that were computed."""
 
@@ -370,6 +385,7 @@ def _replace(cls, name: str, wrapped) -> None:
 
 
 _replace(openmm.Context, "__init__", _binding)
+_replace(openmm.Context, "reinitialize", _forgetting)
 _replace(openmm.Context, "reinitialize", _binding)
 _replace(openmm.Context, "setState", _accepting)
 for _class in [member for member in vars(openmm).values() if isinstance(member, type)]:

@@ -25,15 +25,17 @@ SMALL = ["--platform", "Reference", "--equilibrate", "0.1", "--every", "0.02", "
 STEPS, FRAMES, ROWS = 100, 20, 11
 
 
-def load_make():
-    spec = importlib.util.spec_from_file_location("make", SYSTEMS / "make.py")
+def load_program(path):
+    """A program of the project as a module."""
+    path = SYSTEMS.parent / path
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
-    sys.modules["make"] = module
+    sys.modules[path.stem] = module
     spec.loader.exec_module(module)
     return module
 
 
-make = load_make()
+make = load_program("systems/make.py")
 
 
 def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
@@ -211,7 +213,8 @@ def test_frames_after_more_steps_than_the_formats_count(box, suffix):
 # --- crashes and continuations ---
 
 #: Runs the command and kills it, without warning, in the middle of a write: half of the bytes of a frame or row get
-#: to the file, or the whole of a new checkpoint that has not yet taken the place of the old one.
+#: to the file, or the whole of a new checkpoint that has not yet taken the place of the old one, or nothing to the HDF5
+#: file that is made at the end.
 KILLER = """
 import os, signal, sys
 from openmm_sier import cli, records
@@ -238,6 +241,9 @@ def replace_or_die(*names):
 
 if place == "checkpoint":
     os.replace = replace_or_die
+elif place == "end":
+    import mdtraj
+    mdtraj.formats.HDF5TrajectoryFile.write = lambda *_, **__: die()
 else:
     records.GrowingFile.append = append_half
 sys.exit(cli.main(arguments))
@@ -295,6 +301,25 @@ def test_what_was_written_after_the_checkpoint_is_cut_off(box, suffix):
     np.testing.assert_array_equal(log("cut.csv")["step"], np.arange(0, 51, 10))
     if suffix == ".dcd":
         assert frames_in_header(out) == 10
+
+
+def test_killed_when_nothing_but_the_hdf5_file_is_missing(box, whole_run):
+    command = ["run", str(box), *SMALL, "--time", "0.4", "--out", "cut.h5"]
+    killed = subprocess.run([sys.executable, "-c", KILLER, "end", "0", *command], capture_output=True, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == STEPS
+    assert not Path("cut.h5").exists()
+    assert cli.main([*command, "--restart", "cut.chk"]) == 0
+    np.testing.assert_allclose(frames(Path("cut.h5"), box).xyz, frames(whole_run / "whole.dcd", box).xyz, atol=1e-5)
+    assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.h5"]
+
+
+def test_killed_at_random_moments_again_and_again(tmp_path):
+    """What benchmarks/kill_loop.py does fifty times: not a bit may differ from a run that nothing disturbed."""
+    met = load_program("benchmarks/kill_loop.py").kill_loop(tmp_path, ".dcd", kills=3)
+    assert met["kills"] == 3
+    assert met["steps"] >= 30
+    assert met["frames"] == met["steps"] // 4
 
 
 def test_killed_from_outside_and_continued(box):

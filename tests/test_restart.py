@@ -340,6 +340,18 @@ def test_reinitialization_with_its_state_changes_nothing(cluster, make):
     assert_same(*ends)
 
 
+def test_noise_is_not_used_again_after_the_state_of_the_start_was_loaded(cluster):
+    """A State of before the first step has no bodies in it, but the Context has used noise since."""
+    _, system, point = cluster
+    integrator = langevin(SIER2)
+    context = context_at(system, integrator, point)
+    start = full_state(context)
+    integrator.step(3)
+    context.setState(start)
+    context.reinitialize(preserveState=True)
+    assert integrator.getBodyState().draws == 3
+
+
 def test_reinitialization_without_its_state_starts_anew(cluster):
     _, system, point = cluster
     integrator = langevin(SIER2)
