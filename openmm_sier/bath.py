@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
+from openmm_sier.kernels import combine
 from openmm_sier.propagation import Operator
+from openmm_sier.rotor import body_frame
 
 
 class Bath:
@@ -40,12 +42,14 @@ class Bath:
             thermal = GAS_CONSTANT * self.temperature
             kept, spread = _decay(self.friction, h)
             p = kept * state.p + (spread * np.sqrt(thermal * masses)) * noise[:3]
+            heat = 0.5 * float(((p * p - state.p * state.p).sum(axis=0) / masses).sum())
             kept, spread = _decay(self.rotational_friction, h)
             kicks = (spread * np.sqrt(thermal * moments)) * noise[3:]
-            L = kept * state.L + (state.A[0] * kicks[0] + state.A[1] * kicks[1] + state.A[2] * kicks[2])
-            new = replace(state, p=p, L=L, draws=state.draws + 1)
-            heat = sum(bodies.kinetic_energies(new)) - sum(bodies.kinetic_energies(state))
-            return replace(new, heat=state.heat + heat)
+            A, along = state.A, body_frame(state.A, state.L)
+            L = kept * state.L + combine(kicks, A[0], A[1], A[2])
+            new_along = kept * along + kicks
+            heat += 0.5 * float(((new_along * new_along - along * along) * bodies.inverse_moments).sum())
+            return replace(state, p=p, L=L, draws=state.draws + 1, heat=state.heat + heat)
 
         return apply
 
