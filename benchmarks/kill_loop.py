@@ -1,0 +1,187 @@
+"""`openmm-sier run` on a small box of water, killed (SIGKILL) at random moments and continued again and again.
+
+    python benchmarks/kill_loop.py [--kills N] [--suffix .dcd] [--directory DIR]
+
+At the end the trajectory must have every frame once, in order, and be that of a run that nothing disturbed, as must the
+log: byte for byte for .dcd (but for its date), .xtc and .csv files, number by number for .h5. The status is 1 if not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import mdtraj
+import numpy as np
+from openmm import unit
+
+from openmm_sier import forcefields, records
+
+SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
+
+#: A frame every 4 steps, a row every 6 and a checkpoint every 10, so that many kills come while something is written.
+EVERY, ROWS, CHECKPOINTS = 4, 6, 10
+COMMAND = [sys.executable, "-m", "openmm_sier.cli", "run", "box.pdb", "--platform", "Reference"]
+PLAN = ["--scheme", "sier2", "--dt", "1", "--equilibrate", "0.05"]
+PLAN += ["--every", "0.004", "--report-every", "0.006", "--checkpoint-every", "0.01"]
+
+#: Longest times in seconds to a kill: from the start of the program, which one kill in so many is counted from, and
+#: from the first checkpoint.
+EARLY, ONE_IN, LATE = 4.0, 4, 0.4
+
+#: Bytes of a DCD file that hold the time of its creation, among others.
+TITLE = slice(92, 264)
+
+#: More steps than any of these runs comes to.
+ENDLESS = 100_000_000
+
+
+class Lost(RuntimeError):
+    """Something did not survive the kills."""
+
+
+def write_box(path: Path, molecules: int = 27) -> None:
+    """A box of TIP3P water on a lattice."""
+    spec = importlib.util.spec_from_file_location("make", SYSTEMS / "make.py")
+    make = sys.modules["make"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(make)
+    topology = make.make_topology(molecules, 0)
+    edge = make.box_edge(topology, 0.997)
+    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
+    geometry = make.water_geometry(forcefields.load(["tip3p.xml"], SYSTEMS))
+    positions = make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(3)) * unit.nanometer
+    make.write(path, topology, positions, edge, ["FORCEFIELD tip3p.xml"])
+
+
+def command(directory: Path, out: str, steps: int) -> list[str]:
+    """The command that begins a run, or goes on from its checkpoint if there is one."""
+    checkpoint = Path(out).with_suffix(".chk")
+    way = ["--restart", str(checkpoint)] if (directory / checkpoint).exists() else [*PLAN, "--overwrite", "--out", out]
+    return [*COMMAND, *way, "--steps", str(steps)]
+
+
+def killed_at(directory: Path, out: str, rng, early: bool) -> None:
+    """Start or continue the endless run and kill it."""
+    checkpoint = (directory / out).with_suffix(".chk")
+    before = _changed(checkpoint)
+    with open(directory / "said.txt", "w") as said:
+        process = subprocess.Popen(command(directory, out, ENDLESS), cwd=directory, stdout=said, stderr=said)
+    while not early and _changed(checkpoint) == before:
+        if process.poll() is not None:
+            raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
+        time.sleep(0.002)
+    time.sleep(rng.uniform(0, EARLY if early else LATE))
+    process.kill()
+    process.wait()
+
+
+def _changed(path: Path) -> int:
+    return path.stat().st_mtime_ns if path.exists() else 0
+
+
+def trace(directory: Path, out: str) -> dict[str, int]:
+    """What a kill left: steps of the checkpoint, and what had been written after it or was being written."""
+    checkpoint = (directory / out).with_suffix(".chk")
+    if not checkpoint.exists():
+        return {"before the first checkpoint": 1}
+    _, notes = records.read_checkpoint(checkpoint)
+    growing = directory / (out + ".dcd" if out.endswith(".h5") else out)
+    return {
+        "with something written after the checkpoint": int(growing.stat().st_size > notes["trajectory"]["size"]),
+        "while a checkpoint was being written": int(checkpoint.with_name(checkpoint.name + ".tmp").exists()),
+    }
+
+
+def last_step(directory: Path, out: str) -> int:
+    checkpoint = (directory / out).with_suffix(".chk")
+    return records.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
+
+
+def finish(directory: Path, out: str, steps: int) -> None:
+    """Run to a step without a disturbance."""
+    done = subprocess.run(command(directory, out, steps), cwd=directory, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
+
+
+def compare(directory: Path, one: str, two: str, steps: int) -> int:
+    """Demand that two runs left the same, and all of it; the number of frames.
+
+    Raises:
+        Lost: naming what differs.
+    """
+    load = {"top": str(directory / "box.pdb")} if not one.endswith(".h5") else {}
+    trajectories = [mdtraj.load(str(directory / name), **load) for name in (one, two)]
+    logs = [(directory / name).with_suffix(".csv").read_bytes() for name in (one, two)]
+    if trajectories[0].n_frames != steps // EVERY:
+        raise Lost(f"{one} has {trajectories[0].n_frames} frames, expected {steps // EVERY}")
+    if not np.array_equal(trajectories[0].xyz, trajectories[1].xyz):
+        raise Lost(f"the frames of {one} are not those of {two}")
+    if not one.endswith(".h5") and _content(directory / one) != _content(directory / two):
+        raise Lost(f"{one} and {two} differ, though their coordinates are the same")
+    if logs[0] != logs[1] or logs[0].count(b"\n") != steps // ROWS + 2:
+        raise Lost(f"the log of {one} is not that of {two}, or not all of it")
+    return steps // EVERY
+
+
+def _content(path: Path) -> bytes:
+    content = bytearray(path.read_bytes())
+    if path.suffix == ".dcd":
+        del content[TITLE]
+    return bytes(content)
+
+
+def kill_loop(directory: Path, suffix: str, kills: int, seed: int = 1) -> Counter:
+    """Kill and continue a run, then compare it with one that was let alone.
+
+    Args:
+        directory: where the files go.
+        suffix: of the trajectory.
+        kills: how many.
+        seed: of the moments.
+
+    Returns:
+        Numbers of steps, frames and kills, by what they met.
+
+    Raises:
+        Lost: something did not survive.
+    """
+    write_box(directory / "box.pdb")
+    rng, out, met = np.random.default_rng(seed), f"killed{suffix}", Counter(kills=kills)
+    for number in range(kills):
+        killed_at(directory, out, rng, early=number % ONE_IN == ONE_IN - 1)
+        met.update(trace(directory, out))
+    steps = last_step(directory, out) + CHECKPOINTS
+    finish(directory, out, steps)
+    finish(directory, f"whole{suffix}", steps)
+    met.update(steps=steps, frames=compare(directory, out, f"whole{suffix}", steps))
+    return met
+
+
+def main(arguments=None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=50, help="default: %(default)s")
+    parser.add_argument("--suffix", choices=list(records.FORMATS), default=".dcd", help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=1, help="of the moments (default: %(default)s)")
+    parser.add_argument("--directory", type=Path, help="where the files are left (default: they are removed)")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as temporary:
+        directory = options.directory or Path(temporary)
+        try:
+            met = kill_loop(directory, options.suffix, options.kills, options.seed)
+        except Lost as error:
+            print(f"kill_loop.py: {error}", file=sys.stderr)
+            return 1
+    print("\n".join(f"{name}: {count}" for name, count in met.items()))
+    print("every frame and row once, in order, as in the run that nothing disturbed")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
