@@ -37,7 +37,7 @@ def water_result(runs=2):
         for method in ("MRDL", "SEJ4", "SIER2", "SIER4")
         for step in (1.0, 2.0)
     ]
-    crossing = Crossing(liquids.MOLECULAR, 2.0, 0.1, {"SIER2": 2.0, "SIER4": 4.0})
+    crossing = Crossing(liquids.MOLECULAR, 2.0, 0.1, {"SIER2": 2.03, "SIER4": 4.0})
     return Water(water.QUICK, "made", 1.9, tuple(points), (crossing,))
 
 
@@ -66,6 +66,11 @@ def test_times(value, text):
     assert tables.picoseconds(value) == text
 
 
+def test_times_to_be_compared_have_one_unit():
+    assert tables.picoseconds(0.91e6, like=1.1e6) == "0.91 µs"
+    assert tables.picoseconds(48e9, like=1.2e12) == "0.048 s"
+
+
 def cells(table):
     assert all(len(row) == len(table.columns) for row in table.rows)
     return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
@@ -90,7 +95,9 @@ def test_tables_have_the_papers_values_beside_ours():
     table = tables.water_table(water_result(), liquids.MOLECULAR)
     assert "216 molecules (the paper: 512)" in table.title
     assert cells(table)[1] == {"h/f (fs)": "2", **dict.fromkeys(("MRDL", "SEJ4", "SIER2", "SIER4"), "0.400 ± 0.010")}
-    assert cells(tables.crossing_table(water_result()))[0]["ratio"] == "1.11"
+    crossing = cells(tables.crossing_table(water_result()))[0]
+    assert crossing["ratio"] == "1.11"
+    assert (crossing["slope SIER2"], crossing["slope SIER4"]) == ("2.03", "4.00")
     assert cells(tables.water_table(water_result(0), liquids.MOLECULAR))[0]["SIER4"] == "breaks"
     assert cells(tables.cost_table(rotation_result()))[1]["paper, over MRDL"] == "1.7 - 2"
 

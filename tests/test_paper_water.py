@@ -13,10 +13,11 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIERIntegrator
+from openmm_sier import SIERIntegrator, compiled
 from openmm_sier.paper import liquids, molecular_cutoff, start, tip4p, water
 from openmm_sier.paper.liquids import MOLECULAR, PME, Cutoffs
 from openmm_sier.paper.molecular_cutoff import MolecularCutoff
+from openmm_sier.paper.pairs import switch
 from openmm_sier.paper.water import Settings
 from tests.oracles import random_attitudes
 
@@ -69,7 +70,19 @@ def reference_energy_and_forces(positions):
     )
 
 
-def test_molecular_cutoff_against_openmm(rng):
+@pytest.fixture(params=["NumPy", "Numba"])
+def either(request):
+    """Both ways in which the sum over pairs is executed."""
+    if request.param == "NumPy":
+        with compiled.disabled():
+            yield
+        return
+    if compiled.executor() is None:
+        pytest.fail("Numba, of the extra 'test', is not installed")
+    yield
+
+
+def test_molecular_cutoff_against_openmm(rng, either):
     """27 molecules in a box in which no pair of sites within the cut-off is nearer by another image."""
     positions = molecules(rng)
     energy, forces = POTENTIAL.energy_and_forces(positions, np.full(3, EDGE))
@@ -83,7 +96,7 @@ def test_molecular_cutoff_against_openmm(rng):
     assert ((R > ON) & (R < OFF)).sum() > 50
 
 
-def test_forces_are_the_gradient(rng):
+def test_forces_are_the_gradient(rng, either):
     """Central differences of the energy; their own error is some 1e-7 of these forces."""
     positions = molecules(rng)
     box = np.full(3, EDGE)
@@ -96,7 +109,7 @@ def test_forces_are_the_gradient(rng):
     assert np.abs(forces.sum(axis=0)).max() < 1e-10 * np.abs(forces).max()
 
 
-def test_periodic_images_and_blocks(rng, monkeypatch):
+def test_periodic_images_and_blocks(rng, monkeypatch, either):
     """Molecules that are moved by edges of the box, and the size of blocks, make no difference beyond rounding."""
     positions, box = molecules(rng), np.array([1.5, 1.6, 1.7])
     energy, forces = POTENTIAL.energy_and_forces(positions, box)
@@ -110,13 +123,13 @@ def test_periodic_images_and_blocks(rng, monkeypatch):
 def test_switch_is_smooth():
     """From 1 to 0 with its slope the derivative, and so flat at the ends that a fourth derivative still vanishes."""
     R = np.linspace(ON - 0.01, OFF + 0.01, 2001)
-    S, slope = POTENTIAL._switch(R)
+    S, slope = switch(R, ON, OFF)
     assert S[0] == 1
     # 126 - 420 + 540 - 315 + 70 = 1.
     assert abs(S[-1]) < 1e-13
     assert np.abs(np.gradient(S, R)[1:-1] - (slope * R)[1:-1]).max() < 2e-3 * np.abs(slope * R).max()
     x = np.array([1e-2, 2e-2])
-    near = 1 - POTENTIAL._switch(ON + x * (OFF - ON))[0]
+    near = 1 - switch(ON + x * (OFF - ON), ON, OFF)[0]
     # 126 x^5 (1 - 10/3 x): doubling x gives 2^5 up to 4 %.
     assert near[1] / near[0] == pytest.approx(32, rel=0.05)
 

@@ -15,7 +15,8 @@ except ModuleNotFoundError as error:
 
 from openmm_sier.paper import published
 from openmm_sier.paper.dipole import Dipole
-from openmm_sier.paper.free_rotation import FreeRotation
+from openmm_sier.paper.free_rotation import MODERATE, FreeRotation
+from openmm_sier.paper.liquids import PME
 from openmm_sier.paper.methods import METHODS
 from openmm_sier.paper.tables import picoseconds
 from openmm_sier.paper.water import Crossing, Water
@@ -54,36 +55,48 @@ def _plain_ticks(axis, values) -> None:
 
 
 def free_rotation(result: FreeRotation, path: Path) -> None:
-    """delta against t for each step, with the paper's linear laws."""
+    """delta against t for each step, continued to the 10 % that define tau, with the paper's tau there."""
     steps = list(dict.fromkeys(curve.step_fs for curve in result.curves))
     with mpl.rc_context(STYLE):
         figure, panels = _panels(len(steps), "Free rotation of a water molecule: error of the attitude", sharey=True)
         for axes, step in zip(panels, steps, strict=True):
-            for curve in (c for c in result.curves if c.step_fs == step):
+            axes.axhline(MODERATE, color=GREY, lw=1, zorder=0)
+            curves = [c for c in result.curves if c.step_fs == step]
+            for i, curve in enumerate(curves):
                 _error_curve(axes, curve)
-            axes.axhline(0.1, color=GREY, lw=1)
-            axes.annotate("10 %", (0, 0.1), (4, 3), xycoords=("axes fraction", "data"), textcoords="offset points",
-                          color=GREY)  # fmt: skip
-            axes.set(xscale="log", yscale="log", xlabel="time (ps)", ylim=(3e-17, 3))
+                text = _tau_label(curve)
+                axes.text(0.98, 0.045 + 0.06 * (len(curves) - 1 - i), text, transform=axes.transAxes, ha="right",
+                          color=COLOURS[curve.method], fontsize=12)  # fmt: skip
+            axes.set(xscale="log", yscale="log", ylim=(3e-17, 3), xlim=(6e-3, 2e12), xlabel="time")
+            axes.xaxis.set_major_locator(mpl.ticker.FixedLocator([1e-2, 1, 1e3, 1e6, 1e9, 1e12]))
+            axes.xaxis.set_major_formatter(
+                FuncFormatter(lambda value, _: picoseconds(value) if value >= 1 else "10 fs")
+            )
+            axes.xaxis.set_minor_locator(mpl.ticker.NullLocator())
+            axes.yaxis.set_major_locator(mpl.ticker.LogLocator(numticks=9))
             axes.set_title(f"step {step:g} fs", loc="left")
         panels[0].set_ylabel(r"$\delta$ = rms deviation from the exact attitude")
-        figure.text(0.99, 0.985, "dashed: the paper's law $\\delta = t/10\\tau$", ha="right", va="top", color=GREY)
+        notes = "solid: measured      dashed: on by $\\delta = t/10\\tau$      dotted: on by the power found"
+        figure.supxlabel(notes + "      open, at 10 %: the paper's $\\tau$", color=GREY, fontsize=12)
         figure.savefig(path)
 
 
 def _error_curve(axes, curve) -> None:
-    colour = COLOURS[curve.method]
-    times = np.array(curve.times)
-    axes.errorbar(times, curve.delta, curve.delta_error, fmt=MARKERS[curve.method] + "-", color=colour, capsize=2)
-    label = rf"{curve.method}: $\tau$ = {picoseconds(curve.tau)}"
+    colour, marker = COLOURS[curve.method], MARKERS[curve.method]
+    times, delta = np.array(curve.times), np.array(curve.delta)
+    axes.errorbar(times, delta, curve.delta_error, fmt=marker + "-", color=colour, capsize=2, ms=5)
+    last = np.flatnonzero(delta <= MODERATE)[-1:]
+    for end, style in ((curve.tau, "--"), (curve.tau_power, ":")):
+        axes.plot([*times[last], end], [*delta[last], MODERATE], style, color=colour, lw=1.4, zorder=1)
     tau = published.TAU.get((curve.method, curve.step_fs))
     if tau is not None:
-        label += f"\n(paper: {picoseconds(tau)})"
-        ends = times[[0, -1]]
-        axes.plot(ends, np.minimum(ends / (10 * tau), 1), "--", color=colour, lw=1.2)
-    shift = {"SIER2": -12, "SIER4": 12}.get(curve.method, 0)
-    axes.annotate(label, (times[-1], curve.delta[-1]), (10, shift), textcoords="offset points", va="center",
-                  color=colour, fontsize=12, annotation_clip=False)  # fmt: skip
+        axes.plot(tau, MODERATE, marker, mfc="white", mew=1.8, color=colour, ms=9, zorder=4, clip_on=False)
+
+
+def _tau_label(curve) -> str:
+    tau = published.TAU.get((curve.method, curve.step_fs))
+    paper = "" if tau is None else f" (paper: {picoseconds(tau, like=curve.tau)})"
+    return rf"{curve.method}: $\tau$ = {picoseconds(curve.tau)}{paper}"
 
 
 def dipole(result: Dipole, path: Path) -> None:
@@ -123,7 +136,8 @@ def water(result: Water, path: Path) -> None:
     kinds = list(dict.fromkeys(point.kind for point in result.points))
     s = result.settings
     with mpl.rc_context(STYLE):
-        title = f"Liquid water, {s.molecules} molecules at {s.temperature:g} K: energy error for the same work"
+        fewer = "" if s.molecules == published.WATER_MOLECULES else f" (the paper: {published.WATER_MOLECULES})"
+        title = f"Liquid water, {s.molecules} molecules{fewer}, {s.temperature:g} K: energy error for the same work"
         figure, panels = _panels(len(kinds), title, sharey=True)
         for axes, kind in zip(panels, kinds, strict=True):
             crossing = next(c for c in result.crossings if c.kind == kind)
@@ -132,7 +146,7 @@ def water(result: Water, path: Path) -> None:
                 _water_curve(axes, mine, name, crossing.slopes.get(name))
             _mark_crossing(axes, crossing)
             axes.set(xscale="log", yscale="log", xlabel="time step per force evaluation, h/f (fs)")
-            axes.set_title(kind, loc="left")
+            axes.set_title(kind + (", forces in single precision" if kind == PME else ""), loc="left")
             steps = sorted({point.force_step_fs for point in result.points if point.kind == kind})
             round_steps = [t for t in (0.1, 0.2, 0.5, 1, 2, 3, 5, 7) if steps[0] <= t <= steps[-1]]
             _plain_ticks(axes.xaxis, steps if len(steps) < 6 else round_steps)

@@ -8,7 +8,8 @@ so that a molecule never is cut in two. S falls from 1 to 0 between R_on and R_o
 with fewer the kinks, and not the integrator, would limit a fourth-order scheme.
 
 None of OpenMM's forces does this fast for four sites, since S of one distance multiplies functions of the others (tests
-compare with a `CustomCompoundBondForce` over all pairs, some fifty times slower). A `PythonForce` lets NumPy do it.
+compare with a `CustomCompoundBondForce` over all pairs, some fifty times slower). A `PythonForce` lets NumPy do it, or
+Numba where it is installed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+
+from openmm_sier.paper.pairs import compiled_sum, lennard_jones, switch
 
 #: k = N_A e^2 / (4 pi eps0), kJ/mol nm; the value that OpenMM uses.
 COULOMB = 138.935456
@@ -67,6 +70,16 @@ class MolecularCutoff:
             ValueError: the box is too small for the cut-off.
         """
         self.check_box(box)
+        if (add := compiled_sum()) is not None:
+            sites = np.ascontiguousarray(np.reshape(positions, (-1, SITES, 3)), dtype=float)
+            forces = np.zeros_like(sites)
+            strengths = COULOMB * np.outer(self._charges(), self._charges())
+            box = np.asarray(box, dtype=float)
+            energy = add(sites, box, strengths, self.sigma, self.epsilon, self.on, self.off, forces)
+            return energy, forces.reshape(-1, 3)
+        return self._by_numpy(positions, box)
+
+    def _by_numpy(self, positions, box):
         sites = np.ascontiguousarray(np.reshape(positions, (-1, SITES, 3)).transpose(2, 1, 0))
         n = sites.shape[2]
         forces = np.zeros((3, SITES, n))
@@ -96,17 +109,17 @@ class MolecularCutoff:
         oxygens -= image
         there += image[:, None]
         square = (oxygens * oxygens).sum(axis=0)
-        switch, slope = self._switch(np.sqrt(square))
+        s, slope = switch(np.sqrt(square), self.on, self.off)
 
-        pair_energy, along_oxygens = self._lennard_jones(square)
-        along_oxygens *= switch
+        pair_energy, along_oxygens = lennard_jones(square, self.sigma, self.epsilon)
+        along_oxygens *= s
         F_here, F_there = np.zeros_like(here), np.zeros_like(there)
         for a, b, strength in self._charge_pairs():
             d = here[:, a] - there[:, b]
             inverse = 1 / np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
             coulomb = strength * inverse
             pair_energy += coulomb
-            d *= coulomb * inverse * inverse * switch
+            d *= coulomb * inverse * inverse * s
             F_here[:, a] += d
             F_there[:, b] -= d
         oxygens *= along_oxygens - slope * pair_energy
@@ -114,27 +127,14 @@ class MolecularCutoff:
         F_there[:, 0] -= oxygens
         _scatter(F_here, i, forces)
         _scatter(F_there, j, forces)
-        return float(switch @ pair_energy)
+        return float(s @ pair_energy)
+
+    def _charges(self):
+        return self.charge, self.charge, -2 * self.charge
 
     def _charge_pairs(self):
-        charges = {1: self.charge, 2: self.charge, 3: -2 * self.charge}
+        charges = dict(enumerate(self._charges(), start=1))
         return [(a, b, COULOMB * qa * qb) for a, qa in charges.items() for b, qb in charges.items()]
-
-    def _lennard_jones(self, square):
-        """Energy, and force over distance."""
-        inverse = self.sigma**2 / square
-        six = inverse * inverse * inverse
-        attraction = (4 * self.epsilon) * six
-        repulsion = attraction * six
-        return repulsion - attraction, (12 * repulsion - 6 * attraction) / square
-
-    def _switch(self, distance):
-        """S and S'/R."""
-        width = self.off - self.on
-        x = np.clip((distance - self.on) / width, 0.0, 1.0)
-        y = 1 - x
-        s = 1 - x**5 * (126 + x * (-420 + x * (540 + x * (-315 + x * 70))))
-        return s, (-630 / width) * (x * y) ** 4 / distance
 
 
 def _pairs_within(oxygens, box, cutoff):

@@ -11,7 +11,7 @@ from openmm_sier.paper.dipole import Dipole
 from openmm_sier.paper.free_rotation import FreeRotation
 from openmm_sier.paper.water import Water
 
-PS_UNITS = ((1e9, "ms"), (1e6, "µs"), (1e3, "ns"), (1.0, "ps"))
+PS_UNITS = ((1e12, "s"), (1e9, "ms"), (1e6, "µs"), (1e3, "ns"), (1.0, "ps"))
 
 
 class Table(NamedTuple):
@@ -23,12 +23,17 @@ class Table(NamedTuple):
     left: int = 1
 
 
-def picoseconds(value: float) -> str:
-    """A time that is given in ps, with a unit that suits it."""
+def picoseconds(value: float, like: float | None = None) -> str:
+    """A time that is given in ps, with a unit that suits it, or another one that it is to be compared with."""
     if not math.isfinite(value):
         return "-"
-    scale, unit = next(((s, u) for s, u in PS_UNITS if value >= s), PS_UNITS[-1])
+    scale, unit = unit_of(value if like is None else like)
     return f"{value / scale:.3g} {unit}"
+
+
+def unit_of(value: float) -> tuple[float, str]:
+    """A unit that suits a time in ps: its size in ps and its name."""
+    return next(((scale, unit) for scale, unit in PS_UNITS if value >= scale), PS_UNITS[-1])
 
 
 def number(value: float, error: float | None = None) -> str:
@@ -57,12 +62,12 @@ def tau_table(result: FreeRotation) -> Table:
     rows = []
     for curve in result.curves:
         paper = published.TAU.get((curve.method, curve.step_fs))
-        scale, unit = next(((s, u) for s, u in PS_UNITS if curve.tau >= s), PS_UNITS[-1])
+        scale, unit = unit_of(curve.tau)
         rows.append(
             (
                 f"{curve.step_fs:g}",
                 curve.method,
-                "as SIER2" if paper is None else picoseconds(paper),
+                "as SIER2" if paper is None else picoseconds(paper, like=curve.tau),
                 f"{number(curve.tau / scale, curve.tau_error / scale)} {unit}",
                 ratio(curve.tau, paper),
                 picoseconds(curve.tau_median),
@@ -74,7 +79,7 @@ def tau_table(result: FreeRotation) -> Table:
     span = result.settings.span
     return Table(
         f"Free rotation of water, {result.settings.temperature:g} K: tau from delta = t/(10 tau), runs of {span:g} ps",
-        ("h (fs)", "method", "paper", "tau", "ratio", "median body", "growth t^", "power law: 10 % at", "dE/E (%)"),
+        ("h (fs)", "method", "paper", "tau", "ratio", "median body", "growth t^", "10 % by that power", "dE/E (%)"),
         rows,
         left=2,
     )
@@ -161,7 +166,7 @@ def water_table(result: Water, kind: str) -> Table:
         cells = [points.get((method, step)) for method in methods]
         rows.append((f"{step:g}", *(_percent(p) for p in cells)))
     s = result.settings
-    fewer = "" if s.molecules == 512 else " (the paper: 512)"
+    fewer = "" if s.molecules == published.WATER_MOLECULES else f" (the paper: {published.WATER_MOLECULES})"
     return Table(
         f"Liquid water, {kind}, {s.molecules} molecules{fewer}: rms(H)/rms(V) in %, {s.runs} runs of {s.span:g} ps",
         ("h/f (fs)", *methods),
@@ -183,8 +188,7 @@ def crossing_table(result: Water) -> Table:
             f"{published.CROSSING:g}",
             number(crossing.force_step_fs, crossing.error),
             ratio(crossing.force_step_fs, published.CROSSING),
-            f"{crossing.slopes['SIER2']:.2f}",
-            f"{crossing.slopes['SIER4']:.2f}",
+            *(f"{crossing.slopes[name]:.2f}" if name in crossing.slopes else "-" for name in ("SIER2", "SIER4")),
         )
         for crossing in result.crossings
     ]
