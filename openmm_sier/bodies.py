@@ -117,10 +117,15 @@ class Species:
         return [_as_slice(column) for column in self.atoms.T]
 
     @cached_property
+    def ones(self) -> np.ndarray:
+        """(k,), the weights of a plain sum over the atoms."""
+        return np.ones_like(self.masses)
+
+    @cached_property
     def extents(self) -> tuple[list[int], np.ndarray]:
         """The principal axes along which the body extends, and for each site 1 and its coordinates on those."""
         axes = np.flatnonzero(self.sites.any(axis=1)).tolist()
-        return axes, np.vstack([np.ones_like(self.masses), self.sites[axes]])
+        return axes, np.vstack([self.ones, self.sites[axes]])
 
 
 def _as_slice(indices):
@@ -270,7 +275,7 @@ class RigidBodies:
         total, moment = np.empty((3, self.n)), np.zeros((3, self.n))
         loops = executor()
         for s, part in zip(self.species, self.parts, strict=True):
-            weights = s.masses if weighted else np.ones_like(s.masses)
+            weights = s.masses if weighted else s.ones
             if loops is None:
                 arrays.collect(s, vectors, A[:, :, part], weights, total[:, part], moment[:, part])
             else:

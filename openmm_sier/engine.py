@@ -2,60 +2,34 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import openmm
 
-from openmm_sier import propagation, storage
+from openmm_sier import actors, propagation, storage
 from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
-from openmm_sier.schemes import DRIFT, GRADIENT_KICK, KICK
+from openmm_sier.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 from openmm_sier.system import refuse_deforming_barostats
 
 if TYPE_CHECKING:
     from openmm_sier.integrator import SIERIntegrator
 
-#: Forces that change positions, velocities or the box between steps do so in `updateContextState`. These are known not
-#: to; with any other kind in the System the Context is read again each step.
-PASSIVE_FORCES = (
-    openmm.NonbondedForce,
-    openmm.HarmonicBondForce,
-    openmm.HarmonicAngleForce,
-    openmm.PeriodicTorsionForce,
-    openmm.RBTorsionForce,
-    openmm.CMAPTorsionForce,
-    openmm.GBSAOBCForce,
-    openmm.GayBerneForce,
-    openmm.RMSDForce,
-    openmm.CustomBondForce,
-    openmm.CustomAngleForce,
-    openmm.CustomTorsionForce,
-    openmm.CustomExternalForce,
-    openmm.CustomCompoundBondForce,
-    openmm.CustomCentroidBondForce,
-    openmm.CustomNonbondedForce,
-    openmm.CustomGBForce,
-    openmm.CustomHbondForce,
-    openmm.CustomManyParticleForce,
-    openmm.CustomCVForce,
-    # It has an effect, which `_Engine._without_drift` takes over: a sum over bodies is cheaper than reading atoms back.
-    openmm.CMMotionRemover,
-)
-
-#: These change the box and positions together, and neither read nor change velocities.
-BAROSTATS = (
-    openmm.MonteCarloBarostat,
-    openmm.MonteCarloAnisotropicBarostat,
-    openmm.MonteCarloMembraneBarostat,
-    openmm.MonteCarloFlexibleBarostat,
-)
-
 #: Per-atom and global variables of the CustomIntegrator in which the bodies' state travels.
 STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(storage.VARIABLES))
 SITES = "sier_sites"
 HEAT, DRAWS, SEED, ARMED = "sier_heat", "sier_draws", "sier_seed", "sier_armed"
+
+
+class _Point(NamedTuple):
+    """A completed step: the bodies, the time in ps and the step count."""
+
+    state: BodyState
+    time: float
+    steps: int
 
 
 class Engine:
@@ -77,14 +51,14 @@ class Engine:
         self._plan = integrator._plan_bodies(system)
         forces = [system.getForce(i) for i in range(system.getNumForces())]
         self._sweep_frequencies = [f.getFrequency() for f in forces if isinstance(f, openmm.CMMotionRemover)]
-        actors = [f for f in forces if not isinstance(f, PASSIVE_FORCES)]
-        self._has_actors = bool(actors)
-        self._barostats_alone = all(isinstance(f, BAROSTATS) for f in actors)
+        acting = [force for force in forces if not isinstance(force, actors.PASSIVE_FORCES)]
+        self._has_actors = bool(acting)
+        self._barostats_alone = all(isinstance(force, actors.BAROSTATS) for force in acting)
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
-        self._positions, self._velocities = np.zeros((n, 3)), np.zeros((n, 3))
+        self._positions, self._velocities, self._atom_forces = np.zeros((3, n, 3))
         self._placed: tuple = (None, None)
         self._echo: _Snapshot | None = None
-        self._state: BodyState | None = None
+        self._point: _Point | None = None
         self.forces = propagation.CachedForces(self._compute_forces)
         self.operators: dict[str, propagation.Operator] = {}
         self._bodies: RigidBodies | None = None
@@ -113,9 +87,12 @@ class Engine:
     @property
     def state(self) -> BodyState:
         """The bodies' phase point at the last completed step."""
-        if self._state is None:
+        return self._reached().state
+
+    def _reached(self) -> _Point:
+        if self._point is None:
             raise openmm.OpenMMException("The Context has no positions yet")
-        return self._state
+        return self._point
 
     def _settle_by(self, positions) -> RigidBodies:
         """Bodies of the geometry that travels with the Context's state; the first time positions tell it."""
@@ -148,40 +125,41 @@ class Engine:
     def run(self, count: int) -> None:
         """Advance by `count` steps; an error or interrupt leaves the Context at the last completed one."""
         self.adopt()
+        scheme, h = self._integrator._active_scheme(), self._integrator.getStepSize()._value
+        go = self._step_with_actors if self._has_actors else self._step
         try:
             for _ in range(count):
-                self._one_step()
+                go(scheme, h)
             self._publish()
         except BaseException:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
-            _whatever_interrupts(self._publish)
+            _whatever_interrupts(self._recover)
             raise
 
-    def _one_step(self) -> None:
-        before, mark = self.state, self._mark()
+    def _step(self, scheme: Scheme, h: float) -> None:
+        """One step where nothing but the scheme acts. The Context learns of it when the last step is published."""
+        self._complete(self._reached().state, scheme, h)
+
+    def _step_with_actors(self, scheme: Scheme, h: float) -> None:
+        """One step, with OpenMM's own part of it before, in which barostats and thermostats of the System act."""
+        before = self._reached()
+        mark = self._context.getState(positions=True)
         try:
-            self._state = self._next_state()
+            self._complete(self._update_box() if self._barostats_alone else self._update_all(), scheme, h)
         except BaseException:
-            if self.state is before:
+            if self._point is before:
                 _whatever_interrupts(lambda: self._rewind(mark))
             raise
 
-    def _next_state(self) -> BodyState:
-        integrator, context = self._integrator, self._context
-        sweeps = any(context.getStepCount() % frequency == 0 for frequency in self._sweep_frequencies)
-        state = self._update_context_state()
-        if sweeps:
+    def _complete(self, state: BodyState, scheme: Scheme, h: float) -> None:
+        _, time, steps = self._reached()
+        if any(steps % frequency == 0 for frequency in self._sweep_frequencies):
             state = self._without_drift(state)
-        h = integrator.getStepSize()._value
-        return propagation.step(integrator._active_scheme(), self.operators, state, h)
+        state = propagation.step(scheme, self.operators, state, h)
+        # All of it at once, so that an interrupt finds the clock and the bodies in agreement.
+        self._point = _Point(state, time + h, steps + 1)
 
-    def _update_context_state(self) -> BodyState:
-        """OpenMM's own part of a step: time and step count advance, barostats and thermostats of the System act."""
-        if not self._has_actors:
-            self._native_step()
-            return self.state
-        if self._barostats_alone:
-            return self._update_box()
+    def _update_all(self) -> BodyState:
         self._publish()
         before = self._echo
         self._native_step()
@@ -206,58 +184,53 @@ class Engine:
         return self._context.getState().getPeriodicBoxVectors(asNumpy=True)._value.tobytes()
 
     def _native_step(self) -> None:
-        integrator, context = self._integrator, self._context
-        # Without the arithmetic of quantities, which takes longer than the rest of this.
-        time = context.getTime()._value + integrator.getStepSize()._value
+        integrator = self._integrator
         integrator.setGlobalVariableByName(ARMED, 1)
         try:
             openmm.CustomIntegrator.step(integrator, 1)
         finally:
             integrator.setGlobalVariableByName(ARMED, 0)
-        # A CustomIntegrator's own clock goes on at the step size that it had when its Context was created.
-        context.setTime(time)
 
     def _without_drift(self, state: BodyState) -> BodyState:
         """What a CMMotionRemover does, for bodies."""
         velocity = state.p.sum(axis=1) / self.bodies.masses.sum()
         return replace(state, p=state.p - self.bodies.masses * velocity[:, None])
 
-    def _mark(self):
-        """What `_rewind` goes back to: time, step count, and what actors change besides the bodies."""
-        context = self._context
-        changing = context.getState(positions=True) if self._has_actors else None
-        return context.getTime(), context.getStepCount(), changing
-
     def _rewind(self, mark) -> None:
-        context = self._context
-        time, step_count, changed = mark
-        context.setTime(time)
-        context.setStepCount(step_count)
-        if changed is not None:
-            context.setPeriodicBoxVectors(*changed.getPeriodicBoxVectors())
-            # A barostat moves what belongs to no body too.
-            self._positions[:] = changed.getPositions(asNumpy=True)._value
+        """Undo what actors changed in a step that was not completed."""
+        self._context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
+        # A barostat moves what belongs to no body too.
+        self._positions[:] = mark.getPositions(asNumpy=True)._value
+
+    def _recover(self) -> None:
+        """Write the last completed step to the Context, whatever was cut short."""
         self.forces.forget()
         self._placed = (None, None)
+        self._publish()
 
     # --- forces ---
 
     def _compute_forces(self, q, A):
         self._place(q, A)
-        groups = self._integrator.getIntegrationForceGroups()
-        forces = self._context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
-        F, tau = self.bodies.forces_and_torques(forces, A)
+        found = self._context.getState(forces=True, groups=self._integrator.getIntegrationForceGroups())
+        # What getForces(asNumpy=True) does, without a search in all names of the State and a quantity made and undone.
+        found._getVectorAsNumpy(openmm.State.Forces, self._atom_forces)
+        F, tau = self.bodies.forces_and_torques(self._atom_forces, A)
         self._demand_finite("force on", F, tau)
         return F, tau
 
     def _demand_finite(self, what: str, *values) -> None:
-        if all(np.isfinite(value).all() for value in values):
-            return
+        with np.errstate(invalid="ignore", over="ignore"):
+            # One number that is not finite makes the sum so.
+            if math.isfinite(sum(float(value.sum()) for value in values)):
+                return
         finite = np.all([np.isfinite(value).all(axis=0) for value in values], axis=0)
+        if finite.all():
+            return
+        step = self._context.getStepCount() if self._point is None else self._point.steps + 1
         raise openmm.OpenMMException(
-            f"The {what} {self.bodies.describe(int(np.argmin(finite)))} is not finite in step "
-            f"{self._context.getStepCount()}. Is the step size too long, or do atoms overlap? The Context is left at "
-            "the last completed step."
+            f"The {what} {self.bodies.describe(int(np.argmin(finite)))} is not finite in step {step}. Is the step size "
+            "too long, or do atoms overlap? The Context is left at the last completed step."
         )
 
     def temperature(self) -> float:
@@ -278,7 +251,7 @@ class Engine:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now = _Snapshot(self._context)
-        if self._state is None and len(now.positions) > 1 and not now.positions.any():
+        if self._point is None and len(now.positions) > 1 and not now.positions.any():
             raise openmm.OpenMMException("Particle positions have not been set")
         moved = not self._same_positions(self._echo, now)
         if moved and self._plan.needs_positions:
@@ -288,14 +261,14 @@ class Engine:
         self._velocities[:] = now.velocities
         integrator = self._integrator
         heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
-        self._state, self._echo = replace(state, heat=heat, draws=draws), now
+        self._point, self._echo = _Point(replace(state, heat=heat, draws=draws), now.time, now.steps), now
 
     def _same_positions(self, before: _Snapshot | None, now: _Snapshot) -> bool:
-        return self._state is not None and before is not None and np.array_equal(before.positions, now.positions)
+        return self._point is not None and before is not None and np.array_equal(before.positions, now.positions)
 
     def _reconcile(self, before: _Snapshot | None, now: _Snapshot) -> BodyState:
         """The bodies' state after the Context changed from one snapshot to another."""
-        old = self._state
+        old = None if self._point is None else self._point.state
         if before is None or before.environment != now.environment:
             self.forces.forget()
         if old is None or before is None:
@@ -356,13 +329,15 @@ class Engine:
 
     def _publish(self) -> None:
         """Write the bodies' state to the Context and to the variables that travel in checkpoints."""
-        state, integrator, context = self.state, self._integrator, self._context
+        (state, time, steps), integrator, context = self._reached(), self._integrator, self._context
         self._place(state.q, state.A)
         context.setVelocities(self.bodies.move(state, self._velocities))
         for name, values in zip(STATE_VARIABLES, storage.pack(self.bodies, state), strict=True):
             integrator.setPerDofVariableByName(name, values)
         integrator.setGlobalVariableByName(HEAT, state.heat)
         integrator.setGlobalVariableByName(DRAWS, state.draws)
+        context.setTime(time)
+        context.setStepCount(steps)
         self._echo = _Snapshot(context)
 
 
@@ -386,4 +361,5 @@ class _Snapshot:
         state = context.getState(positions=True, velocities=True, parameters=True)
         self.positions = state.getPositions(asNumpy=True)._value
         self.velocities = state.getVelocities(asNumpy=True)._value
+        self.time, self.steps = state.getTime()._value, state.getStepCount()
         self.environment = (state.getPeriodicBoxVectors(asNumpy=True)._value.tobytes(), dict(state.getParameters()))

@@ -64,7 +64,7 @@ def kick(forces: CachedForces) -> Operator:
 
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
-        return replace(state, p=state.p + h * F, L=state.L + h * tau)
+        return BodyState(state.q, state.p + h * F, state.A, state.L + h * tau, state.heat, state.draws)
 
     return apply
 
@@ -105,7 +105,7 @@ def drift(bodies: RigidBodies, rotation: Rotation = rotor.exact) -> Operator:
         q = state.q + (h * inverse_masses) * state.p
         if len(bodies.species) == 1:
             A, L = rotation(state.A, state.L, bodies.species[0].moments, h)
-            return replace(state, q=q, A=A, L=L)
+            return BodyState(q, state.p, A, L, state.heat, state.draws)
         A, L = state.A.copy(), state.L.copy()
         for species, part in zip(bodies.species, bodies.parts, strict=True):
             if species.moments.any():

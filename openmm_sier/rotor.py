@@ -203,22 +203,27 @@ def exact(A, L, moments, h):
     n = A.shape[2]
     if bodies.rates.ndim == 2 and bodies.rates.shape[1] != n:
         raise ValueError(f"moments are given for {bodies.rates.shape[1]} bodies, A and L for {n}")
-    for name, values in (("angular momentum", L[None]), ("attitude", A)):
-        finite = np.isfinite(values).all(axis=(0, 1))
-        if not finite.all():
-            raise ValueError(f"the {name} of body {int(finite.argmin())} is not finite")
     new = np.empty((3, 3, n))
     if bodies.rates.ndim == 1 and (loops := executor()) is not None:
         far = np.empty(n, dtype=bool)
         frame = (bodies.rates, bodies.order, float(bodies.parity))
         loops.rotate(n, A, L, *frame, h, RULE.times, RULE.weights, LIMITS, new, far)
         if far.any():
+            _demand_finite(A, L)
             new[:, :, far] = _rotate_block(bodies, A[:, :, far], L[:, far], h)
     else:
+        _demand_finite(A, L)
         for start in range(0, n, BLOCK):
             block = slice(start, min(start + BLOCK, n))
             new[:, :, block] = _rotate_block(bodies.part(block), A[:, :, block], L[:, block], h)
     return new, L.copy()
+
+
+def _demand_finite(A, L) -> None:
+    for name, values in (("angular momentum", L[None]), ("attitude", A)):
+        if not np.isfinite(values).all():
+            body = int(np.isfinite(values).all(axis=(0, 1)).argmin())
+            raise ValueError(f"the {name} of body {body} is not finite")
 
 
 def _rotate_block(bodies: Top, A, L, h):

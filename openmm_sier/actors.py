@@ -1,0 +1,39 @@
+"""What Forces do besides giving forces: they may change positions, velocities or the box in `updateContextState`."""
+
+from __future__ import annotations
+
+import openmm
+
+#: These are known to do nothing; with any other kind in the System the Context is read again each step.
+PASSIVE_FORCES = (
+    openmm.NonbondedForce,
+    openmm.HarmonicBondForce,
+    openmm.HarmonicAngleForce,
+    openmm.PeriodicTorsionForce,
+    openmm.RBTorsionForce,
+    openmm.CMAPTorsionForce,
+    openmm.GBSAOBCForce,
+    openmm.GayBerneForce,
+    openmm.RMSDForce,
+    openmm.CustomBondForce,
+    openmm.CustomAngleForce,
+    openmm.CustomTorsionForce,
+    openmm.CustomExternalForce,
+    openmm.CustomCompoundBondForce,
+    openmm.CustomCentroidBondForce,
+    openmm.CustomNonbondedForce,
+    openmm.CustomGBForce,
+    openmm.CustomHbondForce,
+    openmm.CustomManyParticleForce,
+    openmm.CustomCVForce,
+    # It has an effect, which `Engine._without_drift` takes over: a sum over bodies is cheaper than reading atoms back.
+    openmm.CMMotionRemover,
+)
+
+#: These change the box and positions together, and neither read nor change velocities.
+BAROSTATS = (
+    openmm.MonteCarloBarostat,
+    openmm.MonteCarloAnisotropicBarostat,
+    openmm.MonteCarloMembraneBarostat,
+    openmm.MonteCarloFlexibleBarostat,
+)
