@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import openmm
 
-#: These are known to do nothing; with any other kind in the System the Context is read again each step.
+#: These are known to do nothing; with any other kind in the System the Context is told and read each step.
 PASSIVE_FORCES = (
     openmm.NonbondedForce,
     openmm.HarmonicBondForce,
@@ -25,7 +25,6 @@ PASSIVE_FORCES = (
     openmm.CustomGBForce,
     openmm.CustomHbondForce,
     openmm.CustomManyParticleForce,
-    openmm.CustomCVForce,
     # It has an effect, which `Engine._without_drift` takes over: a sum over bodies is cheaper than reading atoms back.
     openmm.CMMotionRemover,
 )
@@ -37,3 +36,10 @@ BAROSTATS = (
     openmm.MonteCarloMembraneBarostat,
     openmm.MonteCarloFlexibleBarostat,
 )
+
+
+def is_passive(force) -> bool:
+    """Whether a Force does nothing but give forces, whatever the time."""
+    if isinstance(force, openmm.CustomCVForce):
+        return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
+    return isinstance(force, PASSIVE_FORCES)

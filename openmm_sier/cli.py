@@ -185,7 +185,7 @@ def _settings(cls, options):
     given = {
         name: tuple(value) if isinstance(value, list) and name != "forcefield" else value
         for name, value in given.items()
-        if value
+        if value is not None
     }
     if "box" not in given:
         from openmm_sier.forcefields import shipped_box
@@ -228,6 +228,8 @@ def _equipartition(options) -> None:
     from openmm_sier import equipartition
 
     if options.pool:
+        if options.box is not None:
+            raise ValueError(f"--pool reads what earlier runs wrote: it takes no box, got {options.box}")
         equipartition.pool(options.pool, options.out)
     else:
         equipartition.run(_settings(equipartition.Settings, options), options.out)

@@ -1,18 +1,20 @@
 """The formulas of `openmm_sier.kernels` compiled by Numba.
 
 Numba is an extra (`openmm-sier[fast]`). Where it is installed it is used; the environment variable OPENMM_SIER_NUMBA=0
-keeps it out. Compiled code is cached on disk.
+keeps it out. Compiled code is cached on disk, in NUMBA_CACHE_DIR if that is set.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+import threading
+import time
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import util
 from inspect import getsource
+from itertools import pairwise
 from types import FunctionType, SimpleNamespace
 from typing import Any
 
@@ -41,8 +43,8 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "nump
 #: Bodies that are rotated together, and numbers that each needs for it.
 TILE, ROWS = 64, 24
 
-#: Number of bodies from which on several threads share a loop; to start them takes as long as some hundred bodies do.
-LARGE = 8192
+#: Least number of bodies for a thread: to start one takes as long as some thousand bodies do.
+SHARE = 8192
 
 #: Whether compiled code may be used.
 _allowed = os.environ.get("OPENMM_SIER_NUMBA", "1") != "0"
@@ -94,41 +96,83 @@ def _loops() -> SimpleNamespace | None:
     for loop in (rotate, place, move, collect):
         clone = _with_globals(loop, namespace)
         clone.__qualname__ = f"{loop.__name__}_{digest}"
-        setattr(loops, loop.__name__, _threaded(numba.njit(clone, cache=True, **OPTIONS)))
+        setattr(loops, loop.__name__, _threaded(_cached(clone)))
     return loops
+
+
+def _cached(function):
+    """The function compiled, and kept on disk where a directory for it can be written."""
+    import numba
+
+    try:
+        return numba.njit(function, cache=True, **OPTIONS)
+    except RuntimeError:
+        return numba.njit(function, **OPTIONS)
 
 
 def _threaded(loop):
     """The loop over n bodies, which several threads share where there are many."""
 
     def run(n, *arguments):
-        if n < LARGE or threads() == 1:
+        count = min(threads(), n // SHARE)
+        if count < 2:
             loop(0, n, *arguments)
             return
-        share = -(-n // threads())
-        spans = [(start, min(start + share, n)) for start in range(0, n, share)]
-        _finish([_pool().submit(loop, *span, *arguments) for span in spans])
+        edges = [n * i // count for i in range(count + 1)]
+        _Team(loop, arguments).run(list(pairwise(edges)))
 
     return run
 
 
-def _finish(tasks) -> None:
-    """Wait for all tasks: also when interrupted, since they write to arrays that the caller goes on to use."""
-    interrupt = None
-    while True:
+class _Team:
+    """Threads that share one loop.
+
+    They write to arrays that the caller goes on to use: however `run` is left, none is at work then. And none outlives
+    the call, so that a forked process does not wait for threads that it does not have.
+    """
+
+    def __init__(self, loop, arguments):
+        self._loop, self._arguments = loop, arguments
+        self._abandoned = False
+        self._busy: list = []
+        self._errors: list[BaseException] = []
+
+    def run(self, spans) -> None:
+        own, *others = spans
+        workers = [threading.Thread(target=self._work, args=(span,), daemon=True) for span in others]
         try:
-            wait(tasks)
-            break
-        except KeyboardInterrupt as stop:
-            interrupt = stop
-    if interrupt is not None:
-        raise interrupt
-    for task in tasks:
-        task.result()
+            for worker in workers:
+                worker.start()
+            self._loop(*own, *self._arguments)
+            for worker in workers:
+                worker.join()
+        except BaseException:
+            self._abandoned = True
+            self._wait()
+            raise
+        if self._errors:
+            raise self._errors[0]
+
+    def _work(self, span) -> None:
+        # In this order: either the thread sees that it has been abandoned, or `_wait` sees that it is busy.
+        self._busy.append(span)
+        try:
+            if not self._abandoned:
+                self._loop(*span, *self._arguments)
+        except BaseException as error:
+            self._errors.append(error)
+        finally:
+            self._busy.remove(span)
+
+    def _wait(self) -> None:
+        while self._busy:
+            # Further interrupts change nothing: the first is on its way out.
+            with suppress(BaseException):
+                time.sleep(1e-4)
 
 
 def threads() -> int:
-    """How many share a loop over many bodies: as many as OpenMM's CPU platform takes."""
+    """How many share a loop over many bodies: the cores of this process, or OPENMM_CPU_THREADS, as OpenMM reads it."""
     return 1 if _alone else _available_threads()
 
 
@@ -139,11 +183,6 @@ def _available_threads() -> int:
         return max(1, int(os.environ["OPENMM_CPU_THREADS"]))
     except (KeyError, ValueError):
         return cores
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_available_threads(), thread_name_prefix="openmm_sier")
 
 
 def _with_globals(function, namespace):

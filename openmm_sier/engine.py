@@ -51,7 +51,7 @@ class Engine:
         self._plan = integrator._plan_bodies(system)
         forces = [system.getForce(i) for i in range(system.getNumForces())]
         self._sweep_frequencies = [f.getFrequency() for f in forces if isinstance(f, openmm.CMMotionRemover)]
-        acting = [force for force in forces if not isinstance(force, actors.PASSIVE_FORCES)]
+        acting = [force for force in forces if not actors.is_passive(force)]
         self._has_actors = bool(acting)
         self._barostats_alone = all(isinstance(force, actors.BAROSTATS) for force in acting)
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
@@ -145,7 +145,7 @@ class Engine:
         before = self._reached()
         mark = self._context.getState(positions=True)
         try:
-            self._complete(self._update_box() if self._barostats_alone else self._update_all(), scheme, h)
+            self._complete(self._update_box() if self._barostats_alone else self._update_all(h), scheme, h)
         except BaseException:
             if self._point is before:
                 _whatever_interrupts(lambda: self._rewind(mark))
@@ -159,10 +159,12 @@ class Engine:
         # All of it at once, so that an interrupt finds the clock and the bodies in agreement.
         self._point = _Point(state, time + h, steps + 1)
 
-    def _update_all(self) -> BodyState:
+    def _update_all(self, h: float) -> BodyState:
         self._publish()
         before = self._echo
         self._native_step()
+        # A CustomIntegrator's own clock goes on at the step size that it had when its Context was created.
+        self._context.setTime(self._reached().time + h)
         self._echo = _Snapshot(self._context)
         return self._reconcile(before, self._echo)
 
@@ -185,8 +187,8 @@ class Engine:
 
     def _native_step(self) -> None:
         integrator = self._integrator
-        integrator.setGlobalVariableByName(ARMED, 1)
         try:
+            integrator.setGlobalVariableByName(ARMED, 1)
             openmm.CustomIntegrator.step(integrator, 1)
         finally:
             integrator.setGlobalVariableByName(ARMED, 0)
@@ -287,7 +289,11 @@ class Engine:
 
     def _momenta(self, velocities, A):
         p, L = self.bodies.momenta(velocities, A)
-        self._demand_finite("velocity of", p, L)
+        finite = np.isfinite(p).all(axis=0) & np.isfinite(L).all(axis=0)
+        if not finite.all():
+            raise openmm.OpenMMException(
+                f"The velocities of {self.bodies.describe(int(np.argmin(finite)))} in the Context are not finite"
+            )
         return p, L
 
     def _recall(self, now: _Snapshot, moved: bool) -> BodyState | None:

@@ -12,7 +12,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier import console, sampling
+from openmm_sier import console, sampling, survey
 from openmm_sier.bodies import RigidBodies
 from openmm_sier.forcefields import read_box
 from openmm_sier.preparation import equilibrated, make_context
@@ -85,12 +85,14 @@ def compare(settings: Settings) -> list[Row]:
     system = openmm.XmlSerializer.clone(box.system)
     system.addForce(openmm.CMMotionRemover())
     if settings.ensemble == "npt":
-        barostat = openmm.MonteCarloBarostat(settings.pressure * unit.bar, settings.temperature, BAROSTAT_INTERVAL)
-        barostat.setRandomNumberSeed(settings.seed)
-        system.addForce(barostat)
+        system.addForce(
+            openmm.MonteCarloBarostat(settings.pressure * unit.bar, settings.temperature, BAROSTAT_INTERVAL)
+        )
     rows = []
     for seed in range(settings.seed, settings.seed + settings.replicas):
         mine = replace(settings, seed=seed)
+        for barostat in (force for force in system.getForces() if isinstance(force, openmm.MonteCarloBarostat)):
+            barostat.setRandomNumberSeed(seed)
         start = equilibrated(box, mine)
         for method in methods(mine):
             for dt in settings.dt:
@@ -150,8 +152,8 @@ def _measure(method, dt, system, bodies, start, settings: Settings) -> Row:
     integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
     context = make_context(system, integrator, settings.platform)
     context.setState(start)
-    every = max(1, round(INTERVAL / step))
-    steps = round(settings.time * 1e3 / step)
+    steps = max(1, round(settings.time * 1e3 / step))
+    every = min(steps, max(1, round(INTERVAL / step)))
     try:
         with console.StepProgress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
             integrator.step(round(SETTLING * 1e3 / step))
@@ -170,7 +172,7 @@ def _measure(method, dt, system, bodies, start, settings: Settings) -> Row:
         sampling.mean_and_error(series.rotation - series.translation),
         sampling.mean_and_error(series.potential / bodies.n),
         sampling.mean_and_error(density),
-        float(np.polyfit(series.time, series.total, 1)[0]),
+        survey.drift(series)[0],
     )
 
 
@@ -199,7 +201,7 @@ def pool(directories: Sequence[Path], out: Path) -> list[Row]:
         out: directory for the result.
 
     Raises:
-        ValueError: two of them were made with other settings.
+        ValueError: two of them were made with other settings, or have runs of the same seeds.
     """
     records = [json.loads((directory / FILE).read_text()) for directory in directories]
     for directory, record in zip(directories, records, strict=True):
@@ -208,10 +210,25 @@ def pool(directories: Sequence[Path], out: Path) -> list[Row]:
                 raise ValueError(
                     f"{directory} and {directories[0]} cannot be pooled: their settings of {name} are {one} and {other}"
                 )
+    _refuse_repetitions(directories, records)
     out.mkdir(parents=True, exist_ok=True)
     rows = pooled([row for directory in directories for row in load(directory / FILE)])
     _report(rows, records[0]["settings"] | {"pooled": [record["settings"] for record in records]}, out)
     return rows
+
+
+def _refuse_repetitions(directories, records) -> None:
+    """Raise ValueError where a run would count twice as if it were independent."""
+    seen: dict[tuple, Path] = {}
+    for directory, record in zip(directories, records, strict=True):
+        for settings in record["settings"].get("pooled", [record["settings"]]):
+            seeds = range(settings["seed"], settings["seed"] + settings.get("replicas", 1))
+            for key in {(row["method"], row["step"], seed) for row in record["rows"] for seed in seeds}:
+                if seen.setdefault(key, directory) is not directory:
+                    raise ValueError(
+                        f"{directory} and {seen[key]} cannot be pooled: both have {key[0]} at {key[1]:g} fs with seed "
+                        f"{key[2]}, which is one run and not two"
+                    )
 
 
 def _report(rows: list[Row], settings: dict, out: Path) -> None:

@@ -79,9 +79,11 @@ def prepare(context, positions, options: Start, minimize: bool | None = None) ->
     if minimize or (minimize is None and strongest > LARGE_FORCE):
         openmm.LocalEnergyMinimizer.minimize(context)
         note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
-    positions, velocities = thermalize(context, options)
-    context.setPositions(positions)
-    context.setVelocities(velocities)
+    state = thermalize(context, options)
+    # A barostat of the System has changed the box.
+    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    context.setPositions(state.getPositions())
+    context.setVelocities(state.getVelocities())
     _stop_centre_of_mass(context)
     context.setTime(0)
     context.setStepCount(0)
@@ -97,7 +99,7 @@ def _strongest_force(context) -> float:
 
 
 def thermalize(context, options: Start):
-    """Positions and velocities at the wanted temperature, after a run at constant temperature.
+    """A State at the wanted temperature, after a run at constant temperature, and pressure if there is a barostat.
 
     Args:
         context: holds the positions to start from; it is left as it was.
@@ -116,8 +118,7 @@ def thermalize(context, options: Start):
             show(done)
     if steps:
         note(f"equilibrated for {options.equilibrate:g} ps at {options.temperature:g} K")
-    end = bath.getState(positions=True, velocities=True)
-    return end.getPositions(asNumpy=True), end.getVelocities(asNumpy=True)
+    return bath.getState(positions=True, velocities=True)
 
 
 def _stop_centre_of_mass(context) -> None:

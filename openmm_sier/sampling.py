@@ -10,7 +10,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.bodies import BodyState, RigidBodies
+from openmm_sier.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.langevin import SIERLangevinIntegrator
 from openmm_sier.schemes import CATALOGUE
@@ -103,7 +103,7 @@ def sample(context, bodies: RigidBodies, steps: int, every: int, progress=None) 
         progress: called with the number of steps done.
 
     Raises:
-        Unstable: an energy is not finite, or the temperature has left 0 to 3000 K.
+        Unstable: an energy is not finite, the temperature has left 0 to 3000 K, or molecules are torn.
     """
     integrator = context.getIntegrator()
     removed = 3 if _removes_motion(context.getSystem()) else 0
@@ -111,7 +111,10 @@ def sample(context, bodies: RigidBodies, steps: int, every: int, progress=None) 
     for done in range(every, steps + 1, every):
         integrator.step(every)
         state = context.getState(energy=True)
-        motion = _body_state(context, bodies)
+        try:
+            motion = _body_state(context, bodies)
+        except RigidityError as error:
+            raise Unstable(f"after {done} steps {error}") from error
         rows.append(
             (
                 state.getTime().value_in_unit(unit.picosecond),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
+import openmm
 import pytest
 
-from openmm_sier import cli, equipartition, forcefields, sampling
+from openmm_sier import SIER2Integrator, cli, equipartition, forcefields, preparation, sampling
 from tests.test_cli import SMALL, complaint, log, write_lattice
 
 
@@ -111,7 +113,47 @@ def test_equipartition_pools_directories(box, capsys, monkeypatch):
     assert "hot and 1 cannot be pooled: their settings of temperature are 350.0 and 297.0" in complaint(
         capsys, "equipartition", "--pool", "1", "hot", "--out", "no"
     )
+    assert "2 and both cannot be pooled: both have SIER2 at 2 fs with seed 2" in complaint(
+        capsys, "equipartition", "--pool", "both", "2", "--out", "no"
+    )
+    assert "takes no box" in complaint(capsys, "equipartition", str(box), "--pool", "1", "2")
     assert not Path("no").exists()
+
+
+def test_short_times_give_one_sample(box, monkeypatch):
+    monkeypatch.setattr(equipartition, "SETTLING", 0.002)
+    short = ("--dt", "2", "--methods", "sier2", "--time", "0.004", "--equilibrate", "0.02", "--platform", "Reference")
+    run("equipartition", box, *short, "--ensemble", "npt", "--pressure", "0", "--out", "one")
+    record = json.loads(Path("one/equipartition.json").read_text())
+    assert record["settings"]["pressure"] == 0
+    assert record["rows"][0]["broken"] == ""
+
+
+def test_start_at_constant_pressure_has_the_box_of_its_equilibration(box):
+    """Energy and volume at the end of the equilibration are those at the start of the run."""
+    found = forcefields.read_box(box)
+    barostat = openmm.MonteCarloBarostat(2e4, 297.0, 2)
+    barostat.setRandomNumberSeed(1)
+    found.system.addForce(barostat)
+    context = preparation.make_context(found.system, SIER2Integrator(0.001), "Reference")
+    ends = []
+    thermalize = preparation.thermalize
+
+    def remembering(*arguments):
+        ends.append(thermalize(*arguments))
+        return ends[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(preparation, "thermalize", remembering)
+        settings = equipartition.Settings(box=box, equilibrate=0.1, platform="Reference")
+        preparation.prepare(context, found.positions, settings, minimize=False)
+    state = context.getState(positions=True)
+    assert state.getPeriodicBoxVolume() == ends[0].getPeriodicBoxVolume()
+    initial = np.prod([vector[i]._value for i, vector in enumerate(found.system.getDefaultPeriodicBoxVectors())])
+    assert state.getPeriodicBoxVolume()._value != pytest.approx(initial, rel=1e-3)
+    # Positions are fitted to rigid bodies, which rounds them.
+    positions, expected = (s.getPositions(asNumpy=True)._value for s in (state, ends[0]))
+    assert np.abs(positions - expected).max() < 1e-14
 
 
 def test_default_box_is_one_of_the_projects_own(tmp_path, monkeypatch):

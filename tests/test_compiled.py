@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -75,13 +77,9 @@ def test_sums_and_places_agree(kind):
 
 @pytest.fixture
 def three_threads(monkeypatch):
-    """Loops over ten bodies or more are shared by three threads."""
-    monkeypatch.setattr(compiled, "LARGE", 10)
-    monkeypatch.setattr(compiled, "threads", lambda: 3)
-    compiled._pool.cache_clear()
-    yield
-    compiled._pool().shutdown()
-    compiled._pool.cache_clear()
+    """Loops over nine bodies or more are shared by three threads."""
+    monkeypatch.setattr(compiled, "SHARE", 3)
+    monkeypatch.setattr(compiled, "_available_threads", lambda: 3)
 
 
 def whole_step(bodies, state, forces):
@@ -102,24 +100,68 @@ def test_threads_give_the_same_bits(request):
         assert np.array_equal(one, other)
 
 
-def test_an_interrupt_waits_for_the_threads(three_threads, monkeypatch):
-    """What is interrupted twice is finished all the same, and the interrupt comes out."""
-    finished = []
-    wait, interrupts = compiled.wait, [KeyboardInterrupt, KeyboardInterrupt]
-
-    def interrupted(tasks):
-        if interrupts:
-            raise interrupts.pop()
-        return wait(tasks)
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, TimeoutError])
+def test_no_thread_is_at_work_after_an_interrupt(three_threads, error):
+    """What breaks off the caller's own share comes out, when the others have finished theirs."""
+    busy, finished = threading.Event(), []
 
     def loop(start, stop):
-        time.sleep(0.02)
+        if start == 0:
+            busy.wait(10)
+            raise error
+        busy.set()
+        time.sleep(0.05)
         finished.append((start, stop))
 
-    monkeypatch.setattr(compiled, "wait", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(error):
         compiled._threaded(loop)(11)
-    assert sorted(finished) == [(0, 4), (4, 8), (8, 11)]
+    found = list(finished)
+    assert found
+    time.sleep(0.1)
+    assert finished == found
+
+
+def test_threads_of_an_abandoned_loop_do_nothing():
+    """An interrupt between the starts of two threads, or before one of them has come to its work."""
+    done = []
+    team = compiled._Team(lambda start, stop: done.append(start), ())
+    team._abandoned = True
+    team._work((0, 5))
+    assert done == []
+    assert team._busy == []
+
+
+def test_loops_in_a_forked_process(three_threads):
+    bodies, state = ensemble("asymmetric", 50)
+    expected, _ = rotor.exact(state.A, state.L, bodies.species[0].moments, 1e-3)
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+
+    def child():
+        sender.send(rotor.exact(state.A, state.L, bodies.species[0].moments, 1e-3)[0])
+
+    process = context.Process(target=child, daemon=True)
+    process.start()
+    assert receiver.poll(60)
+    assert np.array_equal(receiver.recv(), expected)
+    process.join()
+
+
+def test_no_directory_for_the_cache(monkeypatch):
+    """Where nothing can be written the loops are compiled in every process."""
+    import numba
+
+    made = []
+
+    def njit(function, cache=False, **options):
+        if cache:
+            raise RuntimeError("cannot cache function 'rotate': no locator available")
+        made.append(function)
+        return function
+
+    monkeypatch.setattr(numba, "njit", njit)
+    assert compiled._cached(child_of := (lambda: None)) is child_of
+    assert made == [child_of]
 
 
 def test_errors_of_threads_come_out(three_threads):

@@ -25,6 +25,7 @@ from openmm_sier import (
     SIER4Integrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
+    compiled,
 )
 from tests.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
 
@@ -137,6 +138,13 @@ def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
     assert_at(context, trajectory)
     # Faults came before, between and after the two steps.
     assert reached == {0, 1, 2}
+
+
+def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
+    """Three threads place atoms and sum forces: none may write any more when the last completed step is written."""
+    monkeypatch.setattr(compiled, "SHARE", 2)
+    monkeypatch.setattr(compiled, "_available_threads", lambda: 3)
+    test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
 
 
 def after_a_checkpoint(context, saved, _positions):

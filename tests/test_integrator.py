@@ -272,6 +272,47 @@ def test_centre_of_mass_motion_is_removed_as_by_openmm(box):
     assert np.abs(momentum).max() < 1e-3 * 0.5 * integrator.bodies.masses.sum()
 
 
+#: Times at which `clock_reader` was asked for forces.
+SEEN: list[float] = []
+
+
+def clock_reader(state):
+    """No force; an OpenMM PythonForce has to be a function that can be pickled."""
+    SEEN.append(state.getTime()._value)
+    return 0.0, np.zeros(state.getPositions(asNumpy=True).shape)
+
+
+def test_clock_runs_for_forces_that_read_it(cluster):
+    """A Force that may depend on time, inside a CustomCVForce too, sees the same in one call of step and in many."""
+    times = []
+    for counts in ((4,), (1, 1, 1, 1)):
+        system = openmm.XmlSerializer.clone(cluster[0])
+        colvar = openmm.CustomCVForce("0*pull")
+        colvar.addCollectiveVariable("pull", openmm.PythonForce(clock_reader))
+        system.addForce(colvar)
+        integrator = SIER2Integrator(0.001)
+        _context = context_at(system, integrator, cluster[1])
+        SEEN.clear()
+        for count in counts:
+            integrator.step(count)
+        times.append(sorted(set(SEEN)))
+    # The force at the end of a step serves the start of the next.
+    assert times[0][-1] == times[1][-1] == pytest.approx(0.004)
+    assert len(times[0]) == len(times[1]) == 4
+
+
+def test_velocities_that_are_not_finite(cluster):
+    system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    velocities = phase_point(context)[1]
+    velocities[4] = np.nan
+    context.setVelocities(velocities)
+    with pytest.raises(openmm.OpenMMException, match="The velocities of the body of atoms 3, 4, 5 in"):
+        integrator.step(1)
+
+
 @pytest.mark.parametrize(
     "barostat",
     [

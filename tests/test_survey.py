@@ -7,16 +7,17 @@ import json
 import math
 
 import numpy as np
+import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import survey
+from openmm_sier import RigidBodies, sampling, survey
 from openmm_sier.sampling import Series
 from openmm_sier.schemes import DRIFT, KICK, SIER4V, alternating
 from openmm_sier.survey import OTHERS, Row, Settings
 from tests.molecules import WATER, SoftCluster
 from tests.test_gradient import slope
-from tests.waters import water_box
+from tests.waters import periodic_system, platform, water_box
 
 CANDIDATES = {**OTHERS, "sier4v": SIER4V}
 FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "omf3g": 4, "omf3gg": 5}
@@ -150,6 +151,17 @@ def test_table(finished, settings, capsys):
     assert "broke down" in shown
     assert "least energy error at 2 fs per force: SIER4G" in shown
     assert "nan" not in shown
+
+
+def test_torn_molecules_end_one_run_and_not_the_comparison():
+    """Verlet with SETTLE at a step that is much too long, on Reference, where positions become NaN without an error."""
+    topology, positions, system = periodic_system()
+    integrator = openmm.VerletIntegrator(0.03)
+    context = openmm.Context(system, integrator, platform())
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(2000, 1)
+    with pytest.raises(sampling.Unstable):
+        sampling.sample(context, RigidBodies.from_system(system, topology), 200, 5)
 
 
 def test_an_unknown_scheme_is_refused_before_anything_is_read(settings, tmp_path):

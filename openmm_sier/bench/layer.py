@@ -88,9 +88,10 @@ context.getIntegrator().step(1)
 context = layer.context_of({n}, make(0.001))
 context.getIntegrator().step(3)
 context.getState(forces=True)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
-    return int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    peak = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def start_up(settings: Settings) -> dict[str, float]:
