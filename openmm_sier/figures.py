@@ -89,6 +89,8 @@ def schemes_figure(rows, path: Path) -> None:
 def cost_figure(points, path: Path) -> None:
     """Energy error against force evaluations per picosecond, and speed against energy error, one line a method.
 
+    Lines are broken for methods that are not of this package.
+
     Args:
         points: of `openmm_sier.bench.accuracy.measure`.
         path: PNG file to write.
@@ -99,6 +101,8 @@ def cost_figure(points, path: Path) -> None:
         for i, method in enumerate(dict.fromkeys(point.method for point in points)):
             mine = sorted((p for p in points if p.method == method), key=lambda p: p.fs_per_force)
             style: dict = {"color": COLOURS[i % 8], "marker": "os^Dv<>P"[i % 8], "ms": 5}
+            if not method.startswith("SIER"):
+                style |= {"ls": "--", "mfc": "white"}
             error = 100 * np.array([p.error for p in mine])
             cost.plot([1000 / p.fs_per_force for p in mine], error, label=method, **style)
             speed.plot(error, [p.fs_per_second for p in mine], **style)
@@ -111,7 +115,11 @@ def cost_figure(points, path: Path) -> None:
         for axes in (cost, speed):
             axes.set_xscale("log")
             axes.set_yscale("log")
-            axes.xaxis.set_major_formatter("{x:g}")
             axes.yaxis.set_major_formatter("{x:g}")
+        cost.set_xticks([500, 1000, 2000, 4000, 8000])
+        speed.set_xticks([0.02, 0.05, 0.1, 0.2, 0.5, 1])
+        for axes in (cost, speed):
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter("")
         figure.legend(*cost.get_legend_handles_labels(), loc="outside right upper", frameon=False)
         figure.savefig(path, dpi=160)
