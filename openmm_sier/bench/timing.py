@@ -37,7 +37,7 @@ class Settings:
     forcefield: list[str] | None = None
     copies: tuple[int, ...] = (1, 2, 4)
     bodies: tuple[int, ...] = (512, 4096, 32768, 131072)
-    rounds: int = 7
+    rounds: int = 5
     time: float = 1.0
     temperature: float = 297.0
     equilibrate: float = 2.0
