@@ -298,7 +298,8 @@ class Engine:
         centres and attitudes are still believed.
         """
         integrator, bodies = self._integrator, self.bodies
-        values = np.array([integrator.getPerDofVariableByName(name) for name in STATE_VARIABLES])
+        # One after the other: OpenMM gives lists of objects, which take much memory.
+        values = np.stack([np.array(integrator.getPerDofVariableByName(name)) for name in STATE_VARIABLES])
         if not values.any():
             return None
         state = storage.unpack(bodies, values)

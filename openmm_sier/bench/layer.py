@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -54,10 +54,9 @@ def measure(settings: Settings) -> dict:
     if len(sizes) > 1:
         slope = np.polyfit(np.log(sizes), np.log([cost[n][0] * n for n in sizes]), 1)[0]
         record["growth_exponent"] = float(slope)
-    n = sizes[-1]
-    peaks = {name: peak_memory(name, n) for name in ("VerletIntegrator", "SIER2Integrator")}
-    record["bytes_per_molecule"] = (peaks["SIER2Integrator"] - peaks["VerletIntegrator"]) / n
-    return record | {"seconds": start_up(settings)}
+    if (memory := bytes_per_molecule(sizes[-1])) is not None:
+        record["bytes_per_molecule"] = memory
+    return record | {"seconds": start_up()}
 
 
 def _nanoseconds(n: int, rounds: int) -> tuple[float, float]:
@@ -75,56 +74,60 @@ def _nanoseconds(n: int, rounds: int) -> tuple[float, float]:
     return summary(1e9 * (seconds["step"] - seconds["bare"]) / (STEPS * n))
 
 
-def peak_memory(integrator: str, n: int) -> int:
-    """Bytes at the peak of a process that makes a Context of free water and goes some steps."""
+def bytes_per_molecule(n: int) -> float | None:
+    """Memory of a Context with SIER2 beyond that of one with Verlet; None where the system does not tell.
+
+    A first Context takes what the heap has free from before, so that the second and third show what they need.
+    """
+    if not Path("/proc/self/statm").exists():
+        return None
     code = f"""
-import resource, openmm
-from openmm_sier import SIER2Integrator, compiled
+import resource
+import openmm
+from openmm_sier import SIER2Integrator
 from openmm_sier.bench import layer
-compiled.executor()
-make = {{"VerletIntegrator": openmm.VerletIntegrator, "SIER2Integrator": SIER2Integrator}}[{integrator!r}]
-context = layer.context_of(10, SIER2Integrator(0.001))
-context.getIntegrator().step(1)
-context = layer.context_of({n}, make(0.001))
-context.getIntegrator().step(3)
-context.getState(forces=True)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * resource.getpagesize()
+
+warm = layer.context_of(10, SIER2Integrator(0.001))
+warm.getIntegrator().step(1)
+system, positions = layer.free_water({n})
+used, contexts = [], []
+for make in (openmm.VerletIntegrator, openmm.VerletIntegrator, SIER2Integrator):
+    context = openmm.Context(system, make(0.001), openmm.Platform.getPlatformByName("CPU"))
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(297, 1)
+    context.getIntegrator().step(3)
+    context.getState(forces=True)
+    contexts.append(context)
+    used.append(resident())
+print((used[2] - used[1]) - (used[1] - used[0]))
 """
-    peak = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
-    return peak if sys.platform == "darwin" else 1024 * peak
+    return float(_printed(code)) / n
 
 
-def start_up(settings: Settings) -> dict[str, float]:
-    """Seconds for the import, and from there to the end of the first step, with OpenMM's Verlet and with SIER2."""
-    imports = {
-        "import openmm.app": _seconds("import openmm.app"),
-        "import openmm_sier besides": _seconds("import openmm.app, openmm_sier"),
+def start_up() -> dict[str, float]:
+    """Seconds for imports, and for the first step of 512 molecules after them, with OpenMM's Verlet and with SIER2."""
+    found = {
+        "import of openmm.app": _least("", "import openmm.app"),
+        "import of openmm_sier after it": _least("import openmm.app", "import openmm_sier"),
     }
-    imports["import openmm_sier besides"] -= imports["import openmm.app"]
-    script = """
-import openmm, openmm_sier
-from openmm_sier.bench import layer
-context = layer.context_of(512, {}(0.001))
-context.getIntegrator().step(1)
-"""
-    alone = _seconds("import openmm, openmm_sier; from openmm_sier.bench import layer")
+    imports = "import openmm, openmm_sier, numpy; from openmm_sier.bench.layer import free_water, context_of"
     for name in ("openmm.VerletIntegrator", "openmm_sier.SIER2Integrator"):
-        imports[f"first step of 512 molecules, {name.partition('.')[2]}"] = _seconds(script.format(name)) - alone
-    return imports
+        step = f"context = context_of(512, {name}(0.001)); context.getIntegrator().step(1)"
+        found[f"Context and first step of 512 molecules, {name.partition('.')[2]}"] = _least(imports, step)
+    return found
 
 
-def _seconds(code: str, repeats: int = 3) -> float:
-    """The least wall time of a fresh interpreter that executes the code, less that of an empty one."""
+def _least(before: str, timed: str, repeats: int = 3) -> float:
+    """The least wall time that a fresh interpreter takes for a piece of code, after another one."""
+    code = f"{before}\nimport time\nstart = time.perf_counter()\n{timed}\nprint(time.perf_counter() - start)"
+    return min(float(_printed(code)) for _ in range(repeats))
 
-    def least(text: str) -> float:
-        times = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            subprocess.run([sys.executable, "-c", text], check=True, capture_output=True)
-            times.append(time.perf_counter() - start)
-        return min(times)
 
-    return least(code) - least("pass")
+def _printed(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
 
 
 def show(record: dict) -> None:
@@ -135,6 +138,7 @@ def show(record: dict) -> None:
     ]
     if "growth_exponent" in record:
         rows.append(["exponent of its growth with the number of bodies", f"{record['growth_exponent']:.3f}"])
-    rows.append(["memory, bytes a molecule beyond OpenMM's", f"{record['bytes_per_molecule']:.0f}"])
+    if "bytes_per_molecule" in record:
+        rows.append(["memory, bytes a molecule beyond OpenMM's", f"{record['bytes_per_molecule']:.0f}"])
     rows += [[f"{name}, s", f"{value:.2f}"] for name, value in record["seconds"].items()]
     console.table("The layer above the forces, at free molecules", ["", ""], rows)

@@ -30,7 +30,7 @@ def measure(settings: Settings) -> list[dict]:
 def _ratios(copies: int, settings: Settings) -> list[dict]:
     topology, positions, system = repeated_box(settings, copies)
     molecules = topology.getNumResidues()
-    evaluations = max(8, 4 * round(50 / copies**3))
+    evaluations = max(4, 4 * round(50 / copies**3))
     actions = _actions(system, positions, evaluations, settings)
     seconds = interleaved(actions, settings.rounds)
     pairs = [(name, BARE) for name in actions if name != BARE] + [("SIER2", "OpenMM Verlet")]
