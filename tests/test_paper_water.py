@@ -255,7 +255,7 @@ def test_pme_liquid_runs():
     )
     samples = water._sample(box(), PME, settings, lambda what, fraction: None)
     found = ratios()["SIER2", 1.5]
-    # One run of 64 molecules, whose rms(V) differs from run to run: 1.67 was seen. Another order is off by more than 10.
+    # One run of 64 molecules, whose rms(V) differs from run to run: 1.67 was seen. Another order is off by 10 or more.
     assert 1 / 3 < water._ratio(np.array(samples["SIER2", 1.5])) / found < 3
     assert water._ratio(np.array(samples["SIER4", 1.5])) < 0.6 * found
 
