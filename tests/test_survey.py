@@ -154,8 +154,14 @@ def test_table(finished, settings, capsys):
 
 
 def test_torn_molecules_end_one_run_and_not_the_comparison():
-    """Verlet with SETTLE at a step that is much too long, on Reference, where positions become NaN without an error."""
+    """Verlet with SETTLE at a step that is much too long, on Reference, where positions become NaN without an error.
+
+    Of free molecules: at such positions OpenMM's mesh of the Reference platform is written to outside of its memory.
+    """
     topology, positions, system = periodic_system()
+    system = openmm.XmlSerializer.clone(system)
+    while system.getNumForces():
+        system.removeForce(0)
     integrator = openmm.VerletIntegrator(0.03)
     context = openmm.Context(system, integrator, platform())
     context.setPositions(positions)
