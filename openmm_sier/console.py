@@ -1,10 +1,12 @@
-"""What the commands show: tables, notes and a progress bar, with rich."""
+"""What the commands show: tables, notes and a progress bar, with rich, and figures where matplotlib is installed."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
 
 try:
     from rich.console import Console
@@ -82,6 +84,19 @@ class StepProgress:
 
     def __exit__(self, *_):
         self._progress.stop()
+
+
+def draw(figure: str, *arguments) -> None:
+    """Draw a figure of `openmm_sier.figures`, or say why there is none: matplotlib is an extra.
+
+    Args:
+        figure: name of the function.
+        arguments: of it; the last one is the path of the PNG file.
+    """
+    if find_spec("matplotlib") is None:
+        note("no figure: matplotlib is missing, install it with: pip install 'openmm-sier[plots]'")
+        return
+    getattr(import_module("openmm_sier.figures"), figure)(*arguments)
 
 
 def duration(value: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import openmm
@@ -47,7 +47,7 @@ class Engine:
         self._integrator_ref = weakref.ref(integrator)
         system = context.getSystem()
         n = system.getNumParticles()
-        self._plan = integrator._plan_bodies(system)
+        plan = integrator._plan_bodies(system)
         forces = [system.getForce(i) for i in range(system.getNumForces())]
         self._sweep_frequencies = [f.getFrequency() for f in forces if isinstance(f, openmm.CMMotionRemover)]
         acting = [force for force in forces if not actors.is_passive(force)]
@@ -61,8 +61,10 @@ class Engine:
         self.forces = propagation.CachedForces(self._compute_forces)
         self.operators: dict[str, propagation.Operator] = {}
         self._bodies: RigidBodies | None = None
-        if not self._plan.needs_positions:
-            self._settle(self._plan.bodies(None))
+        # Where positions tell nothing of the bodies they are settled now, and the plan takes more memory than they do.
+        self._plan: Any = plan if plan.needs_positions else None
+        if self._plan is None:
+            self._settle(plan.bodies(None))
 
     @property
     def _context(self):
@@ -251,7 +253,7 @@ class Engine:
         if self._point is None and len(now.positions) > 1 and not now.positions.any():
             raise openmm.OpenMMException("Particle positions have not been set")
         moved = not self._same_positions(self._echo, now)
-        if moved and self._plan.needs_positions:
+        if moved and self._plan is not None:
             self._settle_by(now.positions)
         state = self._recall(now, moved) if moved or not _same_velocities(self._echo, now) else None
         state = state or self._reconcile(None if moved else self._echo, now)

@@ -236,12 +236,7 @@ def _report(rows: list[Row], settings: dict, out: Path) -> None:
     record = {"version": __version__, "openmm": openmm.__version__, "settings": settings}
     record["rows"] = [asdict(row) for row in rows]
     (out / FILE).write_text(json.dumps(record, indent=1, default=str))
-    try:
-        from openmm_sier.figures import equipartition_figure
-    except ModuleNotFoundError:
-        console.note("no figure: matplotlib is missing, install it with: pip install 'openmm-sier[plots]'")
-    else:
-        equipartition_figure(rows, settings["ensemble"], out / "equipartition.png")
+    console.draw("equipartition_figure", rows, settings["ensemble"], out / "equipartition.png")
 
 
 def load(path: Path) -> list[Row]:

@@ -1,4 +1,4 @@
-"""The command `openmm-sier run`: a PDB file in, a trajectory at constant energy out."""
+"""The command `openmm-sier run`: a PDB file in, a trajectory out."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ LONGEST_CHUNK = 20
 
 #: How far the energy of a checkpoint's positions may be from the one noted in it: platforms differ by single precision.
 ENERGY_TOLERANCE = 1e-4
-
 
 #: Options that a restart takes from its checkpoint.
 CONTINUED = (

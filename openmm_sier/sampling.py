@@ -24,26 +24,35 @@ class Unstable(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Series:
-    """Samples of one run, one-dimensional arrays of equal length.
+class Energies:
+    """Energies at whole steps of one run, one-dimensional arrays of equal length.
 
     Attributes:
         time: ps.
-        potential, kinetic: kJ/mol, at whole steps.
-        translation, rotation: temperatures in K.
-        volume: nm^3.
+        potential, kinetic: kJ/mol.
     """
 
     time: np.ndarray
     potential: np.ndarray
     kinetic: np.ndarray
-    translation: np.ndarray
-    rotation: np.ndarray
-    volume: np.ndarray
 
     @property
     def total(self) -> np.ndarray:
         return self.potential + self.kinetic
+
+
+@dataclass(frozen=True)
+class Series(Energies):
+    """Samples of one run.
+
+    Attributes:
+        translation, rotation: temperatures in K.
+        volume: nm^3.
+    """
+
+    translation: np.ndarray
+    rotation: np.ndarray
+    volume: np.ndarray
 
 
 @dataclass(frozen=True)

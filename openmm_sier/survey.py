@@ -17,7 +17,7 @@ from openmm_sier.bodies import RigidBodies
 from openmm_sier.forcefields import read_box
 from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.preparation import equilibrated, make_context
-from openmm_sier.sampling import Method, Series
+from openmm_sier.sampling import Energies, Method
 from openmm_sier.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, Scheme, Stage, alternating
 from openmm_sier.version import __version__
 
@@ -194,7 +194,7 @@ def _measure(method: Method, order: int, dt: float, system, bodies, start, setti
     return replace(row, error=energy_error(series), drift=drift(series))
 
 
-def energy_error(series: Series) -> float:
+def energy_error(series: Energies) -> float:
     """rms(H)/rms(V), with H about a straight line in each window of `WINDOW`: what accumulates is measured as drift."""
     windows = max(1, round((series.time[-1] - series.time[0]) / WINDOW))
     rest = []
@@ -205,7 +205,7 @@ def energy_error(series: Series) -> float:
     return float(np.std(np.concatenate(rest)) / np.std(series.potential))
 
 
-def drift(series: Series) -> tuple[float, float]:
+def drift(series: Energies) -> tuple[float, float]:
     """Slope of the total energy in kJ/mol/ps and its standard error, from the means of `BLOCKS` blocks.
 
     The error is that of independent block means, so that blocks must be longer than the energy's correlation time.
@@ -245,12 +245,7 @@ def run(settings: Settings, out: Path) -> list[Row]:
         "rows": [asdict(row) for row in rows],
     }
     (out / "schemes.json").write_text(json.dumps(record, indent=1))
-    try:
-        from openmm_sier.figures import schemes_figure
-    except ModuleNotFoundError:
-        console.note("no figure: matplotlib is missing, install it with: pip install 'openmm-sier[plots]'")
-    else:
-        schemes_figure(rows, out / "schemes.png")
+    console.draw("schemes_figure", rows, out / "schemes.png")
     return rows
 
 

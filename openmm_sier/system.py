@@ -20,6 +20,9 @@ RESOLUTION = 5e-4
 
 Cluster = tuple[int, ...]
 
+#: Constraint lengths in nm by ascending pairs of particles.
+Lengths = dict[tuple[int, int], float]
+
 
 class Kind(NamedTuple):
     """Clusters of particles with the same masses, in their order, and the same constraints.
@@ -66,9 +69,8 @@ class BodyPlan:
         self._n = n
         self._describe = RigidBodies([], n, self._labels).describe_atoms
         self._masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(n)])
-        self._lengths = _constraint_lengths(system)
         named = self._named_clusters(system, topology, rigid)
-        self.kinds = self._collect(named)
+        self.kinds = self._collect(named, _constraint_lengths(system))
 
     @property
     def needs_positions(self) -> bool:
@@ -126,10 +128,10 @@ class BodyPlan:
                 clusters.append(cluster)
         return clusters
 
-    def _collect(self, named: list[Cluster]) -> list[Kind]:
+    def _collect(self, named: list[Cluster], lengths: Lengths) -> list[Kind]:
         owner = {i: number for number, cluster in enumerate(named) for i in cluster}
         loose = {}
-        for (a, b), length in self._lengths.items():
+        for (a, b), length in lengths.items():
             if owner.get(a) != owner.get(b):
                 raise RigidityError(
                     f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms "
@@ -144,9 +146,9 @@ class BodyPlan:
             free[list(cluster)] = False
             kinds[(tuple(self._masses[list(cluster)]), None)].append(cluster)
         for cluster in _clusters(loose):
-            self._check(cluster)
+            self._check(cluster, lengths)
             free[list(cluster)] = False
-            distances = tuple(self._lengths[pair] for pair in combinations(cluster, 2))
+            distances = tuple(lengths[pair] for pair in combinations(cluster, 2))
             kinds[(tuple(self._masses[list(cluster)]), distances)].append(cluster)
         for atom in np.flatnonzero(free):
             kinds[((self._masses[atom],), ())].append((int(atom),))
@@ -155,7 +157,7 @@ class BodyPlan:
             for (masses, distances), clusters in kinds.items()
         ]
 
-    def _check(self, cluster: Cluster) -> None:
+    def _check(self, cluster: Cluster, lengths: Lengths) -> None:
         for atom in cluster:
             if self._masses[atom] == 0:
                 raise RigidityError(
@@ -163,7 +165,7 @@ class BodyPlan:
                     "it a virtual site"
                 )
         pairs = list(combinations(cluster, 2))
-        missing = [pair for pair in pairs if pair not in self._lengths]
+        missing = [pair for pair in pairs if pair not in lengths]
         if missing:
             a, b = missing[0]
             raise RigidityError(
@@ -243,8 +245,8 @@ def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
     return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
 
 
-def _constraint_lengths(system) -> dict[tuple[int, int], float]:
-    lengths: dict[tuple[int, int], float] = {}
+def _constraint_lengths(system) -> Lengths:
+    lengths: Lengths = {}
     for i in range(system.getNumConstraints()):
         a, b, distance = system.getConstraintParameters(i)
         length = distance.value_in_unit(unit.nanometer)

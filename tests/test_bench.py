@@ -70,6 +70,13 @@ def test_interleaved_timings_discard_the_first_round():
     assert [len(values) for values in seconds.values()] == [2, 2]
 
 
+def test_summary_is_the_median_with_its_standard_error(rng):
+    """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
+    found = np.array([timing.summary(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
+    assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
+    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)
+
+
 def test_single_thread_is_undone(monkeypatch):
     monkeypatch.setattr(compiled, "_available_threads", lambda: 5)
     with compiled.single_threaded():
@@ -189,7 +196,7 @@ def test_a_program_on_the_path_is_found_and_read(liquid, tmp_path, monkeypatch, 
         with pytest.raises(peers.PeerError, match="no such pair style"):
             peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
         return
-    energies = peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
+    energies, seconds = peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
     assert energies.time == pytest.approx([0, 0.003, 0.006])
     assert energies.total == pytest.approx([-5 * 4.184, -5.5 * 4.184, -5 * 4.184])
-    assert energies.seconds == 0.25
+    assert seconds == 0.25

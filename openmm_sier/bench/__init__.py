@@ -1,8 +1,8 @@
 """What a step costs beyond its forces, and what accuracy costs: the measurements behind `openmm-sier bench`.
 
 All timings of one table come from one run. What is compared takes turns, several rounds of it, and ratios are taken
-within a round, so that the drift of a machine's speed cancels; medians over the rounds are shown with half the range
-between the quartiles.
+within a round, so that the drift of a machine's speed cancels; medians over the rounds are shown with their standard
+errors.
 """
 
 from __future__ import annotations
@@ -40,15 +40,6 @@ def run(settings: Settings, out: Path) -> dict:
     record = {"machine": here, "settings": parameters} | found
     if "accuracy" in found:
         record["accuracy"] = accuracy.record(found["accuracy"])
-        _figure(found["accuracy"], out / "bench.png")
+        console.draw("cost_figure", found["accuracy"], out / "bench.png")
     (out / "bench.json").write_text(json.dumps(record, indent=1, default=str))
     return record
-
-
-def _figure(points, path: Path) -> None:
-    try:
-        from openmm_sier.figures import cost_figure
-    except ModuleNotFoundError:
-        console.note("no figure: matplotlib is missing, install it with: pip install 'openmm-sier[plots]'")
-    else:
-        cost_figure(points, path)

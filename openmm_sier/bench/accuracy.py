@@ -113,8 +113,8 @@ def _of_openmm(method, dt: float, system, bodies, start, settings: Settings) -> 
 def _of_peer(peer, liquid, dt: float, settings: Settings) -> Point:
     steps = max(1, round(1e3 * settings.time / dt))
     with tempfile.TemporaryDirectory() as directory:
-        energies = peer.simulate(liquid, dt, steps, min(steps, _every(dt)), Path(directory))
-    return Point(peer.name, dt, survey.energy_error(energies), steps * dt / energies.seconds)
+        energies, seconds = peer.simulate(liquid, dt, steps, min(steps, _every(dt)), Path(directory))
+    return Point(peer.name, dt, survey.energy_error(energies), steps * dt / seconds)
 
 
 def step_at(points: list[Point], method: str, level: float = LEVEL) -> float:

@@ -51,7 +51,8 @@ def measure(settings: Settings) -> dict:
     sizes = [n for n in settings.bodies if SMALLEST <= n <= LARGEST] or [settings.bodies[-1]]
     cost = {n: _nanoseconds(n, settings.rounds) for n in sizes}
     record: dict = {"nanoseconds": cost}
-    if len(sizes) > 1:
+    # A difference of timings can be negative where it is small.
+    if len(sizes) > 1 and all(nanoseconds > 0 for nanoseconds, _ in cost.values()):
         slope = np.polyfit(np.log(sizes), np.log([cost[n][0] * n for n in sizes]), 1)[0]
         record["growth_exponent"] = float(slope)
     if (memory := bytes_per_molecule(sizes[-1])) is not None:

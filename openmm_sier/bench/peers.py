@@ -20,6 +20,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.sampling import Energies
+
 KCAL = 4.184
 #: nm^2/ps^2 times dalton is kJ/mol; LAMMPS' velocities are in A/fs.
 ANGSTROM = 0.1
@@ -33,20 +35,6 @@ DIFFERENCES = {
 
 class PeerError(RuntimeError):
     """A peer could not be run."""
-
-
-@dataclass(frozen=True)
-class Energies:
-    """Energies at whole steps of a run, one-dimensional arrays, ps and kJ/mol, and the seconds that it took."""
-
-    time: np.ndarray
-    potential: np.ndarray
-    kinetic: np.ndarray
-    seconds: float
-
-    @property
-    def total(self) -> np.ndarray:
-        return self.potential + self.kinetic
 
 
 @dataclass(frozen=True)
@@ -86,11 +74,12 @@ class Peer:
 
     Attributes:
         name: for tables.
-        simulate: (liquid, step in fs, number of steps, steps between two samples, empty directory) -> Energies.
+        simulate: (liquid, step in fs, number of steps, steps between two samples, empty directory) -> energies, and the
+            seconds that the run took.
     """
 
     name: str
-    simulate: Callable[[Liquid, float, int, int, Path], Energies]
+    simulate: Callable[[Liquid, float, int, int, Path], tuple[Energies, float]]
 
 
 def installed() -> list[Peer]:
@@ -158,7 +147,7 @@ class _Lammps:
         launcher = shutil.which("mpiexec", path=str(Path(program).parent))
         self.command = [*([launcher, "-n", str(_cores())] if launcher else []), program, "-in", "in.lmp", "-log", "log"]
 
-    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> Energies:
+    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> tuple[Energies, float]:
         (directory / "data").write_text(_lammps_data(liquid))
         (directory / "in.lmp").write_text(_lammps_input(liquid, step, steps, every))
         text = _execute(self.command, directory)
@@ -166,7 +155,7 @@ class _Lammps:
         if table is None:
             raise PeerError("LAMMPS printed no energies")
         rows = np.array([line.split() for line in table[1].splitlines()], dtype=float)
-        return Energies(1e-3 * step * rows[:, 0], KCAL * rows[:, 1], KCAL * rows[:, 2], float(table[2]))
+        return Energies(1e-3 * step * rows[:, 0], KCAL * rows[:, 1], KCAL * rows[:, 2]), float(table[2])
 
 
 def _lammps_input(liquid: Liquid, step: float, steps: int, every: int) -> str:
@@ -235,7 +224,7 @@ class _Gromacs:
     def __init__(self, program: str):
         self.program = program
 
-    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> Energies:
+    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> tuple[Energies, float]:
         (directory / "conf.gro").write_text(_gro(liquid))
         (directory / "topol.top").write_text(_topology(liquid))
         (directory / "grompp.mdp").write_text(_mdp(liquid, step, steps, every))
@@ -244,7 +233,7 @@ class _Gromacs:
         _execute([self.program, "energy", "-dp", "-o", "e.xvg"], directory, "Potential\nKinetic-En.\n\n")
         time, potential, kinetic = np.loadtxt(directory / "e.xvg", comments=("#", "@")).T
         wall = re.search(r"^ +Time: +[\d.]+ +([\d.]+)", (directory / "md.log").read_text(), re.M)
-        return Energies(time, potential, kinetic, float(wall[1]) if wall else math.nan)
+        return Energies(time, potential, kinetic), float(wall[1]) if wall else math.nan
 
 
 def _gro(liquid: Liquid) -> str:

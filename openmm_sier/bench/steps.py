@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 import openmm
@@ -21,6 +23,15 @@ STEP = 1e-3
 
 BARE = "bare force"
 
+#: Molecules times force evaluations in a turn, at least; some 40 ms.
+WORK = 4096
+
+#: Copies of the box along each edge below which there are more rounds than were asked for: turns are shorter there.
+LONG_TURNS = 4
+
+#: Positions that the bare forces go through, in turns: as many as let OpenMM's neighbour lists grow old.
+FRAMES = 60
+
 
 def measure(settings: Settings) -> list[dict]:
     """Rows of cost ratios for every size of box."""
@@ -30,9 +41,9 @@ def measure(settings: Settings) -> list[dict]:
 def _ratios(copies: int, settings: Settings) -> list[dict]:
     topology, positions, system = repeated_box(settings, copies)
     molecules = topology.getNumResidues()
-    evaluations = max(4, 4 * round(50 / copies**3))
+    evaluations = 4 * math.ceil(WORK / molecules / 4)
     actions = _actions(system, positions, evaluations, settings)
-    seconds = interleaved(actions, settings.rounds)
+    seconds = interleaved(actions, settings.rounds * max(1, LONG_TURNS // copies) ** 2)
     pairs = [(name, BARE) for name in actions if name != BARE] + [("SIER2", "OpenMM Verlet")]
     rows = []
     for name, base in pairs:
@@ -47,12 +58,12 @@ def _ratios(copies: int, settings: Settings) -> list[dict]:
 def _actions(system, positions, evaluations: int, settings: Settings) -> dict[str, Callable[[], None]]:
     """What takes turns: as many force evaluations each, bare or in the steps of an integrator."""
     start = _start(system, positions, settings)
-    frames = _frames(system, start, evaluations, settings)
+    frames = cycle(_frames(system, start, max(evaluations, FRAMES), settings))
     bare = _context_at(system, openmm.VerletIntegrator(STEP), start, settings)
 
     def forces():
-        for frame in frames:
-            bare.setPositions(frame)
+        for _ in range(evaluations):
+            bare.setPositions(next(frames))
             bare.getState(forces=True)
 
     actions: dict[str, Callable[[], None]] = {BARE: forces}
@@ -127,7 +138,7 @@ def show(rows: list[dict]) -> None:
     """Print the table."""
     console.table(
         "Cost of a step, one force evaluation's worth of it",
-        ["ratio", "molecules", "median", "± half the quartiles' range", "ms per force evaluation"],
+        ["ratio", "molecules", "median", "± its standard error", "ms per force evaluation"],
         [
             [
                 row["name"],

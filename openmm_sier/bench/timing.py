@@ -25,7 +25,7 @@ class Settings:
         forcefield: of it; None picks one.
         copies: repetitions of the box along each edge, one size each.
         bodies: sizes of the sets of bodies for the rotation and the layer alone.
-        rounds: how often everything takes its turn.
+        rounds: how often everything takes its turn; in small boxes, whose turns are short, several times as often.
         time: length of the runs that measure the energy error, ps.
         temperature, equilibrate: K, and ps before those runs.
         parts: names of what is measured, of `openmm_sier.bench.PARTS`; None takes all.
@@ -37,7 +37,7 @@ class Settings:
     forcefield: list[str] | None = None
     copies: tuple[int, ...] = (1, 2, 4)
     bodies: tuple[int, ...] = (512, 4096, 32768, 131072)
-    rounds: int = 5
+    rounds: int = 12
     time: float = 1.0
     temperature: float = 297.0
     equilibrate: float = 2.0
@@ -66,7 +66,10 @@ def machine() -> dict:
 
 
 def interleaved(actions: Mapping[str, Callable[[], None]], rounds: int) -> dict[str, np.ndarray]:
-    """Seconds that each action took in each round; one round before is not counted."""
+    """Seconds that each action took in each round; one round before is not counted.
+
+    What is compared should take its turns within some tenths of a second: a machine's speed changes over seconds.
+    """
     times: dict[str, list[float]] = {name: [] for name in actions}
     for number in range(rounds + 1):
         for name, action in actions.items():
@@ -78,6 +81,10 @@ def interleaved(actions: Mapping[str, Callable[[], None]], rounds: int) -> dict[
 
 
 def summary(values: np.ndarray) -> tuple[float, float]:
-    """Median, and half the range between the quartiles."""
+    """Median of independent values and its standard error.
+
+    The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the
+    distance of the quartiles, 1.349 sigma, since an interrupted turn lies far off.
+    """
     low, median, high = np.percentile(values, [25, 50, 75])
-    return float(median), float(0.5 * (high - low))
+    return float(median), float(0.929 * (high - low) / np.sqrt(len(values)))
