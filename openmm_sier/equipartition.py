@@ -15,7 +15,9 @@ from openmm import unit
 from openmm_sier import console, sampling, survey
 from openmm_sier.bodies import RigidBodies
 from openmm_sier.forcefields import read_box
+from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.preparation import equilibrated, make_context
+from openmm_sier.schemes import SIER2
 from openmm_sier.version import __version__
 
 #: Time in fs between two samples. Water's angular velocities decorrelate in some 20 fs.
@@ -25,6 +27,9 @@ INTERVAL = 12.0
 SETTLING = 2.0
 
 BAROSTAT_INTERVAL = 25
+
+#: Samples of the forces that predict the bias, steps of SIER2 before each, and their length in ps.
+FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 
 #: What the numbers are written to.
 FILE = "equipartition.json"
@@ -57,6 +62,8 @@ class Row:
     Attributes:
         fs_per_force: step over force evaluations a step.
         broken: why the run ended early; the means are NaN then.
+        predicted: what the difference is to leading order in the step, NaN where that is not known; see
+            `openmm_sier.sampling.Method`.
     """
 
     method: str
@@ -70,6 +77,7 @@ class Row:
     density: tuple[float, float]
     drift: float
     broken: str = ""
+    predicted: float = float("nan")
 
     @property
     def resolution(self) -> float:
@@ -94,11 +102,21 @@ def compare(settings: Settings) -> list[Row]:
         for barostat in (force for force in system.getForces() if isinstance(force, openmm.MonteCarloBarostat)):
             barostat.setRandomNumberSeed(seed)
         start = equilibrated(box, mine)
+        slope = _slope(box.system, bodies, start, mine)
         for method in methods(mine):
             for dt in settings.dt:
-                rows.append(_measure(method, dt, system, bodies, start, mine))
+                row = _measure(method, dt, system, bodies, start, mine)
+                rows.append(replace(row, predicted=-method.bias * (1e-3 * row.step) ** 2 * slope))
                 console.note(_line(rows[-1]))
     return pooled(rows)
+
+
+def _slope(system, bodies, start, settings: Settings) -> float:
+    """How much steeper the potential is for rotations: the difference of `sampling.steepness`, K/ps^2."""
+    context = make_context(system, SIERIntegrator(FORCE_STEP, SIER2, bodies), settings.platform)
+    context.setState(start)
+    translation, rotation = sampling.steepness(context, bodies, FORCE_SAMPLES, FORCE_INTERVAL)
+    return rotation - translation
 
 
 def pooled(rows: list[Row]) -> list[Row]:
@@ -121,9 +139,12 @@ def _pool_of(rows: list[Row]) -> Row:
         means, errors = np.array([getattr(row, name) for row in rows]).T
         return float(weights @ means), float(np.sqrt(((weights * errors) ** 2).sum()))
 
-    means = {name: together(name) for name in ("translation", "rotation", "difference", "potential", "density")}
-    drift = float(weights @ [row.drift for row in rows])
-    return replace(rows[0], time=float(times.sum()), drift=drift, **means)
+    names = ("translation", "rotation", "difference", "potential", "density")
+    means: dict[str, Any] = {name: together(name) for name in names}
+    known = [row.predicted for row in rows if not np.isnan(row.predicted)]
+    means |= {"drift": float(weights @ [row.drift for row in rows])}
+    means |= {"predicted": float(np.mean(known)) if known else float("nan")}
+    return replace(rows[0], time=float(times.sum()), **means)
 
 
 def methods(settings: Settings) -> list[sampling.Method]:
@@ -261,6 +282,7 @@ def show(rows: list[Row], ensemble: str) -> None:
             "T_trans/K",
             "T_rot/K",
             "T_rot - T_trans/K",
+            "predicted",
             "V per body/kJ/mol",
             "g/cm³",
         ],
@@ -273,6 +295,7 @@ def show(rows: list[Row], ensemble: str) -> None:
                 cell(row.translation, 1),
                 cell(row.rotation, 1),
                 cell(row.difference, 2),
+                "-" if np.isnan(row.predicted) else f"{row.predicted:.2f}",
                 cell(row.potential, 3),
                 cell(row.density, 4),
             ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -10,10 +11,11 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies, RigidityError
 from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.langevin import SIERLangevinIntegrator
-from openmm_sier.schemes import CATALOGUE
+from openmm_sier.rotor import body_frame
+from openmm_sier.schemes import CATALOGUE, SIER2
 
 #: Tolerance of constraints for OpenMM's own integrators; SETTLE is not better than 1e-8.
 CONSTRAINT_TOLERANCE = 1e-7
@@ -63,18 +65,28 @@ class Method:
         name: for tables.
         force_evaluations: per step.
         make: step in ps -> integrator.
+        bias: what a step of h does to the temperature of a degree of freedom of frequency w, -bias (h w)^2 of it to
+            leading order; NaN where there is no such law.
     """
 
     name: str
     force_evaluations: int
     make: Callable[[float], openmm.Integrator]
+    bias: float = math.nan
+
+
+#: `Method.bias` of SIER2 and Verlet at constant energy: the modified Hamiltonian of kick, drift, kick has the inverse
+#: mass (1 + (h w)^2/6)/m; and of SIER2 with the bath in its middle, where a harmonic oscillator has
+#: <p^2/m> = kT (1 - (h w)^2/4) exactly (Leimkuhler and Matthews, Appl. Math. Res. Express 2013, 34).
+BIAS_NVE, BIAS_NVT = 1 / 6, 1 / 4
 
 
 def nve_methods() -> dict[str, Method]:
     """OpenMM's Verlet with SETTLE and every scheme of the catalogue, by lower-case name."""
-    methods = {"verlet": Method("OpenMM Verlet", 1, openmm.VerletIntegrator)}
+    methods = {"verlet": Method("OpenMM Verlet", 1, openmm.VerletIntegrator, BIAS_NVE)}
     for name, scheme in CATALOGUE.items():
-        methods[name] = Method(scheme.name, scheme.force_evaluations, partial(SIERIntegrator, scheme=scheme))
+        bias = BIAS_NVE if scheme is SIER2 else math.nan
+        methods[name] = Method(scheme.name, scheme.force_evaluations, partial(SIERIntegrator, scheme=scheme), bias)
     return methods
 
 
@@ -94,7 +106,8 @@ def nvt_methods(temperature: float, friction: float, seed: int) -> dict[str, Met
     methods = {"langevinmiddle": Method("OpenMM LangevinMiddle", 1, middle)}
     for name, scheme in CATALOGUE.items():
         make = partial(langevin, scheme=scheme)
-        methods[name] = Method(f"{scheme.name} Langevin", scheme.force_evaluations, make)
+        bias = BIAS_NVT if scheme is SIER2 else math.nan
+        methods[name] = Method(f"{scheme.name} Langevin", scheme.force_evaluations, make, bias)
     return methods
 
 
@@ -161,6 +174,29 @@ def _body_state(context, bodies: RigidBodies) -> BodyState:
         half = 0.5 * integrator.getStepSize().value_in_unit(unit.picosecond)
         p, L = p + half * F, L + half * tau
     return BodyState(q, p, A, L)
+
+
+def steepness(context, bodies: RigidBodies, samples: int, every: int) -> tuple[float, float]:
+    """Temperature times the mean squared frequency of translation and of rotation, K/ps^2.
+
+    In equilibrium <F M^-1 F> = kT <tr M^-1 V''>, and the like with torques and moments, so that forces tell it.
+
+    Args:
+        context: of a SIERIntegrator, with positions and velocities in equilibrium.
+        bodies: its rigid bodies.
+        samples: how many are taken.
+        every: steps before each.
+    """
+    sums = np.zeros(2)
+    for _ in range(samples):
+        context.getIntegrator().step(every)
+        forces = context.getState(forces=True).getForces(asNumpy=True)
+        A = context.getIntegrator().getBodyState().A
+        F, tau = bodies.forces_and_torques(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer), A)
+        sums += (F * F / bodies.masses).sum(), (body_frame(A, tau) ** 2 * bodies.inverse_moments).sum()
+    freedoms = np.array([3 * bodies.n, bodies.degrees_of_freedom - 3 * bodies.n])
+    translation, rotation = np.divide(sums / (samples * GAS_CONSTANT), freedoms, out=np.zeros(2), where=freedoms > 0)
+    return float(translation), float(rotation)
 
 
 def mean_and_error(values, blocks: int = 20) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,10 @@ def test_equipartition_in_miniature(box, capsys, monkeypatch):
     # The box has not been equilibrated: it is hot, but no simulation of it breaks down.
     assert all(100 < row.rotation[0] < 2000 and not row.broken for row in rows)
     assert rows[0].density[0] == pytest.approx(0.997, abs=1e-3)
+    # Known for second order alone, where it is that of h^2.
+    assert rows[0].predicted < 0
+    assert rows[1].predicted == pytest.approx(4 * rows[0].predicted)
+    assert all(math.isnan(row.predicted) for row in rows[2:])
     assert "T_rot - T_trans" in capsys.readouterr().out
 
 
@@ -95,6 +100,9 @@ def test_replicas_are_pooled_by_their_lengths():
     # The best estimate of all, whose error is that of one run of 40 ps.
     assert found.difference == pytest.approx((1.25, 0.3 * (3 / 4) ** 0.5))
     assert found.drift == pytest.approx(1.25)
+    assert math.isnan(found.predicted)
+    known = [row(1.0, 0.3, 30.0, predicted=-2.0), row(1.0, 0.3, 10.0, predicted=-1.0), row(1.0, 0.3, 10.0)]
+    assert equipartition.pooled(known)[0].predicted == -1.5
     broken = row(0.0, 1.0, 10.0, broken="too hot")
     assert equipartition.pooled([row(1.0, 0.3, 30.0), broken]) == [broken]
 

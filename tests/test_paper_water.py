@@ -249,15 +249,20 @@ def test_intersection():
 
 
 def test_pme_liquid_runs():
-    """One point: the practical twin has the same size of error."""
+    """The practical twin: SIER2's error is of second order, and SIER4's far below it.
+
+    The slope was 1.94 to 1.97: forces of PME with so short a cut-off are not quite those of its energy, which adds some
+    0.04 % of rms(V) to either error.
+    """
     settings = replace(
-        miniature()[0], kinds=(PME,), force_steps_fs=(1.5,), compared_from_fs=9.0, compared_to_fs=9.0, runs=1
+        miniature()[0], kinds=(PME,), force_steps_fs=(0.75, 1.5), compared_from_fs=9.0, compared_to_fs=9.0, runs=1
     )
     samples = water._sample(box(), PME, settings, lambda what, fraction: None)
-    found = ratios()["SIER2", 1.5]
-    # One run of 64 molecules, whose rms(V) differs from run to run: 1.67 was seen. Another order is off by 10 or more.
-    assert 1 / 3 < water._ratio(np.array(samples["SIER2", 1.5])) / found < 3
-    assert water._ratio(np.array(samples["SIER4", 1.5])) < 0.6 * found
+    found = {key: water._ratio(np.array(values)) for key, values in samples.items()}
+    assert math.log2(found["SIER2", 1.5] / found["SIER2", 0.75]) == pytest.approx(2, abs=0.2)
+    # The molecular cut-off of as many molecules has 0.5 %.
+    assert 0.002 < found["SIER2", 1.5] < 0.02
+    assert found["SIER4", 1.5] < 0.4 * found["SIER2", 1.5]
 
 
 def test_starting_box():
