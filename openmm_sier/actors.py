@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import openmm
+
+from openmm_sier.bodies import RigidBodies, RigidityError
 
 #: These are known to do nothing; with any other kind in the System the Context is told and read each step.
 PASSIVE_FORCES = (
@@ -43,3 +46,59 @@ def is_passive(force) -> bool:
     if isinstance(force, openmm.CustomCVForce):
         return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
     return isinstance(force, PASSIVE_FORCES)
+
+
+def refuse_constant_pressure(system) -> None:
+    """Refuse a System whose volume an integrator cannot change.
+
+    Raises:
+        openmm.OpenMMException: it is not periodic, has a barostat of its own, or has a particle that cannot move.
+    """
+    if not system.usesPeriodicBoundaryConditions():
+        raise openmm.OpenMMException("A pressure needs a System with periodic boundary conditions")
+    for force in system.getForces():
+        if isinstance(force, BAROSTATS):
+            raise openmm.OpenMMException(
+                f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
+            )
+    for i in range(system.getNumParticles()):
+        if system.getParticleMass(i)._value == 0 and not system.isVirtualSite(i):
+            raise openmm.OpenMMException(
+                f"At constant pressure all particles move with the box, and particle {i} has no mass: leave it out, or "
+                "keep the volume"
+            )
+
+
+def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
+    """Refuse a barostat that moves atoms of one body apart.
+
+    Args:
+        system: openmm.System.
+        molecules: particle indices of OpenMM's molecules, `Context.getMolecules()`.
+        bodies: the rigid bodies.
+
+    Raises:
+        RigidityError: a barostat scales atoms one by one, or by molecules of which several share a body.
+    """
+    barostats = [force for force in system.getForces() if isinstance(force, BAROSTATS)]
+    if not barostats:
+        return
+    molecule = np.zeros(bodies.n_particles, dtype=int)
+    for number, atoms in enumerate(molecules):
+        molecule[list(atoms)] = number
+    for species in bodies.species:
+        if species.atoms.shape[1] == 1:
+            continue
+        for barostat in barostats:
+            if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
+                raise RigidityError(
+                    f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies: create it with "
+                    "scaleMoleculesAsRigid=True"
+                )
+        split = np.ptp(molecule[species.atoms], axis=1) > 0
+        if split.any():
+            raise RigidityError(
+                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
+                f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
+                "strength)"
+            )

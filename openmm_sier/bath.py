@@ -38,7 +38,7 @@ class Bath:
         masses, moments = bodies.masses, bodies.moments
 
         def apply(state: BodyState, h: float) -> BodyState:
-            noise = self._noise(state.draws, bodies.n)
+            noise = self.generator(state.draws).standard_normal((6, bodies.n))
             thermal = GAS_CONSTANT * self.temperature
             kept, spread = _decay(self.friction, h)
             p = kept * state.p + (spread * np.sqrt(thermal * masses)) * noise[:3]
@@ -53,10 +53,9 @@ class Bath:
 
         return apply
 
-    def _noise(self, draw: int, n: int):
-        """Standard normal numbers (6, n) that depend on seed and draw alone."""
-        generator = np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, draw, 0]))
-        return generator.standard_normal((6, n))
+    def generator(self, draw: int, stream: int = 0) -> np.random.Generator:
+        """Random numbers that depend on seed, draw and stream alone."""
+        return np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, draw, stream]))
 
 
 def _decay(friction, h):

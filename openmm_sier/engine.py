@@ -11,8 +11,8 @@ import openmm
 
 from openmm_sier import actors, propagation, storage
 from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
+from openmm_sier.piston import VolumeMove
 from openmm_sier.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
-from openmm_sier.system import refuse_deforming_barostats
 
 if TYPE_CHECKING:
     from openmm_sier.integrator import SIERIntegrator
@@ -61,6 +61,7 @@ class Engine:
         self.forces = propagation.CachedForces(self._compute_forces)
         self.operators: dict[str, propagation.Operator] = {}
         self._bodies: RigidBodies | None = None
+        self._move_volume: VolumeMove
         # Where positions tell nothing of the bodies they are settled now, and the plan takes more memory than they do.
         self._plan: Any = plan if plan.needs_positions else None
         if self._plan is None:
@@ -106,13 +107,16 @@ class Engine:
 
     def _settle(self, bodies: RigidBodies) -> RigidBodies:
         integrator, context = self._integrator, self._context
-        refuse_deforming_barostats(context.getSystem(), context.getMolecules(), bodies)
+        molecules = context.getMolecules()
+        actors.refuse_deforming_barostats(context.getSystem(), molecules, bodies)
         self.operators = {
             KICK: propagation.kick(self.forces),
             GRADIENT_KICK: propagation.gradient_kick(bodies, self.forces),
             DRIFT: propagation.drift(bodies, integrator.rotation),
             **integrator._extra_operators(bodies),
         }
+        if integrator._piston is not None:
+            self._move_volume = integrator._piston.operator(bodies, molecules)
         self._bodies = bodies
         return bodies
 
@@ -127,10 +131,12 @@ class Engine:
         """Advance by `count` steps; an error or interrupt leaves the Context at the last completed one."""
         self.adopt()
         scheme, h = self._integrator._active_scheme(), self._integrator.getStepSize()._value
-        go = self._step_with_actors if self._has_actors else self._step
         try:
             for _ in range(count):
-                go(scheme, h)
+                if self._has_actors or self._moves_volume_now():
+                    self._step_with_actors(scheme, h)
+                else:
+                    self._step(scheme, h)
             self._publish()
         except BaseException:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
@@ -142,11 +148,11 @@ class Engine:
         self._complete(self._reached().state, scheme, h)
 
     def _step_with_actors(self, scheme: Scheme, h: float) -> None:
-        """One step, with OpenMM's own part of it before, in which barostats and thermostats of the System act."""
+        """One step, after all that acts besides the scheme: barostats and thermostats of the System, our own piston."""
         before = self._reached()
         mark = self._context.getState(positions=True)
         try:
-            self._complete(self._update_box() if self._barostats_alone else self._update_all(h), scheme, h)
+            self._complete(self._acted_on(h), scheme, h)
         except BaseException:
             if self._point is before:
                 _whatever_interrupts(lambda: self._rewind(mark))
@@ -159,6 +165,29 @@ class Engine:
         state = propagation.step(scheme, self.operators, state, h)
         # All of it at once, so that an interrupt finds the clock and the bodies in agreement.
         self._point = _Point(state, time + h, steps + 1)
+
+    def _acted_on(self, h: float) -> BodyState:
+        state = self.state
+        if self._has_actors:
+            state = self._update_box() if self._barostats_alone else self._update_all(h)
+        return self._with_volume_moved(state) if self._moves_volume_now() else state
+
+    def _moves_volume_now(self) -> bool:
+        piston = self._integrator._piston
+        return piston is not None and (self._reached().steps + 1) % piston.interval == 0
+
+    def _with_volume_moved(self, state: BodyState) -> BodyState:
+        context, groups = self._context, self._integrator.getIntegrationForceGroups()
+        box = context.getState().getPeriodicBoxVectors(asNumpy=True)._value
+
+        def energy(q, factor: float) -> float:
+            context.setPeriodicBoxVectors(*(factor * box))
+            self._place(q, state.A)
+            return context.getState(energy=True, groups=groups).getPotentialEnergy()._value
+
+        state, factor = self._move_volume(state, float(np.linalg.det(box)), energy)
+        context.setPeriodicBoxVectors(*(factor * box))
+        return state
 
     def _update_all(self, h: float) -> BodyState:
         self._publish()

@@ -14,6 +14,7 @@ from openmm import unit
 from openmm_sier import rotor
 from openmm_sier.bodies import BodyState, RigidBodies
 from openmm_sier.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
+from openmm_sier.piston import Piston
 from openmm_sier.schemes import SIER2, SIER4, Scheme
 from openmm_sier.system import BodyPlan, refuse_other_masses
 
@@ -197,6 +198,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def _extra_operators(self, bodies: RigidBodies) -> dict:
         """Operators other than kick and drift."""
         return {}
+
+    #: What changes the volume between steps.
+    _piston: Piston | None = None
 
 
 class _Settled:

@@ -7,10 +7,12 @@ import secrets
 from openmm import unit
 
 from openmm_sier import rotor
+from openmm_sier.actors import refuse_constant_pressure
 from openmm_sier.bath import Bath
 from openmm_sier.bodies import RigidBodies
 from openmm_sier.engine import SEED
 from openmm_sier.integrator import Bodies, SIERIntegrator, quantity_to_float, whole_number
+from openmm_sier.piston import BAR, Piston
 from openmm_sier.schemes import BATH, SIER4, Scheme
 
 
@@ -23,6 +25,9 @@ class SIERLangevinIntegrator(SIERIntegrator):
     The noise is a function of the seed and of the number of bath operations done so far. Both travel in checkpoints, so
     that a restarted run continues the same trajectory. A State brings the number only, and never back to noise that the
     Context has used: a run restarted from it is the same if its integrator was given the same seed.
+
+    With a pressure the volume of the box changes by Monte Carlo moves, of which the same is true. Of OpenMM's barostats
+    it is not: they work with this integrator too, but what they remember of their moves is in no State.
     """
 
     def __init__(
@@ -34,6 +39,8 @@ class SIERLangevinIntegrator(SIERIntegrator):
         bodies: Bodies = None,
         rotation=rotor.exact,
         rotationalFriction=None,
+        pressure=None,
+        barostatInterval=25,
     ):
         """
         Args:
@@ -44,6 +51,8 @@ class SIERLangevinIntegrator(SIERIntegrator):
             bodies: see `SIERIntegrator`.
             rotation: free-rotation map, as `rotor.exact`.
             rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
+            pressure: if it is to be constant, a quantity or a number in bar; all edges of the box change by one factor.
+            barostatInterval: steps from one attempt to change the volume to the next.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign.
@@ -54,6 +63,11 @@ class SIERLangevinIntegrator(SIERIntegrator):
         turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
         self._bath = Bath(_temperature(temperature), friction, turning, seed=0)
         self._same_friction = rotationalFriction is None
+        self._piston: Piston | None = None
+        if pressure is not None:
+            if (interval := whole_number("barostatInterval", barostatInterval)) == 0:
+                raise ValueError("barostatInterval must be at least 1, got 0")
+            self._piston = Piston(_pressure(pressure), interval, self._bath)
         self._cold_scheme = self._scheme.without(BATH)
 
     def getTemperature(self):
@@ -83,6 +97,16 @@ class SIERLangevinIntegrator(SIERIntegrator):
         self._bath.rotational_friction = _friction("coeff", coeff)
         self._same_friction = False
 
+    def getPressure(self):
+        """Pressure that is kept, a quantity in bar; None where the volume is."""
+        return None if self._piston is None else self._piston.pressure / BAR * unit.bar
+
+    def setPressure(self, pressure) -> None:
+        """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
+        if self._piston is None:
+            raise ValueError("this integrator keeps the volume: create it with a pressure")
+        self._piston.pressure = _pressure(pressure)
+
     def setRandomNumberSeed(self, seed) -> None:
         """Set the seed of the noise for the next Context; as in OpenMM, 0 takes another one for every Context."""
         super().setRandomNumberSeed(whole_number("seed", seed))
@@ -97,9 +121,13 @@ class SIERLangevinIntegrator(SIERIntegrator):
             "temperature": self.getTemperature(),
             "frictionCoeff": self.getFriction(),
             "rotationalFriction": None if self._same_friction else self.getRotationalFriction(),
+            "pressure": self.getPressure(),
+            "barostatInterval": 25 if self._piston is None else self._piston.interval,
         }
 
     def _bind(self, context) -> None:
+        if self._piston is not None:
+            refuse_constant_pressure(context.getSystem())
         super()._bind(context)
         # A Context that was reinitialized with its state goes on with the seed that it has.
         if self.getGlobalVariableByName(SEED) == 0:
@@ -107,14 +135,17 @@ class SIERLangevinIntegrator(SIERIntegrator):
             self.setGlobalVariableByName(SEED, seed)
 
     def _active_scheme(self) -> Scheme:
-        if self._bath.friction == 0 and self._bath.rotational_friction == 0:
-            return self._cold_scheme
         # A loaded checkpoint brings the seed of its run.
         self._bath.seed = int(self.getGlobalVariableByName(SEED))
-        return self._scheme
+        cold = self._bath.friction == 0 and self._bath.rotational_friction == 0
+        return self._cold_scheme if cold else self._scheme
 
     def _extra_operators(self, bodies: RigidBodies) -> dict:
         return {BATH: self._bath.operator(bodies)}
+
+
+def _pressure(value) -> float:
+    return BAR * quantity_to_float("pressure", value, unit.bar, "bar")
 
 
 def _temperature(value) -> float:

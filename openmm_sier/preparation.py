@@ -80,7 +80,7 @@ def prepare(context, positions, options: Start, minimize: bool | None = None) ->
         openmm.LocalEnergyMinimizer.minimize(context)
         note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
     state = thermalize(context, options)
-    # A barostat of the System has changed the box.
+    # At constant pressure the box has changed.
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
     context.setPositions(state.getPositions())
     context.setVelocities(state.getVelocities())
@@ -99,14 +99,17 @@ def _strongest_force(context) -> float:
 
 
 def thermalize(context, options: Start):
-    """A State at the wanted temperature, after a run at constant temperature, and pressure if there is a barostat.
+    """A State at the wanted temperature, after a run at constant temperature, and pressure if one is kept.
 
     Args:
-        context: holds the positions to start from; it is left as it was.
+        context: holds the positions to start from, and the pressure in its integrator or System; it is left as it was.
         options: how to begin.
     """
-    bodies = context.getIntegrator().bodies
-    langevin = SIERLangevinIntegrator(options.temperature, FRICTION, EQUILIBRATION_STEP, SIER2, bodies)
+    integrator = context.getIntegrator()
+    pressure = integrator.getPressure() if isinstance(integrator, SIERLangevinIntegrator) else None
+    langevin = SIERLangevinIntegrator(
+        options.temperature, FRICTION, EQUILIBRATION_STEP, SIER2, integrator.bodies, pressure=pressure
+    )
     langevin.setRandomNumberSeed(options.seed)
     bath = make_context(context.getSystem(), langevin, options.platform)
     bath.setState(context.getState(positions=True))

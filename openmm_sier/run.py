@@ -125,8 +125,8 @@ def run(options: Options) -> None:
     box = read_box(options.box, plan.forcefield)
     note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
     bodies = RigidBodies.from_system(box.system, box.topology)
-    if plan.ensemble == "npt":
-        _add_barostat(box.system, plan)
+    if plan.ensemble == "npt" and not box.system.usesPeriodicBoundaryConditions():
+        raise RunError("--ensemble npt needs a periodic box, which the PDB file does not have")
     context = make_context(box.system, _integrator(plan, bodies), options.platform)
     if notes:
         _restore(context, state, notes, options, plan)
@@ -191,17 +191,10 @@ def _integrator(plan: Plan, bodies: RigidBodies) -> SIERIntegrator:
     step, scheme = plan.dt / 1000, CATALOGUE[plan.scheme]
     if plan.ensemble == "nve":
         return SIERIntegrator(step, scheme, bodies)
-    integrator = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, bodies)
+    pressure = plan.pressure if plan.ensemble == "npt" else None
+    integrator = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure)
     integrator.setRandomNumberSeed(plan.seed)
     return integrator
-
-
-def _add_barostat(system, plan: Plan) -> None:
-    if not system.usesPeriodicBoundaryConditions():
-        raise RunError("--ensemble npt needs a periodic box, which the PDB file does not have")
-    barostat = openmm.MonteCarloBarostat(plan.pressure * unit.bar, plan.temperature * unit.kelvin)
-    barostat.setRandomNumberSeed(plan.seed)
-    system.addForce(barostat)
 
 
 def _length(options: Options, dt: float) -> int | None:

@@ -331,41 +331,6 @@ def refuse_other_masses(system, bodies: RigidBodies) -> None:
             )
 
 
-def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
-    """Refuse a barostat that moves atoms of one body apart.
-
-    Args:
-        system: openmm.System.
-        molecules: particle indices of OpenMM's molecules, `Context.getMolecules()`.
-        bodies: the rigid bodies.
-
-    Raises:
-        RigidityError: a barostat scales atoms one by one, or by molecules of which several share a body.
-    """
-    barostats = [force for force in system.getForces() if "Barostat" in type(force).__name__]
-    if not barostats:
-        return
-    molecule = np.zeros(bodies.n_particles, dtype=int)
-    for number, atoms in enumerate(molecules):
-        molecule[list(atoms)] = number
-    for species in bodies.species:
-        if species.atoms.shape[1] == 1:
-            continue
-        for barostat in barostats:
-            if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
-                raise RigidityError(
-                    f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies: create it with "
-                    "scaleMoleculesAsRigid=True"
-                )
-        split = np.ptp(molecule[species.atoms], axis=1) > 0
-        if split.any():
-            raise RigidityError(
-                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
-                f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
-                "strength)"
-            )
-
-
 def _by_handedness(model: Species, positions) -> list[Species]:
     """The bodies of a species apart from those that are its mirror images."""
     mirror = model.mirrored()

@@ -28,8 +28,9 @@ def run(*arguments):
     assert cli.main([str(argument) for argument in arguments]) == 0
 
 
-def test_constant_temperature_is_restarted_bit_for_bit(box):
-    options = [*SMALL, "--ensemble", "nvt", "--scheme", "sier2", "--dt", "2", "--friction", "5", "--seed", "3"]
+@pytest.mark.parametrize("ensemble", [["nvt"], ["npt", "--pressure", "-500"]], ids=["NVT", "NPT"])
+def test_heat_bath_and_piston_are_restarted_bit_for_bit(box, ensemble):
+    options = [*SMALL, "--ensemble", *ensemble, "--scheme", "sier2", "--dt", "2", "--friction", "5", "--seed", "3"]
     run("run", box, *options, "--time", "0.4", "--out", "whole.dcd")
     run("run", box, *options, "--time", "0.2", "--out", "parts.dcd")
     run("run", box, "--restart", "parts.chk", "--time", "0.4", "--platform", "Reference")

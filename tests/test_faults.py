@@ -96,7 +96,7 @@ class Trajectory:
         self.states = [self._now()]
 
     def _now(self):
-        return (*phase_point(self._context), clock(self._context)[1])
+        return (*phase_point(self._context), clock(self._context)[1], box_of(self._context))
 
     def __getitem__(self, step):
         while len(self.states) <= step:
@@ -107,8 +107,9 @@ class Trajectory:
 
 def assert_at(context, trajectory):
     step, time = clock(context)
-    positions, velocities, reference_time = trajectory[step]
+    positions, velocities, reference_time, box = trajectory[step]
     assert time == reference_time
+    assert np.array_equal(box_of(context), box)
     assert np.array_equal(phase_point(context)[0], positions)
     assert np.array_equal(phase_point(context)[1], velocities)
     return step
@@ -138,6 +139,26 @@ def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
     assert_at(context, trajectory)
     # Faults came before, between and after the two steps.
     assert reached == {0, 1, 2}
+
+
+def test_a_fault_at_any_line_at_constant_pressure():
+    """The box is that of the completed step too, though each step changes it, or tries to."""
+    topology, positions, system = periodic_system(molecules=27)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+            force.setCutoffDistance(0.4)
+    point = relaxed(topology, positions, system)
+
+    def make():
+        integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=SIER2, pressure=1e3, barostatInterval=1)
+        integrator.setRandomNumberSeed(1)
+        return integrator
+
+    trajectory = Trajectory(system, make, point)
+    # Of the first three moves some are accepted and some are not.
+    assert len({trajectory[step][3].tobytes() for step in range(4)}) in (2, 3)
+    test_a_fault_at_any_line_leaves_a_completed_step((topology, system, point), make, Fault)
 
 
 def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
