@@ -1,6 +1,6 @@
 """`openmm-sier run` on a small box of water, killed (SIGKILL) at random moments and continued again and again.
 
-    python benchmarks/kill_loop.py [--kills N] [--suffix .dcd] [--directory DIR]
+    python benchmarks/kill_loop.py [--kills N] [--suffix .dcd] [--ensemble npt] [--directory DIR]
 
 At the end the trajectory must have every frame once, in order, and be that of a run that nothing disturbed, as must the
 log: byte for byte for .dcd (but for its date), .xtc and .csv files, number by number for .h5. The status is 1 if not.
@@ -59,19 +59,20 @@ def write_box(path: Path, molecules: int = 27) -> None:
     make.write(path, topology, positions, edge, ["FORCEFIELD tip3p.xml"])
 
 
-def command(directory: Path, out: str, steps: int) -> list[str]:
+def command(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
     """The command that begins a run, or goes on from its checkpoint if there is one."""
     checkpoint = Path(out).with_suffix(".chk")
-    way = ["--restart", str(checkpoint)] if (directory / checkpoint).exists() else [*PLAN, "--overwrite", "--out", out]
+    begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out]
+    way = ["--restart", str(checkpoint)] if (directory / checkpoint).exists() else begin
     return [*COMMAND, *way, "--steps", str(steps)]
 
 
-def killed_at(directory: Path, out: str, rng, early: bool) -> None:
+def killed_at(directory: Path, out: str, rng, early: bool, ensemble: str) -> None:
     """Start or continue the endless run and kill it."""
     checkpoint = (directory / out).with_suffix(".chk")
     before = _changed(checkpoint)
     with open(directory / "said.txt", "w") as said:
-        process = subprocess.Popen(command(directory, out, ENDLESS), cwd=directory, stdout=said, stderr=said)
+        process = subprocess.Popen(command(directory, out, ENDLESS, ensemble), cwd=directory, stdout=said, stderr=said)
     while not early and _changed(checkpoint) == before:
         if process.poll() is not None:
             raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
@@ -103,9 +104,10 @@ def last_step(directory: Path, out: str) -> int:
     return records.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
 
 
-def finish(directory: Path, out: str, steps: int) -> None:
+def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:
     """Run to a step without a disturbance."""
-    done = subprocess.run(command(directory, out, steps), cwd=directory, capture_output=True, text=True, check=False)
+    line = command(directory, out, steps, ensemble)
+    done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
     if done.returncode:
         raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
 
@@ -137,13 +139,14 @@ def _content(path: Path) -> bytes:
     return bytes(content)
 
 
-def kill_loop(directory: Path, suffix: str, kills: int, seed: int = 1) -> Counter:
+def kill_loop(directory: Path, suffix: str, kills: int, ensemble: str = "npt", seed: int = 1) -> Counter:
     """Kill and continue a run, then compare it with one that was let alone.
 
     Args:
         directory: where the files go.
         suffix: of the trajectory.
         kills: how many.
+        ensemble: nve, nvt or npt.
         seed: of the moments.
 
     Returns:
@@ -155,11 +158,11 @@ def kill_loop(directory: Path, suffix: str, kills: int, seed: int = 1) -> Counte
     write_box(directory / "box.pdb")
     rng, out, met = np.random.default_rng(seed), f"killed{suffix}", Counter(kills=kills)
     for number in range(kills):
-        killed_at(directory, out, rng, early=number % ONE_IN == ONE_IN - 1)
+        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, ensemble)
         met.update(trace(directory, out))
     steps = last_step(directory, out) + CHECKPOINTS
-    finish(directory, out, steps)
-    finish(directory, f"whole{suffix}", steps)
+    finish(directory, out, steps, ensemble)
+    finish(directory, f"whole{suffix}", steps, ensemble)
     met.update(steps=steps, frames=compare(directory, out, f"whole{suffix}", steps))
     return met
 
@@ -168,13 +171,14 @@ def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=50, help="default: %(default)s")
     parser.add_argument("--suffix", choices=list(records.FORMATS), default=".dcd", help="default: %(default)s")
+    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), default="npt", help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=1, help="of the moments (default: %(default)s)")
     parser.add_argument("--directory", type=Path, help="where the files are left (default: they are removed)")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as temporary:
         directory = options.directory or Path(temporary)
         try:
-            met = kill_loop(directory, options.suffix, options.kills, options.seed)
+            met = kill_loop(directory, options.suffix, options.kills, options.ensemble, options.seed)
         except Lost as error:
             print(f"kill_loop.py: {error}", file=sys.stderr)
             return 1

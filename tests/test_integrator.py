@@ -313,15 +313,18 @@ def test_velocities_that_are_not_finite(cluster):
         integrator.step(1)
 
 
-@pytest.mark.parametrize(
+every_barostat = pytest.mark.parametrize(
     "barostat",
     [
-        openmm.MonteCarloBarostat(1.0, 297.0, 2),
-        openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1, 1, 1), 297.0, True, True, True, 2),
-        openmm.MonteCarloMembraneBarostat(1.0, 0.0, 297.0, 0, 0, 2),
+        openmm.MonteCarloBarostat(1.0, 297.0, 3),
+        openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1, 1, 1), 297.0, True, True, True, 3),
+        openmm.MonteCarloMembraneBarostat(1.0, 0.0, 297.0, 0, 0, 3),
     ],
-    ids=lambda b: type(b).__name__,
+    ids=lambda barostat: type(barostat).__name__,
 )
+
+
+@every_barostat
 def test_barostats_move_the_bodies_rigidly(box, barostat):
     _, system, point = box
     system = openmm.XmlSerializer.clone(system)
@@ -437,15 +440,7 @@ def test_scheme_must_be_a_scheme():
         SIERIntegrator(0.001, "sier2")
 
 
-@pytest.mark.parametrize(
-    "barostat",
-    [
-        openmm.MonteCarloBarostat(1.0, 297.0, 3),
-        openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1, 1, 1), 297.0, True, True, True, 3),
-        openmm.MonteCarloMembraneBarostat(1.0, 0.0, 297.0, 0, 0, 3),
-    ],
-    ids=lambda barostat: type(barostat).__name__,
-)
+@every_barostat
 def test_barostats_need_no_velocities(box, barostat):
     """Where barostats alone act on the Context, it is read back only after they did: to the bit the same trajectory.
 
