@@ -48,11 +48,11 @@ def is_passive(force) -> bool:
     return isinstance(force, PASSIVE_FORCES)
 
 
-def refuse_constant_pressure(system) -> None:
+def refuse_constant_pressure(system, bodies: RigidBodies) -> None:
     """Refuse a System whose volume an integrator cannot change.
 
     Raises:
-        openmm.OpenMMException: it is not periodic, has a barostat of its own, or has a particle that cannot move.
+        openmm.OpenMMException: it is not periodic, has a barostat of its own, or a particle that belongs to no body.
     """
     if not system.usesPeriodicBoundaryConditions():
         raise openmm.OpenMMException("A pressure needs a System with periodic boundary conditions")
@@ -61,11 +61,14 @@ def refuse_constant_pressure(system) -> None:
             raise openmm.OpenMMException(
                 f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
             )
-    for i in range(system.getNumParticles()):
-        if system.getParticleMass(i)._value == 0 and not system.isVirtualSite(i):
+    alone = np.ones(bodies.n_particles, dtype=bool)
+    for species in bodies.species:
+        alone[species.atoms] = False
+    for i in np.flatnonzero(alone).tolist():
+        if not system.isVirtualSite(i):
             raise openmm.OpenMMException(
-                f"At constant pressure all particles move with the box, and particle {i} has no mass: leave it out, or "
-                "keep the volume"
+                f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
+                "has no mass or was left out of `bodies`: keep the volume, or do without it"
             )
 
 

@@ -42,8 +42,8 @@ class BodyState:
         p: momenta, (3, n), dalton nm/ps.
         A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
         L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
-        heat: energy that a heat bath has given to the bodies, kJ/mol.
-        draws: how often a heat bath has drawn noise, which is the counter of its random numbers.
+        heat: energy that a heat bath, and moves of the volume, have given to the bodies, kJ/mol.
+        draws: how often noise was drawn for them, which is the counter of the random numbers.
     """
 
     q: np.ndarray

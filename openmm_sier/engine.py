@@ -116,6 +116,7 @@ class Engine:
             **integrator._extra_operators(bodies),
         }
         if integrator._piston is not None:
+            actors.refuse_constant_pressure(context.getSystem(), bodies)
             self._move_volume = integrator._piston.operator(bodies, molecules)
         self._bodies = bodies
         return bodies
@@ -183,7 +184,14 @@ class Engine:
         def energy(q, factor: float) -> float:
             context.setPeriodicBoxVectors(*(factor * box))
             self._place(q, state.A)
-            return context.getState(energy=True, groups=groups).getPotentialEnergy()._value
+            try:
+                return context.getState(energy=True, groups=groups).getPotentialEnergy()._value
+            except openmm.OpenMMException as error:
+                edges = " x ".join(f"{edge:.3f}" for edge in factor * np.diag(box))
+                raise openmm.OpenMMException(
+                    f"Step {self._reached().steps + 1} could not try a box of {edges} nm: {error}. A larger box or a "
+                    "shorter cut-off would help. The Context is left at the last completed step."
+                ) from error
 
         state, factor = self._move_volume(state, float(np.linalg.det(box)), energy)
         context.setPeriodicBoxVectors(*(factor * box))

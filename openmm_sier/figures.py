@@ -21,7 +21,7 @@ STYLE: dict = {
 
 
 def equipartition_figure(rows, ensemble: str, path: Path) -> None:
-    """T_rot - T_trans against the step per force evaluation, one line a method, and what second order predicts.
+    """T_rot - T_trans against the step per force evaluation, one line a method, and what is predicted for SIER2.
 
     Args:
         rows: of `openmm_sier.equipartition.compare`.
@@ -42,7 +42,7 @@ def equipartition_figure(rows, ensemble: str, path: Path) -> None:
         if known := [row for row in rows if row.predicted < 0]:
             h = np.linspace(0, max(row.fs_per_force for row in known), 100)
             law = np.mean([row.predicted / row.fs_per_force**2 for row in known]) * h**2
-            axes.plot(h, law, color="0.3", lw=1, ls="--", label="second order, predicted", zorder=0)
+            axes.plot(h, law, color="0.3", lw=1, ls="--", label="SIER2, predicted", zorder=0)
         axes.axhline(0, color="0.3", lw=1)
         axes.set_xlabel("simulated time per force evaluation (fs)")
         axes.set_ylabel(r"$T_\mathrm{rot} - T_\mathrm{trans}$ (K)")

@@ -7,7 +7,6 @@ import secrets
 from openmm import unit
 
 from openmm_sier import rotor
-from openmm_sier.actors import refuse_constant_pressure
 from openmm_sier.bath import Bath
 from openmm_sier.bodies import RigidBodies
 from openmm_sier.engine import SEED
@@ -51,7 +50,8 @@ class SIERLangevinIntegrator(SIERIntegrator):
             bodies: see `SIERIntegrator`.
             rotation: free-rotation map, as `rotor.exact`.
             rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
-            pressure: if it is to be constant, a quantity or a number in bar; all edges of the box change by one factor.
+            pressure: if it is to be constant, a quantity or a number in bar. All edges of the box change by one factor,
+                and ln V by up to 0.5/sqrt(number of molecules) in one move.
             barostatInterval: steps from one attempt to change the volume to the next.
 
         Raises:
@@ -63,11 +63,9 @@ class SIERLangevinIntegrator(SIERIntegrator):
         turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
         self._bath = Bath(_temperature(temperature), friction, turning, seed=0)
         self._same_friction = rotationalFriction is None
-        self._piston: Piston | None = None
-        if pressure is not None:
-            if (interval := whole_number("barostatInterval", barostatInterval)) == 0:
-                raise ValueError("barostatInterval must be at least 1, got 0")
-            self._piston = Piston(_pressure(pressure), interval, self._bath)
+        if (interval := whole_number("barostatInterval", barostatInterval)) == 0:
+            raise ValueError("barostatInterval must be at least 1, got 0")
+        self._piston = None if pressure is None else Piston(_pressure(pressure), interval, self._bath)
         self._cold_scheme = self._scheme.without(BATH)
 
     def getTemperature(self):
@@ -107,12 +105,19 @@ class SIERLangevinIntegrator(SIERIntegrator):
             raise ValueError("this integrator keeps the volume: create it with a pressure")
         self._piston.pressure = _pressure(pressure)
 
+    def getBarostatInterval(self) -> int | None:
+        """Steps from one attempt to change the volume to the next; None where the volume is kept."""
+        return None if self._piston is None else self._piston.interval
+
     def setRandomNumberSeed(self, seed) -> None:
         """Set the seed of the noise for the next Context; as in OpenMM, 0 takes another one for every Context."""
         super().setRandomNumberSeed(whole_number("seed", seed))
 
     def getHeat(self):
-        """Heat that the bath has given to the bodies, a quantity; total energy less heat is conserved."""
+        """Energy that the bath, and moves of the volume, have given to the bodies, a quantity.
+
+        The total energy less it is conserved. The work P dV is not in it.
+        """
         return self.getBodyState().heat * unit.kilojoule_per_mole
 
     def _own_arguments(self) -> dict:
@@ -126,8 +131,6 @@ class SIERLangevinIntegrator(SIERIntegrator):
         }
 
     def _bind(self, context) -> None:
-        if self._piston is not None:
-            refuse_constant_pressure(context.getSystem())
         super()._bind(context)
         # A Context that was reinitialized with its state goes on with the seed that it has.
         if self.getGlobalVariableByName(SEED) == 0:

@@ -349,14 +349,15 @@ def _advance(context, plan: Plan, files: _Files) -> summary.Cost:
     if not files.log.count:
         files.write_row(context)
         files.write_checkpoint(context)
-    watch, seconds = summary.ForceClock(context), 0.0
+    watch, seconds, force_seconds = summary.ForceClock(context), 0.0, 0.0
     evaluations = integrator.forceEvaluations
     with StepProgress(CATALOGUE[plan.scheme].name, plan.steps, plan.dt / 1000, begun) as show:
         while step < plan.steps:
             chunk = min(files.next_due(step), plan.steps, step + LONGEST_CHUNK) - step
-            start = clock()
+            start, before = clock(), watch.seconds
             integrator.step(chunk)
             seconds += clock() - start
+            force_seconds += watch.seconds - before
             step += chunk
             for write in files.due(step):
                 write(context)
@@ -364,4 +365,4 @@ def _advance(context, plan: Plan, files: _Files) -> summary.Cost:
         if files.write_checkpoint not in files.due(step):
             files.write_checkpoint(context)
     evaluations = integrator.forceEvaluations - evaluations
-    return summary.Cost(step - begun, seconds, watch.seconds, evaluations, watch.calls, plan.dt / 1000)
+    return summary.Cost(step - begun, seconds, force_seconds, evaluations, watch.calls, plan.dt / 1000)

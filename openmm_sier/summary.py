@@ -58,13 +58,13 @@ def row(context, integrator) -> tuple[float, ...]:
 
 
 class ForceClock:
-    """Measures the time that force evaluations take, from outside.
+    """Measures the time that evaluations of forces and energies take, from outside.
 
-    It stands in front of `Context.getState`, through which the integrator asks for forces.
+    It stands in front of `Context.getState`, through which the integrator asks for them.
 
     Attributes:
-        seconds: spent in force evaluations.
-        calls: number of them.
+        seconds: spent in evaluations.
+        calls: number of those of forces.
     """
 
     def __init__(self, context):
@@ -72,14 +72,14 @@ class ForceClock:
         ask = context.getState
 
         def ask_and_measure(*args, **kwargs):
-            if not kwargs.get("forces"):
+            if not (kwargs.get("forces") or kwargs.get("energy")):
                 return ask(*args, **kwargs)
             start = clock()
             try:
                 return ask(*args, **kwargs)
             finally:
                 self.seconds += clock() - start
-                self.calls += 1
+                self.calls += bool(kwargs.get("forces"))
 
         context.getState = ask_and_measure
 
@@ -91,9 +91,9 @@ class Cost:
     Attributes:
         steps: number of them.
         seconds: that they took.
-        force_seconds: of these, spent in force evaluations.
+        force_seconds: of these, spent in evaluations of forces, and of energies for moves of the volume.
         evaluations: force evaluations that the integrator counted.
-        measured: force evaluations that `force_seconds` is the time of.
+        measured: force evaluations of which `force_seconds` has the time.
         ps: length of a step.
     """
 

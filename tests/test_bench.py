@@ -73,6 +73,7 @@ def test_interleaved_timings_discard_the_first_round():
 def test_summary_is_the_median_with_its_standard_error(rng):
     """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
     found = np.array([timing.summary(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
+    assert math.isnan(timing.summary(np.array([1.0]))[1])
     assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
     assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)
 

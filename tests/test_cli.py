@@ -12,10 +12,11 @@ from pathlib import Path
 
 import mdtraj
 import numpy as np
+import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import cli, forcefields, records, summary
+from openmm_sier import SIER2Integrator, cli, forcefields, records, summary
 from openmm_sier.version import __version__
 
 SYSTEMS = Path(__file__).parent.parent / "systems"
@@ -208,6 +209,23 @@ def test_frames_after_more_steps_than_the_formats_count(box, suffix):
     assert read.n_frames == 3
     if suffix == ".xtc":
         np.testing.assert_allclose(read.time, [2e6, 4e6, 6e6])
+
+
+def test_time_of_forces_and_energies_is_that_of_openmm(box):
+    """What asks for either is timed; calls are counted for forces alone."""
+    found = forcefields.read_box(box)
+    context = openmm.Context(found.system, SIER2Integrator(0.001), openmm.Platform.getPlatformByName("Reference"))
+    context.setPositions(found.positions)
+    watch = summary.ForceClock(context)
+    context.getState(positions=True)
+    assert (watch.seconds, watch.calls) == (0, 0)
+    context.getState(energy=True)
+    spent = watch.seconds
+    assert spent > 0
+    assert watch.calls == 0
+    context.getState(forces=True)
+    assert watch.seconds > spent
+    assert watch.calls == 1
 
 
 # --- crashes and continuations ---

@@ -69,22 +69,24 @@ def test_equipartition_in_miniature(box, capsys, monkeypatch):
     monkeypatch.setattr(equipartition, "SETTLING", 0.02)
     run(
         *("equipartition", box, "--dt", "1", "2", "--time", "0.1", "--equilibrate", "0.05"),
-        *("--methods", "verlet", "sier4", "--platform", "Reference", "--out", "eq"),
+        *("--methods", "verlet", "sier2", "sier4", "--platform", "Reference", "--out", "eq"),
     )
     rows = equipartition.load(Path("eq/equipartition.json"))
     assert [(row.method, row.step) for row in rows] == [
         ("OpenMM Verlet", 1.0),
         ("OpenMM Verlet", 2.0),
+        ("SIER2", 1.0),
+        ("SIER2", 2.0),
         ("SIER4", 4.0),
         ("SIER4", 8.0),
     ]
     # The box has not been equilibrated: it is hot, but no simulation of it breaks down.
     assert all(100 < row.rotation[0] < 2000 and not row.broken for row in rows)
     assert rows[0].density[0] == pytest.approx(0.997, abs=1e-3)
-    # Known for second order alone, where it is that of h^2.
-    assert rows[0].predicted < 0
-    assert rows[1].predicted == pytest.approx(4 * rows[0].predicted)
-    assert all(math.isnan(row.predicted) for row in rows[2:])
+    # Known for SIER2 alone, where it is that of h^2.
+    assert rows[2].predicted < 0
+    assert rows[3].predicted == pytest.approx(4 * rows[2].predicted)
+    assert all(math.isnan(row.predicted) for row in rows[:2] + rows[4:])
     assert "T_rot - T_trans" in capsys.readouterr().out
 
 

@@ -229,10 +229,12 @@ def test_without_friction_the_volume_still_moves(box):
 def test_copies_and_settings(way):
     made = integrator(pressure=200 * unit.atmosphere, interval=7)
     made.setPressure(3)
+    assert made.getBarostatInterval() == 7
     other = way(made)
     assert other.getPressure().value_in_unit(unit.bar) == pytest.approx(3)
-    assert other._piston.interval == 7
+    assert other.getBarostatInterval() == 7
     plain = SIERLangevinIntegrator(297.0, 2.0, 0.001)
+    assert plain.getBarostatInterval() is None
     assert way(plain).getPressure() is None
     with pytest.raises(ValueError, match="create it with a pressure"):
         plain.setPressure(1)
@@ -269,13 +271,53 @@ def with_fixed_particle(system):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [(with_barostat, "so does a MonteCarloBarostat of the System"), (with_fixed_particle, "particle 177 has no mass")],
+    [
+        (with_barostat, "so does a MonteCarloBarostat of the System"),
+        (with_fixed_particle, "particle 177 belongs to no"),
+    ],
 )
 def test_systems_that_are_refused(box, change, message):
     system = openmm.XmlSerializer.clone(box[1])
     change(system)
     with pytest.raises(openmm.OpenMMException, match=message):
         openmm.Context(system, integrator(), platform())
+
+
+def test_a_refused_reinitialization_leaves_no_bodies(box):
+    _, system, point = box
+    made = integrator()
+    context = context_at(openmm.XmlSerializer.clone(system), made, point)
+    made.step(1)
+    with_barostat(context.getSystem())
+    with pytest.raises(openmm.OpenMMException, match="one is enough"):
+        context.reinitialize(preserveState=True)
+    with pytest.raises(openmm.OpenMMException, match="not bound to a Context"):
+        made.step(1)
+
+
+def test_particles_left_out_cannot_follow_the_box(box):
+    _, system, _ = box
+    some = RigidBodies.from_system(system)
+    some = RigidBodies([some.species[0].of_atoms(some.species[0].atoms[1:])], some.n_particles)
+    with pytest.raises(openmm.OpenMMException, match="particle 0 belongs to no body"):
+        openmm.Context(system, integrator(bodies=some), platform())
+
+
+def test_a_box_too_small_for_the_cutoff(box):
+    _, system, point = box
+    made = integrator(pressure=1e6, interval=1)
+    context = context_at(system, made, point)
+    with pytest.raises(openmm.OpenMMException, match=r"could not try a box of 1\.\d+ x .* twice the nonbonded cutoff"):
+        made.step(500)
+    steps = context.getState().getStepCount()
+    assert steps > 0
+    # All is as the last completed step left it.
+    volume = context.getState().getPeriodicBoxVolume()._value
+    assert volume > (2 * 0.55) ** 3
+    again = integrator(pressure=1e6, interval=1)
+    other = context_at(system, again, point)
+    again.step(steps)
+    assert_same(everything(other), everything(context))
 
 
 def test_a_cluster_has_no_pressure():

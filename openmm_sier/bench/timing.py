@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import time
@@ -81,10 +82,10 @@ def interleaved(actions: Mapping[str, Callable[[], None]], rounds: int) -> dict[
 
 
 def summary(values: np.ndarray) -> tuple[float, float]:
-    """Median of independent values and its standard error.
+    """Median of independent values and its standard error, NaN for a single one.
 
     The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the
     distance of the quartiles, 1.349 sigma, since an interrupted turn lies far off.
     """
     low, median, high = np.percentile(values, [25, 50, 75])
-    return float(median), float(0.929 * (high - low) / np.sqrt(len(values)))
+    return float(median), float(0.929 * (high - low) / np.sqrt(len(values))) if len(values) > 1 else math.nan
