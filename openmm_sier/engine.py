@@ -137,16 +137,13 @@ class Engine:
                 if self._has_actors or self._moves_volume_now():
                     self._step_with_actors(scheme, h)
                 else:
-                    self._step(scheme, h)
+                    # The Context learns of the step when the last one is published.
+                    self._complete(self._reached().state, scheme, h)
             self._publish()
         except BaseException:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
             _whatever_interrupts(self._recover)
             raise
-
-    def _step(self, scheme: Scheme, h: float) -> None:
-        """One step where nothing but the scheme acts. The Context learns of it when the last step is published."""
-        self._complete(self._reached().state, scheme, h)
 
     def _step_with_actors(self, scheme: Scheme, h: float) -> None:
         """One step, after all that acts besides the scheme: barostats and thermostats of the System, our own piston."""
