@@ -1,11 +1,14 @@
-"""What Forces do besides giving forces: they may change positions, velocities or the box in `updateContextState`."""
+"""What Forces do besides giving forces: they may change positions, velocities or the box in `updateContextState`.
+
+And Systems in which the volume cannot be changed without harm to rigid bodies, by Forces or by an integrator.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import openmm
 
-from openmm_sier.bodies import RigidBodies, RigidityError
+from openmm_sier.bodies import RigidBodies, RigidityError, molecule_of_atoms
 
 #: These are known to do nothing; with any other kind in the System the Context is told and read each step.
 PASSIVE_FORCES = (
@@ -86,9 +89,7 @@ def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
     barostats = [force for force in system.getForces() if isinstance(force, BAROSTATS)]
     if not barostats:
         return
-    molecule = np.zeros(bodies.n_particles, dtype=int)
-    for number, atoms in enumerate(molecules):
-        molecule[list(atoms)] = number
+    molecule = molecule_of_atoms(molecules, bodies.n_particles)
     for species in bodies.species:
         if species.atoms.shape[1] == 1:
             continue

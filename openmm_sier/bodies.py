@@ -128,6 +128,19 @@ class Species:
         return axes, np.vstack([self.ones, self.sites[axes]])
 
 
+def molecule_of_atoms(molecules, n_particles: int) -> np.ndarray:
+    """For each particle the number of its molecule.
+
+    Args:
+        molecules: particle indices of each, as `Context.getMolecules()` gives them.
+        n_particles: of the system.
+    """
+    numbers = np.zeros(n_particles, dtype=int)
+    for number, atoms in enumerate(molecules):
+        numbers[list(atoms)] = number
+    return numbers
+
+
 def _as_slice(indices):
     if indices.size == 1:
         return slice(int(indices[0]), int(indices[0]) + 1)

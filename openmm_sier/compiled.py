@@ -139,8 +139,6 @@ class _Team:
 
     def run(self, spans) -> None:
         own, *others = spans
-        # What has not been compiled yet is compiled here, and not by several threads at once.
-        self._loop(0, 0, *self._arguments)
         workers = [threading.Thread(target=self._work, args=(span,), daemon=True) for span in others]
         try:
             for worker in workers:

@@ -175,8 +175,7 @@ class Engine:
         return piston is not None and (self._reached().steps + 1) % piston.interval == 0
 
     def _with_volume_moved(self, state: BodyState) -> BodyState:
-        context, groups = self._context, self._integrator.getIntegrationForceGroups()
-        box = context.getState().getPeriodicBoxVectors(asNumpy=True)._value
+        context, groups, box = self._context, self._integrator.getIntegrationForceGroups(), self._box()
 
         def energy(q, factor: float) -> float:
             context.setPeriodicBoxVectors(*(factor * box))
@@ -209,7 +208,7 @@ class Engine:
         self._place(state.q, state.A)
         before = self._box()
         self._native_step()
-        if self._box() == before:
+        if np.array_equal(self._box(), before):
             return state
         now = _Snapshot(self._context)
         q, A = self.bodies.fit(now.positions, state)
@@ -217,8 +216,8 @@ class Engine:
         self.forces.forget()
         return replace(state, q=q, A=A)
 
-    def _box(self) -> bytes:
-        return self._context.getState().getPeriodicBoxVectors(asNumpy=True)._value.tobytes()
+    def _box(self) -> np.ndarray:
+        return self._context.getState().getPeriodicBoxVectors(asNumpy=True)._value
 
     def _native_step(self) -> None:
         integrator = self._integrator

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from openmm_sier.bath import Bath
-from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
+from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies, molecule_of_atoms
 
 #: Pressure of 1 bar in kJ/mol/nm^3.
 BAR = 0.0602214076
@@ -76,8 +76,5 @@ class Piston:
 
 def _molecule_of(bodies: RigidBodies, molecules) -> np.ndarray:
     """For each body a number of its molecule, counted without gaps. A body that joins several belongs to the first."""
-    of_atom = np.zeros(bodies.n_particles, dtype=int)
-    for number, atoms in enumerate(molecules):
-        of_atom[list(atoms)] = number
     first = np.concatenate([species.atoms[:, 0] for species in bodies.species])
-    return np.unique(of_atom[first], return_inverse=True)[1]
+    return np.unique(molecule_of_atoms(molecules, bodies.n_particles)[first], return_inverse=True)[1]
