@@ -20,28 +20,28 @@ if TYPE_CHECKING:
 BLOCK = 2048
 
 
-def place(species: Species, q, A, positions) -> None:
-    """Write the positions (N, 3) of the atoms of bodies at q (3, n) and A (3, 3, n)."""
-    for block, columns in _blocks(species):
+def place(species: Species, part: slice, q, A, positions) -> None:
+    """Write the positions (N, 3) of the atoms of some of the bodies at q (3, n) and A (3, 3, n)."""
+    for block, columns in _blocks(species, part):
         for column, arm in zip(columns, _products(species.sites.T, A[:, :, block]), strict=True):
             positions[column] = (q[:, block] + arm).T
 
 
-def move(species: Species, v, omega, A, velocities) -> None:
+def move(species: Species, part: slice, v, omega, A, velocities) -> None:
     """Write the velocities (N, 3) of the atoms of bodies that move with v and turn with omega, both (3, n)."""
-    for block, columns in _blocks(species):
+    for block, columns in _blocks(species, part):
         for column, arm in zip(columns, _products(species.sites.T, A[:, :, block]), strict=True):
             velocities[column] = (v[:, block] + np.stack(kernels.cross(omega[:, block], arm))).T
 
 
-def collect(species: Species, vectors, A, weights, total, moment) -> None:
+def collect(species: Species, part: slice, vectors, A, weights, total, moment) -> None:
     """Write the sums (3, n) of weighted vectors (N, 3) over the atoms of each body, and of their moments.
 
     With sites r = sum_a s_a A_a the moment sum_j r_j x f_j is sum_a A_a x M_a, M_a = sum_j s_aj f_j.
     """
     axes, coordinates = species.extents
     factors = weights * coordinates
-    for block, columns in _blocks(species):
+    for block, columns in _blocks(species, part):
         on_sites = np.empty((len(columns), *total[:, block].shape))
         for values, column in zip(on_sites, columns, strict=True):
             values[:] = vectors[column].T
@@ -59,21 +59,21 @@ def _products(factors, vectors):
     return (factors @ vectors.reshape(vectors.shape[0], -1)).reshape(-1, *vectors.shape[1:])
 
 
-def _blocks(species: Species) -> Iterator[tuple[slice, list]]:
-    """Slices of bodies, and for each site what picks their atoms out of an array of particles."""
+def _blocks(species: Species, part: slice) -> Iterator[tuple[slice, list]]:
+    """Slices of a species' bodies, and for each site what picks their atoms out of an array of particles."""
     n = species.atoms.shape[0]
     if n <= BLOCK:
-        yield slice(0, n), species.columns
+        yield part, species.columns
         return
     for start in range(0, n, BLOCK):
-        block = slice(start, start + BLOCK)
-        yield block, [_part(column, block, n) for column in species.columns]
+        stop = min(start + BLOCK, n)
+        columns = [_part(column, slice(start, stop)) for column in species.columns]
+        yield slice(part.start + start, part.start + stop), columns
 
 
-def _part(column, block: slice, n: int):
+def _part(column, block: slice):
     """What picks the atoms of some of the bodies."""
     if isinstance(column, slice):
         step = column.step or 1
-        stop = min(block.stop, n)
-        return slice(column.start + step * block.start, column.start + step * (stop - 1) + 1, step)
+        return slice(column.start + step * block.start, column.start + step * (block.stop - 1) + 1, step)
     return column[block]

@@ -290,11 +290,9 @@ class RigidBodies:
         for s, part in zip(self.species, self.parts, strict=True):
             weights = s.masses if weighted else s.ones
             if loops is None:
-                arrays.collect(s, vectors, A[:, :, part], weights, total[:, part], moment[:, part])
+                arrays.collect(s, part, vectors, A, weights, total, moment)
             else:
-                loops.collect(
-                    len(s.atoms), vectors, A[:, :, part], s.sites, weights, s.atoms, total[:, part], moment[:, part]
-                )
+                loops.collect(part, part.start, vectors, A, s.sites, weights, s.atoms, total, moment)
         return total, moment
 
     # --- from bodies to atoms ---
@@ -304,20 +302,21 @@ class RigidBodies:
         loops = executor()
         for s, part in zip(self.species, self.parts, strict=True):
             if loops is None:
-                arrays.place(s, q[:, part], A[:, :, part], positions)
+                arrays.place(s, part, q, A, positions)
             else:
-                loops.place(len(s.atoms), q[:, part], A[:, :, part], s.sites, s.atoms, positions)
+                loops.place(part, part.start, q, A, s.sites, s.atoms, positions)
         return positions
 
     def move(self, state: BodyState, velocities) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
-        v, omega = state.p / self.masses, self.angular_velocities(state)
-        loops = executor()
+        if (loops := executor()) is None:
+            v, omega = state.p * self.inverse_masses, self.angular_velocities(state)
+            for s, part in zip(self.species, self.parts, strict=True):
+                arrays.move(s, part, v, omega, state.A, velocities)
+            return velocities
+        inverses = self.inverse_masses, self.inverse_moments
         for s, part in zip(self.species, self.parts, strict=True):
-            if loops is None:
-                arrays.move(s, v[:, part], omega[:, part], state.A[:, :, part], velocities)
-            else:
-                loops.move(len(s.atoms), v[:, part], omega[:, part], state.A[:, :, part], s.sites, s.atoms, velocities)
+            loops.move(part, part.start, state.p, state.A, state.L, *inverses, s.sites, s.atoms, velocities)
         return velocities
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:
@@ -325,6 +324,11 @@ class RigidBodies:
         omega = body_frame(state.A, state.L) * self.inverse_moments
         A = state.A
         return kernels.combine(omega, A[0], A[1], A[2])
+
+    @cached_property
+    def inverse_masses(self) -> np.ndarray:
+        """(n,), 1/dalton."""
+        return 1 / self.masses
 
     @cached_property
     def inverse_moments(self) -> np.ndarray:

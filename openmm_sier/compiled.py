@@ -89,11 +89,12 @@ def _loops() -> SimpleNamespace | None:
     namespace: dict = {"np": np, "TILE": TILE, "ROWS": ROWS, "SMALL_ANGLE": kernels.SMALL_ANGLE}
     for function in kernels.ELEMENTWISE:
         namespace[function.__name__] = numba.njit(_with_globals(function, namespace), forceinline=True, **OPTIONS)
-    namespace["turn_tile"] = numba.njit(_with_globals(turn_tile, namespace), **OPTIONS)
+    for helper in (turn_tile, rotate):
+        namespace[helper.__name__] = numba.njit(_with_globals(helper, namespace), **OPTIONS)
     # The cache on disk knows of the source of the loops alone, so that their names tell of the kernels' source.
     digest = hashlib.sha256((getsource(kernels) + getsource(elliptic)).encode()).hexdigest()[:12]
     loops = SimpleNamespace()
-    for loop in (rotate, place, move, collect):
+    for loop in (rotate, advance, kick, place, move, collect):
         clone = _with_globals(loop, namespace)
         clone.__qualname__ = f"{loop.__name__}_{digest}"
         setattr(loops, loop.__name__, _threaded(_cached(clone)))
@@ -111,14 +112,15 @@ def _cached(function):
 
 
 def _threaded(loop):
-    """The loop over n bodies, which several threads share where there are many."""
+    """The loop over a slice of the bodies, which several threads share where it is long."""
 
-    def run(n, *arguments):
+    def run(part, *arguments):
+        start, n = part.start, part.stop - part.start
         count = min(threads(), n // SHARE)
         if count < 2:
-            loop(0, n, *arguments)
+            loop(start, part.stop, *arguments)
             return
-        edges = [n * i // count for i in range(count + 1)]
+        edges = [start + n * i // count for i in range(count + 1)]
         _Team(loop, arguments).run(list(pairwise(edges)))
 
     return run
@@ -228,6 +230,44 @@ def rotate(start, stop, A, L, rates, order, parity, h, times, weights, limits, o
             far[n] = not (low <= square <= high and phase <= longest and angle <= SMALL_ANGLE)
 
 
+def advance(start, stop, before, forces, times, inverse_masses, frame, rule, after, far):
+    """A kick and the free motion after it, of bodies with equal moments.
+
+    Args:
+        start, stop: range of the bodies.
+        before, after: q (3, n), p (3, n), A (3, 3, n) and L (3, n), read and written.
+        forces: F and torque, (3, n) each.
+        times: of the kick and of the drift.
+        inverse_masses: (n,).
+        frame: rates, order and parity of `rotate`; the rates of points are zero.
+        rule: times, weights and limits of `rotate`.
+        far: (n,), bool: the new attitude is still to be found.
+    """
+    q, p, A, L = before
+    new_q, new_p, new_A, new_L = after
+    F, torque = forces
+    kick, drift = times
+    for x in range(3):
+        for n in range(start, stop):
+            new_p[x, n] = p[x, n] + kick * F[x, n]
+            new_L[x, n] = L[x, n] + kick * torque[x, n]
+            new_q[x, n] = q[x, n] + (drift * inverse_masses[n]) * new_p[x, n]
+    rates, order, parity = frame
+    if rates[0] > 0:
+        rotate(start, stop, A, new_L, rates, order, parity, drift, rule[0], rule[1], rule[2], new_A, far)
+        return
+    far[start:stop] = False
+    new_A[:, :, start:stop] = A[:, :, start:stop]
+
+
+def kick(start, stop, p, L, F, torque, h, new_p, new_L):
+    """Momenta and angular momenta after forces and torques have acted for a time, (3, n) each."""
+    for x in range(3):
+        for n in range(start, stop):
+            new_p[x, n] = p[x, n] + h * F[x, n]
+            new_L[x, n] = L[x, n] + h * torque[x, n]
+
+
 def turn_tile(tile, rates, h, times, weights):
     """Free rotation of a tile of bodies, from rows of it to others: A (9 rows), L (3), new A (9), |L|^2, phase, angle.
 
@@ -271,20 +311,42 @@ def turn_tile(tile, rates, h, times, weights):
         tile[23 * TILE + n] = angle
 
 
-def place(start, stop, q, A, sites, atoms, positions):
-    """Positions of the atoms of bodies: q (3, n), A (3, 3, n), sites (3, k), atoms (n, k), positions (N, 3) written."""
+def place(start, stop, first, q, A, sites, atoms, positions):
+    """Positions of the atoms of bodies.
+
+    Args:
+        start, stop: range of the bodies.
+        first: number of the body that the first row of `atoms` belongs to.
+        q, A: (3, n) and (3, 3, n).
+        sites: (3, k).
+        atoms: (m, k).
+        positions: (N, 3), written.
+    """
     for n in range(start, stop):
         for j in range(atoms.shape[1]):
             site = (sites[0, j], sites[1, j], sites[2, j])
-            atom = atoms[n, j]
+            atom = atoms[n - first, j]
             for x in range(3):
                 positions[atom, x] = q[x, n] + combine(site, A[0, x, n], A[1, x, n], A[2, x, n])
 
 
-def move(start, stop, v, omega, A, sites, atoms, velocities):
-    """Velocities of the atoms of bodies: v and omega (3, n), the rest as for `place`, velocities (N, 3) written."""
+def move(start, stop, first, p, A, L, inverse_masses, inverse_moments, sites, atoms, velocities):
+    """Velocities (N, 3) of the atoms of bodies, written.
+
+    p and L are (3, n), the inverse masses (n,) and the inverse moments (3, n), the rest as for `place`.
+    """
     for n in range(start, stop):
-        turn = (omega[0, n], omega[1, n], omega[2, n])
+        spin = (L[0, n], L[1, n], L[2, n])
+        along = (
+            inverse_moments[0, n] * combine(spin, A[0, 0, n], A[0, 1, n], A[0, 2, n]),
+            inverse_moments[1, n] * combine(spin, A[1, 0, n], A[1, 1, n], A[1, 2, n]),
+            inverse_moments[2, n] * combine(spin, A[2, 0, n], A[2, 1, n], A[2, 2, n]),
+        )
+        turn = (
+            combine(along, A[0, 0, n], A[1, 0, n], A[2, 0, n]),
+            combine(along, A[0, 1, n], A[1, 1, n], A[2, 1, n]),
+            combine(along, A[0, 2, n], A[1, 2, n], A[2, 2, n]),
+        )
         for j in range(atoms.shape[1]):
             site = (sites[0, j], sites[1, j], sites[2, j])
             x = combine(site, A[0, 0, n], A[1, 0, n], A[2, 0, n])
@@ -292,11 +354,14 @@ def move(start, stop, v, omega, A, sites, atoms, velocities):
             z = combine(site, A[0, 2, n], A[1, 2, n], A[2, 2, n])
             swing = cross(turn, (x, y, z))
             for axis in range(3):
-                velocities[atoms[n, j], axis] = v[axis, n] + swing[axis]
+                velocities[atoms[n - first, j], axis] = inverse_masses[n] * p[axis, n] + swing[axis]
 
 
-def collect(start, stop, vectors, A, sites, weights, atoms, total, moment):
-    """Sums over the atoms of bodies of weighted vectors (N, 3) and of their moments, (3, n) each, written."""
+def collect(start, stop, first, vectors, A, sites, weights, atoms, total, moment):
+    """Sums over the atoms of bodies of weighted vectors (N, 3) and of their moments, (3, n) each, written.
+
+    The rest as for `place`.
+    """
     for n in range(start, stop):
         fx = fy = fz = tx = ty = tz = 0.0
         for j in range(atoms.shape[1]):
@@ -304,7 +369,7 @@ def collect(start, stop, vectors, A, sites, weights, atoms, total, moment):
             x = combine(site, A[0, 0, n], A[1, 0, n], A[2, 0, n])
             y = combine(site, A[0, 1, n], A[1, 1, n], A[2, 1, n])
             z = combine(site, A[0, 2, n], A[1, 2, n], A[2, 2, n])
-            atom = atoms[n, j]
+            atom = atoms[n - first, j]
             f = (weights[j] * vectors[atom, 0], weights[j] * vectors[atom, 1], weights[j] * vectors[atom, 2])
             turn = cross((x, y, z), f)
             fx, fy, fz = fx + f[0], fy + f[1], fz + f[2]

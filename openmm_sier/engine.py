@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,7 +13,6 @@ import openmm
 from openmm_sier import actors, propagation, storage
 from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
 from openmm_sier.piston import VolumeMove
-from openmm_sier.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
 if TYPE_CHECKING:
     from openmm_sier.integrator import SIERIntegrator
@@ -59,7 +59,7 @@ class Engine:
         self._echo: _Snapshot | None = None
         self._point: _Point | None = None
         self.forces = propagation.CachedForces(self._compute_forces)
-        self.operators: dict[str, propagation.Operator] = {}
+        self.operators: dict[str | tuple[str, ...], propagation.Operator] = {}
         self._bodies: RigidBodies | None = None
         self._move_volume: VolumeMove
         # Where positions tell nothing of the bodies they are settled now, and the plan takes more memory than they do.
@@ -109,12 +109,8 @@ class Engine:
         integrator, context = self._integrator, self._context
         molecules = context.getMolecules()
         actors.refuse_deforming_barostats(context.getSystem(), molecules, bodies)
-        self.operators = {
-            KICK: propagation.kick(self.forces),
-            GRADIENT_KICK: propagation.gradient_kick(bodies, self.forces),
-            DRIFT: propagation.drift(bodies, integrator.rotation),
-            **integrator._extra_operators(bodies),
-        }
+        self.operators = propagation.body_operators(bodies, self.forces, integrator.rotation)
+        self.operators |= integrator._extra_operators(bodies)
         if integrator._piston is not None:
             actors.refuse_constant_pressure(context.getSystem(), bodies)
             self._move_volume = integrator._piston.operator(bodies, molecules)
@@ -131,36 +127,37 @@ class Engine:
     def run(self, count: int) -> None:
         """Advance by `count` steps; an error or interrupt leaves the Context at the last completed one."""
         self.adopt()
-        scheme, h = self._integrator._active_scheme(), self._integrator.getStepSize()._value
+        h = self._integrator.getStepSize()._value
+        step = propagation.stepper(self._integrator._active_scheme(), self.operators, h)
         try:
             for _ in range(count):
                 if self._has_actors or self._moves_volume_now():
-                    self._step_with_actors(scheme, h)
+                    self._step_with_actors(step, h)
                 else:
                     # The Context learns of the step when the last one is published.
-                    self._complete(self._reached().state, scheme, h)
+                    self._complete(self._reached().state, step, h)
             self._publish()
         except BaseException:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
             _whatever_interrupts(self._recover)
             raise
 
-    def _step_with_actors(self, scheme: Scheme, h: float) -> None:
+    def _step_with_actors(self, step: propagation.Stepper, h: float) -> None:
         """One step, after all that acts besides the scheme: barostats and thermostats of the System, our own piston."""
         before = self._reached()
         mark = self._context.getState(positions=True)
         try:
-            self._complete(self._acted_on(h), scheme, h)
+            self._complete(self._acted_on(h), step, h)
         except BaseException:
             if self._point is before:
                 _whatever_interrupts(lambda: self._rewind(mark))
             raise
 
-    def _complete(self, state: BodyState, scheme: Scheme, h: float) -> None:
+    def _complete(self, state: BodyState, step: propagation.Stepper, h: float) -> None:
         _, time, steps = self._reached()
         if any(steps % frequency == 0 for frequency in self._sweep_frequencies):
             state = self._without_drift(state)
-        state = propagation.step(scheme, self.operators, state, h)
+        state = step(state)
         # All of it at once, so that an interrupt finds the clock and the bodies in agreement.
         self._point = _Point(state, time + h, steps + 1)
 
@@ -249,14 +246,14 @@ class Engine:
     def _compute_forces(self, q, A):
         self._place(q, A)
         found = self._context.getState(forces=True, groups=self._integrator.getIntegrationForceGroups())
-        # What getForces(asNumpy=True) does, without a search in all names of the State and a quantity made and undone.
-        found._getVectorAsNumpy(openmm.State.Forces, self._atom_forces)
+        _read(found, openmm.State.Forces, self._atom_forces)
         F, tau = self.bodies.forces_and_torques(self._atom_forces, A)
         self._demand_finite("force on", F, tau)
         return F, tau
 
     def _demand_finite(self, what: str, *values) -> None:
-        if all(np.isfinite(value).all() for value in values):
+        # A sum is finite only where all terms are, but for an overflow. And einsum does not warn of what is not.
+        if all(math.isfinite(np.einsum("ij->", value)) or np.isfinite(value).all() for value in values):
             return
         finite = np.all([np.isfinite(value).all(axis=0) for value in values], axis=0)
         step = self._context.getStepCount() if self._point is None else self._point.steps + 1
@@ -288,8 +285,11 @@ class Engine:
         moved = not self._same_positions(self._echo, now)
         if moved and self._plan is not None:
             self._settle_by(now.positions)
-        state = self._recall(now, moved) if moved or not _same_velocities(self._echo, now) else None
-        state = state or self._reconcile(None if moved else self._echo, now)
+        if moved or not _same_velocities(self._echo, now):
+            state = self._recall(now, moved) or self._reconcile(None if moved else self._echo, now)
+        else:
+            state = self.state
+            self._notice_environment(self._echo, now)
         self._velocities[:] = now.velocities
         integrator = self._integrator
         heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
@@ -301,8 +301,7 @@ class Engine:
     def _reconcile(self, before: _Snapshot | None, now: _Snapshot) -> BodyState:
         """The bodies' state after the Context changed from one snapshot to another."""
         old = None if self._point is None else self._point.state
-        if before is None or before.environment != now.environment:
-            self.forces.forget()
+        self._notice_environment(before, now)
         if old is None or before is None:
             q, A = self.bodies.fit(now.positions)
             self._take_positions(now)
@@ -316,6 +315,10 @@ class Engine:
             return replace(old, q=q, A=A)
         p, L = self._momenta(now.velocities, A)
         return replace(old, q=q, p=p, A=A, L=L)
+
+    def _notice_environment(self, before: _Snapshot | None, now: _Snapshot) -> None:
+        if before is None or before.environment != now.environment:
+            self.forces.forget()
 
     def _momenta(self, velocities, A):
         p, L = self.bodies.momenta(velocities, A)
@@ -387,6 +390,12 @@ def _whatever_interrupts(action) -> None:
         raise
 
 
+def _read(state, kind: int, values: np.ndarray) -> np.ndarray:
+    """What getPositions(asNumpy=True) and the like do, without a search in all names and a quantity made and undone."""
+    state._getVectorAsNumpy(kind, values)
+    return values
+
+
 def _same_velocities(before: _Snapshot | None, now: _Snapshot) -> bool:
     return before is not None and np.array_equal(before.velocities, now.velocities)
 
@@ -396,7 +405,8 @@ class _Snapshot:
 
     def __init__(self, context):
         state = context.getState(positions=True, velocities=True, parameters=True)
-        self.positions = state.getPositions(asNumpy=True)._value
-        self.velocities = state.getVelocities(asNumpy=True)._value
+        shape = (context.getSystem().getNumParticles(), 3)
+        self.positions = _read(state, openmm.State.Positions, np.empty(shape))
+        self.velocities = _read(state, openmm.State.Velocities, np.empty(shape))
         self.time, self.steps = state.getTime()._value, state.getStepCount()
-        self.environment = (state.getPeriodicBoxVectors(asNumpy=True)._value.tobytes(), dict(state.getParameters()))
+        self.environment = (state.getPeriodicBoxVectors()._value, dict(state.getParameters()))

@@ -92,7 +92,8 @@ class Rule(NamedTuple):
 
 SHORT_RULE = Rule.of(short_sn_coefficients, *QUADRATURES[0][1:])
 RULE = Rule.of(sn_coefficients, *QUADRATURES[1][1:])
-LIMITS = (LONGEST, *SQUARE_RANGE)
+#: For the compiled loops: of `RULE`, and the limits beyond which a body is left to `rotate_far`.
+COMPILED_RULE = (RULE.times, RULE.weights, (LONGEST, *SQUARE_RANGE))
 
 
 class Top(NamedTuple):
@@ -101,6 +102,11 @@ class Top(NamedTuple):
     rates: np.ndarray  # (3,) or (3, n)
     order: np.ndarray  # same shape: row i of the sorted frame is row order[i] of the user's
     parity: np.ndarray  # () or (n,): sign that the middle axis takes, so that the sorted frame stays right-handed
+
+    @property
+    def frame(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Bodies with equal moments, for the compiled loops."""
+        return self.rates, self.order, float(self.parity)
 
     def part(self, index) -> Top:
         return self if self.rates.ndim == 1 else Top(self.rates[:, index], self.order[:, index], self.parity[index])
@@ -206,17 +212,21 @@ def exact(A, L, moments, h):
     new = np.empty((3, 3, n))
     if bodies.rates.ndim == 1 and (loops := executor()) is not None:
         far = np.empty(n, dtype=bool)
-        frame = (bodies.rates, bodies.order, float(bodies.parity))
-        loops.rotate(n, A, L, *frame, h, RULE.times, RULE.weights, LIMITS, new, far)
-        if far.any():
-            _demand_finite(A, L)
-            new[:, :, far] = _rotate_block(bodies, A[:, :, far], L[:, far], h)
+        loops.rotate(slice(0, n), A, L, *bodies.frame, h, *COMPILED_RULE, new, far)
+        rotate_far(bodies, A, L, h, new, far)
     else:
         _demand_finite(A, L)
         for start in range(0, n, BLOCK):
             block = slice(start, min(start + BLOCK, n))
             new[:, :, block] = _rotate_block(bodies.part(block), A[:, :, block], L[:, block], h)
     return new, L.copy()
+
+
+def rotate_far(bodies: Top, A, L, h, new, far) -> None:
+    """Write the new attitudes of the bodies that the compiled loops left aside, which `far` (n,) marks."""
+    if far.any():
+        _demand_finite(A, L)
+        new[:, :, far] = _rotate_block(bodies, A[:, :, far], L[:, far], h)
 
 
 def _demand_finite(A, L) -> None:

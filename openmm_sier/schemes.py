@@ -44,6 +44,11 @@ class Stage(NamedTuple):
     fraction: float
     shift: float = 0.0
 
+    def times(self, h: float) -> tuple[float, ...]:
+        """What the operator takes in a step of length h: its time, and of a gradient kick its displacement."""
+        own = (self.fraction * h,)
+        return (*own, self.shift * h * h) if self.operator == GRADIENT_KICK else own
+
     @property
     def flow(self) -> str:
         """Name of the operator whose exact flow this stage is a part of."""

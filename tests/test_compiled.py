@@ -8,12 +8,14 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from openmm_sier import compiled, rotor
-from openmm_sier.bodies import BodyState, RigidBodies, Species
+from openmm_sier import SIER2, SIER4, compiled, propagation, rotor
+from openmm_sier.schemes import SIER4G
+from tests import molecules
 from tests.test_langevin import GEOMETRIES, ensemble
 
 #: Sums and products that are contracted to fused operations, or not, differ by rounding of terms of order one; the
@@ -54,17 +56,16 @@ def test_bodies_at_rest_and_out_of_range_agree():
     assert np.abs(np.einsum("ijn,kjn->ikn", fast, fast) - np.eye(3)[:, :, None]).max() < ROUNDING
 
 
-@pytest.mark.parametrize("kind", GEOMETRIES)
-def test_sums_and_places_agree(kind):
-    single, state = ensemble(kind, 50)
-    species = single.species[0]
-    # Two species with atoms out of order, and a particle that belongs to no body.
-    k = species.atoms.shape[1]
-    shuffled = np.random.default_rng(2).permutation(50 * k)[: 20 * k].reshape(20, k)
-    bodies = RigidBodies([Species(shuffled, species.masses, species.sites, species.moments)], 50 * k + 1)
-    rng = np.random.default_rng(3)
-    state = BodyState(*(rng.normal(size=(3, 20)) for _ in range(2)), state.A[:, :, :20], state.L[:, :20])
-    forces = rng.normal(size=(50 * k + 1, 3))
+@pytest.fixture
+def mixture(rng):
+    """Several bodies of every kind, their atoms out of order among free particles, and forces on all of these."""
+    bodies = molecules.scattered(molecules.GEOMETRIES, each=40)
+    state = molecules.thermal_state(rng, bodies, rng.normal(size=(3, bodies.n)))
+    return bodies, state, 1000 * rng.normal(size=(bodies.n_particles, 3))
+
+
+def test_sums_and_places_agree(mixture):
+    bodies, state, forces = mixture
     for function in (
         lambda: np.stack(bodies.forces_and_torques(forces, state.A)),
         lambda: np.stack(bodies.momenta(forces, state.A)),
@@ -73,6 +74,34 @@ def test_sums_and_places_agree(kind):
     ):
         plain, fast = both(function)
         assert np.abs(plain - fast).max() < ROUNDING * max(1.0, np.abs(plain).max())
+
+
+@pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G], ids=lambda scheme: scheme.name)
+def test_a_kick_and_a_drift_in_one_loop_are_the_two(mixture, scheme):
+    """With a body at rest and one that spins too fast for the series, which the loop leaves to NumPy."""
+    bodies, state, forces = mixture
+    L = state.L.copy()
+    waters = bodies.parts[0].start
+    L[:, waters], L[:, waters + 1] = 0.0, 100 * L[:, waters + 1]
+    state = replace(state, L=L)
+
+    def forces_at(q, A):
+        F, tau = bodies.forces_and_torques(forces, A)
+        tau[:, waters] = 0.0
+        return F - 100.0 * q, tau
+
+    def after_a_step():
+        operators = propagation.body_operators(bodies, propagation.CachedForces(forces_at))
+        apart = {name: operator for name, operator in operators.items() if isinstance(name, str)}
+        return [propagation.stepper(scheme, some, 0.004)(state) for some in (operators, apart)]
+
+    found = [state for pair in both(after_a_step) for state in pair]
+    assert not np.array_equal(found[0].A, state.A)
+    for other in found[1:]:
+        for name in "qpAL":
+            one, two = getattr(found[0], name), getattr(other, name)
+            # Some stages, of the fast body by angles up to 30, each rounded.
+            assert np.abs(one - two).max() < 100 * ROUNDING * np.abs(one).max(), name
 
 
 @pytest.fixture
@@ -87,16 +116,16 @@ def whole_step(bodies, state, forces):
     L = state.L.copy()
     L[:, 5] = 0
     A, _ = rotor.exact(state.A, L, bodies.species[0].moments, 1e-3)
-    positions = bodies.place(state.q, A, np.zeros_like(forces))
-    return A, positions, bodies.move(state, np.zeros_like(forces)), *bodies.forces_and_torques(forces, A)
+    force = propagation.CachedForces(lambda q, A: bodies.forces_and_torques(forces, A))
+    end = propagation.stepper(SIER2, propagation.body_operators(bodies, force), 1e-3)(state)
+    positions = bodies.place(end.q, end.A, np.zeros_like(forces))
+    return A, end.q, end.p, end.A, end.L, positions, bodies.move(end, np.zeros_like(forces))
 
 
-def test_threads_give_the_same_bits(request):
-    bodies, state = ensemble("asymmetric", 200)
-    forces = np.random.default_rng(3).normal(size=(bodies.n_particles, 3))
-    alone = whole_step(bodies, state, forces)
+def test_threads_give_the_same_bits(request, mixture):
+    alone = whole_step(*mixture)
     request.getfixturevalue("three_threads")
-    for one, other in zip(alone, whole_step(bodies, state, forces), strict=True):
+    for one, other in zip(alone, whole_step(*mixture), strict=True):
         assert np.array_equal(one, other)
 
 
@@ -114,7 +143,7 @@ def test_no_thread_is_at_work_after_an_interrupt(three_threads, error):
         finished.append((start, stop))
 
     with pytest.raises(error):
-        compiled._threaded(loop)(11)
+        compiled._threaded(loop)(slice(0, 11))
     found = list(finished)
     assert found
     time.sleep(0.1)
@@ -169,7 +198,7 @@ def test_errors_of_threads_come_out(three_threads):
         raise ValueError("what went wrong")
 
     with pytest.raises(ValueError, match="what went wrong"):
-        compiled._threaded(loop)(11)
+        compiled._threaded(loop)(slice(0, 11))
 
 
 def test_disabled_is_undone_by_an_error():

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, SIER4, BodyState
-from openmm_sier.propagation import CachedForces, drift, kick, step
+from openmm_sier.propagation import CachedForces, drift, kick, stepper
 from openmm_sier.schemes import DRIFT, KICK
 from tests.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
 from tests.oracles import orthogonality_error, skew
@@ -22,8 +22,9 @@ def operators_of(cluster):
 
 def run(cluster, scheme, state, h, steps):
     _, operators = operators_of(cluster)
+    step = stepper(scheme, operators, h)
     for _ in range(steps):
-        state = step(scheme, operators, state, h)
+        state = step(state)
     return state
 
 
@@ -96,9 +97,10 @@ def test_energy_error_falls_with_the_order_and_does_not_drift(rng, waters, schem
 
     def errors(h, steps):
         _, operators = operators_of(waters)
+        step = stepper(scheme, operators, h)
         state, found = start, []
         for _ in range(steps):
-            state = step(scheme, operators, state, h)
+            state = step(state)
             found.append(waters.energy(state) - energy)
         return np.abs(found)
 
@@ -203,7 +205,7 @@ def test_a_wrong_coefficient_is_not_symplectic(rng, pair):
         return {KICK: kick(CachedForces(compute)), DRIFT: drift(pair.bodies)}
 
     def defect(factor):
-        return symplectic_defect(lambda s: step(SIER2, wrong(factor), s, 0.004), state)
+        return symplectic_defect(stepper(SIER2, wrong(factor), 0.004), state)
 
     assert defect(1.0) < SYMPLECTIC
     assert defect(0.99) > 1e4 * SYMPLECTIC
@@ -242,14 +244,15 @@ def test_momentum_and_angular_momentum_are_constant(rng, mixture, scheme):
 @pytest.mark.parametrize(("scheme", "evaluations"), [(SIER2, 1), (SIER4, 4)])
 def test_force_evaluations(rng, waters, scheme, evaluations):
     forces, operators = operators_of(waters)
-    state = step(scheme, operators, waters.start(rng), 0.002)
+    step = stepper(scheme, operators, 0.002)
+    state = step(waters.start(rng))
     # The first step has no force from the one before.
     assert forces.evaluations == evaluations + 1
     for done in range(2, 8):
-        state = step(scheme, operators, state, 0.002)
+        state = step(state)
         assert forces.evaluations == done * evaluations + 1
     forces.forget()
-    step(scheme, operators, state, 0.002)
+    step(state)
     assert forces.evaluations == 7 * evaluations + 1 + evaluations + 1
 
 

@@ -150,7 +150,7 @@ class Replay:
             if self.world.sweep and self.steps % self.world.sweep == 0:
                 velocity = self.state.p.sum(axis=1) / self.bodies.masses.sum()
                 self.state = replace(self.state, p=self.state.p - self.bodies.masses * velocity[:, None])
-            self.state = propagation.step(self.scheme, self._operators, self.state, self.h)
+            self.state = propagation.stepper(self.scheme, self._operators, self.h)(self.state)
             self.steps += 1
             self.time += self.h
 

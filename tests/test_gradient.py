@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER4, RigidBodies, Scheme, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.propagation import CachedForces, drift, gradient_kick, kick, step
+from openmm_sier.propagation import CachedForces, drift, gradient_kick, kick, stepper
 from openmm_sier.rotor import body_frame
 from openmm_sier.schemes import BATH, CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, Stage
 from tests.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
@@ -38,8 +38,9 @@ def operators_of(cluster):
 
 def run(cluster, scheme, state, h, steps):
     _, operators = operators_of(cluster)
+    step = stepper(scheme, operators, h)
     for _ in range(steps):
-        state = step(scheme, operators, state, h)
+        state = step(state)
     return state
 
 
@@ -219,9 +220,10 @@ def test_energy_error_falls_with_the_fourth_order_and_does_not_drift(rng, waters
 
     def errors(h, steps):
         _, operators = operators_of(waters)
+        step = stepper(SIER4G, operators, h)
         state, found = start, []
         for _ in range(steps):
-            state = step(SIER4G, operators, state, h)
+            state = step(state)
             found.append(waters.energy(state) - energy)
         return np.abs(found)
 
@@ -233,11 +235,12 @@ def test_energy_error_falls_with_the_fourth_order_and_does_not_drift(rng, waters
 
 def test_force_evaluations(rng, waters):
     forces, operators = operators_of(waters)
+    step = stepper(SIER4G, operators, 0.002)
     state = waters.start(rng)
     assert SIER4G.force_evaluations == 3
     assert SIER4G.reuses_force
     for done in range(1, 6):
-        state = step(SIER4G, operators, state, 0.002)
+        state = step(state)
         # The first step has no force from the one before.
         assert forces.evaluations == 3 * done + 1
 

@@ -25,7 +25,6 @@ from openmm_sier.paper import tip4p
 from openmm_sier.paper.methods import FS, METHODS, Method, Progress
 from openmm_sier.paper.statistics import jackknife
 from openmm_sier.rotor import body_frame
-from openmm_sier.schemes import DRIFT, KICK
 
 #: One debye times one MV/m in kJ/mol: 1e-21/299792458 C m (CODATA), 1e6 V/m, the Avogadro constant.
 DEBYE_MV_PER_M = 1e-21 / 299792458 * 1e6 * 6.02214076e23 / 1e3
@@ -161,11 +160,9 @@ def _entry(method: Method, force_step_fs: float, settings: Settings) -> Entry:
     bodies = tip4p.molecules(settings.bodies)
     state = tip4p.canonical_rotation(bodies, settings.temperature, np.random.default_rng(settings.seed))
     field = Field(settings.dipole * settings.field * DEBYE_MV_PER_M, tip4p.dipole_direction(bodies))
-    operators = {
-        KICK: propagation.kick(propagation.CachedForces(field.forces)),
-        DRIFT: propagation.drift(bodies, method.rotation),
-    }
     h = force_step_fs * method.forces * FS
+    operators = propagation.body_operators(bodies, propagation.CachedForces(field.forces), method.rotation)
+    step = propagation.stepper(method.scheme, operators, h)
 
     def observe(state: BodyState):
         potential = field.potential(state.A)
@@ -176,7 +173,7 @@ def _entry(method: Method, force_step_fs: float, settings: Settings) -> Entry:
     for _ in range(round(settings.span / h) + 1):
         for spread, value in zip(spreads, observe(state), strict=True):
             spread.add(value)
-        state = propagation.step(method.scheme, operators, state, h)
+        state = step(state)
     return _average(method.name, force_step_fs, *spreads)
 
 

@@ -150,10 +150,11 @@ def _curve(method: Method, step_fs: float, settings: Settings, report) -> Curve:
     h = step_fs * FS
     marks = _marks(round(settings.span / h), settings.marks_per_decade)
     operators = {KICK: lambda state, _: state, DRIFT: propagation.drift(bodies, method.rotation)}
+    step = propagation.stepper(method.scheme, operators, h)
     judge = _squares_beyond_double if exact else _squares
     state, squares = start, []
     for count in range(1, marks[-1] + 1):
-        state = propagation.step(method.scheme, operators, state, h)
+        state = step(state)
         if count in marks:
             squares.append(judge(state, start, bodies.species[0].moments, h, count))
         if count % 64 == 0:
