@@ -21,14 +21,14 @@ BLOCK = 2048
 
 
 def place(species: Species, part: slice, q, A, positions) -> None:
-    """Write the positions (N, 3) of the atoms of some of the bodies at q (3, n) and A (3, 3, n)."""
+    """Write the positions (N, 3) of the atoms of a species' part of the bodies, at q (3, n) and A (3, 3, n)."""
     for block, columns in _blocks(species, part):
         for column, arm in zip(columns, _products(species.sites.T, A[:, :, block]), strict=True):
             positions[column] = (q[:, block] + arm).T
 
 
 def move(species: Species, part: slice, v, omega, A, velocities) -> None:
-    """Write the velocities (N, 3) of the atoms of bodies that move with v and turn with omega, both (3, n)."""
+    """Write the velocities (N, 3) of the atoms of a species that moves with v and turns with omega, both (3, n)."""
     for block, columns in _blocks(species, part):
         for column, arm in zip(columns, _products(species.sites.T, A[:, :, block]), strict=True):
             velocities[column] = (v[:, block] + np.stack(kernels.cross(omega[:, block], arm))).T

@@ -94,7 +94,7 @@ def _loops() -> SimpleNamespace | None:
     # The cache on disk knows of the source of the loops alone, so that their names tell of the kernels' source.
     digest = hashlib.sha256((getsource(kernels) + getsource(elliptic)).encode()).hexdigest()[:12]
     loops = SimpleNamespace()
-    for loop in (rotate, advance, kick, place, move, collect):
+    for loop in (rotate, drift, kick, displace, kick_from, place, move, collect):
         clone = _with_globals(loop, namespace)
         clone.__qualname__ = f"{loop.__name__}_{digest}"
         setattr(loops, loop.__name__, _threaded(_cached(clone)))
@@ -230,31 +230,24 @@ def rotate(start, stop, A, L, rates, order, parity, h, times, weights, limits, o
             far[n] = not (low <= square <= high and phase <= longest and angle <= SMALL_ANGLE)
 
 
-def advance(start, stop, before, forces, times, inverse_masses, frame, rule, after, far):
-    """A kick and the free motion after it, of bodies with equal moments.
+def drift(start, stop, q, p, A, L, h, inverse_masses, frame, rule, new_q, new_A, far):
+    """Free motion of bodies with equal moments.
 
     Args:
         start, stop: range of the bodies.
-        before, after: q (3, n), p (3, n), A (3, 3, n) and L (3, n), read and written.
-        forces: F and torque, (3, n) each.
-        times: of the kick and of the drift.
+        q, p, A, L: (3, n), and A (3, 3, n).
+        h: time.
         inverse_masses: (n,).
         frame: rates, order and parity of `rotate`; the rates of points are zero.
         rule: times, weights and limits of `rotate`.
-        far: (n,), bool: the new attitude is still to be found.
+        new_q, new_A, far: written as by `rotate`.
     """
-    q, p, A, L = before
-    new_q, new_p, new_A, new_L = after
-    F, torque = forces
-    kick, drift = times
     for x in range(3):
         for n in range(start, stop):
-            new_p[x, n] = p[x, n] + kick * F[x, n]
-            new_L[x, n] = L[x, n] + kick * torque[x, n]
-            new_q[x, n] = q[x, n] + (drift * inverse_masses[n]) * new_p[x, n]
+            new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
     rates, order, parity = frame
     if rates[0] > 0:
-        rotate(start, stop, A, new_L, rates, order, parity, drift, rule[0], rule[1], rule[2], new_A, far)
+        rotate(start, stop, A, L, rates, order, parity, h, rule[0], rule[1], rule[2], new_A, far)
         return
     far[start:stop] = False
     new_A[:, :, start:stop] = A[:, :, start:stop]
@@ -266,6 +259,32 @@ def kick(start, stop, p, L, F, torque, h, new_p, new_L):
         for n in range(start, stop):
             new_p[x, n] = p[x, n] + h * F[x, n]
             new_L[x, n] = L[x, n] + h * torque[x, n]
+
+
+def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moments, new_q, new_A):
+    """Bodies displaced by `shift` times their accelerations: q (3, n) and A (3, 3, n), and written alike."""
+    half = -0.5 * shift
+    for n in range(start, stop):
+        turn = (torque[0, n], torque[1, n], torque[2, n])
+        i = half * inverse_moments[0, n] * combine(turn, A[0, 0, n], A[0, 1, n], A[0, 2, n])
+        j = half * inverse_moments[1, n] * combine(turn, A[1, 0, n], A[1, 1, n], A[1, 2, n])
+        k = half * inverse_moments[2, n] * combine(turn, A[2, 0, n], A[2, 1, n], A[2, 2, n])
+        rows = rotation_matrix(1.0, i, j, k)
+        for x in range(3):
+            new_q[x, n] = q[x, n] + (shift * inverse_masses[n]) * F[x, n]
+            new_A[0, x, n] = combine(rows[0], A[0, x, n], A[1, x, n], A[2, x, n])
+            new_A[1, x, n] = combine(rows[1], A[0, x, n], A[1, x, n], A[2, x, n])
+            new_A[2, x, n] = combine(rows[2], A[0, x, n], A[1, x, n], A[2, x, n])
+
+
+def kick_from(start, stop, p, L, F, torque, arm, h, new_p, new_L):
+    """As `kick`, by forces that act at a distance `arm` (3, n) from the centres."""
+    for n in range(start, stop):
+        force = (F[0, n], F[1, n], F[2, n])
+        lever = cross((arm[0, n], arm[1, n], arm[2, n]), force)
+        for x in range(3):
+            new_p[x, n] = p[x, n] + h * force[x]
+            new_L[x, n] = L[x, n] + h * (torque[x, n] + lever[x])
 
 
 def turn_tile(tile, rates, h, times, weights):
@@ -316,7 +335,7 @@ def place(start, stop, first, q, A, sites, atoms, positions):
 
     Args:
         start, stop: range of the bodies.
-        first: number of the body that the first row of `atoms` belongs to.
+        first: number of the body that the first row of `atoms` belongs to: the species' first.
         q, A: (3, n) and (3, 3, n).
         sites: (3, k).
         atoms: (m, k).

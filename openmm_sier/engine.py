@@ -13,6 +13,7 @@ import openmm
 from openmm_sier import actors, propagation, storage
 from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
 from openmm_sier.piston import VolumeMove
+from openmm_sier.snapshot import Snapshot, read_vectors
 
 if TYPE_CHECKING:
     from openmm_sier.integrator import SIERIntegrator
@@ -56,10 +57,10 @@ class Engine:
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self._positions, self._velocities, self._atom_forces = np.zeros((3, n, 3))
         self._placed: tuple = (None, None)
-        self._echo: _Snapshot | None = None
+        self._echo: Snapshot | None = None
         self._point: _Point | None = None
         self.forces = propagation.CachedForces(self._compute_forces)
-        self.operators: dict[str | tuple[str, ...], propagation.Operator] = {}
+        self.operators: dict[str, propagation.Operator] = {}
         self._bodies: RigidBodies | None = None
         self._move_volume: VolumeMove
         # Where positions tell nothing of the bodies they are settled now, and the plan takes more memory than they do.
@@ -84,7 +85,7 @@ class Engine:
     @property
     def bodies(self) -> RigidBodies:
         """The rigid bodies of the Context's System."""
-        return self._bodies or self._settle_by(_Snapshot(self._context).positions)
+        return self._bodies or self._settle_by(Snapshot(self._context).positions)
 
     @property
     def state(self) -> BodyState:
@@ -109,12 +110,11 @@ class Engine:
         integrator, context = self._integrator, self._context
         molecules = context.getMolecules()
         actors.refuse_deforming_barostats(context.getSystem(), molecules, bodies)
-        self.operators = propagation.body_operators(bodies, self.forces, integrator.rotation)
-        self.operators |= integrator._extra_operators(bodies)
         if integrator._piston is not None:
             actors.refuse_constant_pressure(context.getSystem(), bodies)
             self._move_volume = integrator._piston.operator(bodies, molecules)
-        self._bodies = bodies
+        operators = propagation.body_operators(bodies, self.forces, integrator.rotation)
+        self.operators, self._bodies = operators | integrator._extra_operators(bodies), bodies
         return bodies
 
     @property
@@ -196,7 +196,7 @@ class Engine:
         self._native_step()
         # A CustomIntegrator's own clock goes on at the step size that it had when its Context was created.
         self._context.setTime(self._reached().time + h)
-        self._echo = _Snapshot(self._context)
+        self._echo = Snapshot(self._context)
         return self._reconcile(before, self._echo)
 
     def _update_box(self) -> BodyState:
@@ -207,7 +207,7 @@ class Engine:
         self._native_step()
         if np.array_equal(self._box(), before):
             return state
-        now = _Snapshot(self._context)
+        now = Snapshot(self._context)
         q, A = self.bodies.fit(now.positions, state)
         self._take_positions(now)
         self.forces.forget()
@@ -246,13 +246,13 @@ class Engine:
     def _compute_forces(self, q, A):
         self._place(q, A)
         found = self._context.getState(forces=True, groups=self._integrator.getIntegrationForceGroups())
-        _read(found, openmm.State.Forces, self._atom_forces)
+        read_vectors(found, openmm.State.Forces, self._atom_forces)
         F, tau = self.bodies.forces_and_torques(self._atom_forces, A)
         self._demand_finite("force on", F, tau)
         return F, tau
 
     def _demand_finite(self, what: str, *values) -> None:
-        # A sum is finite only where all terms are, but for an overflow. And einsum does not warn of what is not.
+        # A sum is finite only where all terms are; where it overflows they are asked themselves. einsum does not warn.
         if all(math.isfinite(np.einsum("ij->", value)) or np.isfinite(value).all() for value in values):
             return
         finite = np.all([np.isfinite(value).all(axis=0) for value in values], axis=0)
@@ -279,13 +279,13 @@ class Engine:
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
-        now = _Snapshot(self._context)
+        now = Snapshot(self._context)
         if self._point is None and len(now.positions) > 1 and not now.positions.any():
             raise openmm.OpenMMException("Particle positions have not been set")
-        moved = not self._same_positions(self._echo, now)
+        moved = self._point is None or not now.same_positions(self._echo)
         if moved and self._plan is not None:
             self._settle_by(now.positions)
-        if moved or not _same_velocities(self._echo, now):
+        if moved or not now.same_velocities(self._echo):
             state = self._recall(now, moved) or self._reconcile(None if moved else self._echo, now)
         else:
             state = self.state
@@ -295,10 +295,7 @@ class Engine:
         heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
         self._point, self._echo = _Point(replace(state, heat=heat, draws=draws), now.time, now.steps), now
 
-    def _same_positions(self, before: _Snapshot | None, now: _Snapshot) -> bool:
-        return self._point is not None and before is not None and np.array_equal(before.positions, now.positions)
-
-    def _reconcile(self, before: _Snapshot | None, now: _Snapshot) -> BodyState:
+    def _reconcile(self, before: Snapshot | None, now: Snapshot) -> BodyState:
         """The bodies' state after the Context changed from one snapshot to another."""
         old = None if self._point is None else self._point.state
         self._notice_environment(before, now)
@@ -308,16 +305,16 @@ class Engine:
             p, L = self._momenta(now.velocities, A)
             return BodyState(q, p, A, L)
         q, A = old.q, old.A
-        if not self._same_positions(before, now):
+        if not now.same_positions(before):
             q, A = self.bodies.fit(now.positions, old)
             self._take_positions(now)
-        if _same_velocities(before, now) and np.array_equal(A, old.A):
+        if now.same_velocities(before) and np.array_equal(A, old.A):
             return replace(old, q=q, A=A)
         p, L = self._momenta(now.velocities, A)
         return replace(old, q=q, p=p, A=A, L=L)
 
-    def _notice_environment(self, before: _Snapshot | None, now: _Snapshot) -> None:
-        if before is None or before.environment != now.environment:
+    def _notice_environment(self, before: Snapshot | None, now: Snapshot) -> None:
+        if not now.same_environment(before):
             self.forces.forget()
 
     def _momenta(self, velocities, A):
@@ -329,7 +326,7 @@ class Engine:
             )
         return p, L
 
-    def _recall(self, now: _Snapshot, moved: bool) -> BodyState | None:
+    def _recall(self, now: Snapshot, moved: bool) -> BodyState | None:
         """The state stored in the integrator's variables, if it is that of the atoms to the last bit.
 
         It is after a checkpoint or a State with integrator parameters was loaded. Where velocities were set after that,
@@ -353,7 +350,7 @@ class Engine:
             state = replace(state, p=p, L=L)
         return state
 
-    def _take_positions(self, now: _Snapshot) -> None:
+    def _take_positions(self, now: Snapshot) -> None:
         self._positions[:] = now.positions
         self._placed = (None, None)
 
@@ -378,7 +375,7 @@ class Engine:
         integrator.setGlobalVariableByName(DRAWS, state.draws)
         context.setTime(time)
         context.setStepCount(steps)
-        self._echo = _Snapshot(context)
+        self._echo = Snapshot(context)
 
 
 def _whatever_interrupts(action) -> None:
@@ -388,25 +385,3 @@ def _whatever_interrupts(action) -> None:
     except KeyboardInterrupt:
         action()
         raise
-
-
-def _read(state, kind: int, values: np.ndarray) -> np.ndarray:
-    """What getPositions(asNumpy=True) and the like do, without a search in all names and a quantity made and undone."""
-    state._getVectorAsNumpy(kind, values)
-    return values
-
-
-def _same_velocities(before: _Snapshot | None, now: _Snapshot) -> bool:
-    return before is not None and np.array_equal(before.velocities, now.velocities)
-
-
-class _Snapshot:
-    """What a Context holds that can be changed from outside."""
-
-    def __init__(self, context):
-        state = context.getState(positions=True, velocities=True, parameters=True)
-        shape = (context.getSystem().getNumParticles(), 3)
-        self.positions = _read(state, openmm.State.Positions, np.empty(shape))
-        self.velocities = _read(state, openmm.State.Velocities, np.empty(shape))
-        self.time, self.steps = state.getTime()._value, state.getStepCount()
-        self.environment = (state.getPeriodicBoxVectors()._value, dict(state.getParameters()))

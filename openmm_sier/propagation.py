@@ -8,8 +8,6 @@ serves the start of the next without anyone keeping book of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -18,11 +16,8 @@ from openmm_sier.bodies import BodyState, RigidBodies
 from openmm_sier.compiled import executor
 from openmm_sier.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
-#: (state, time) -> state; a gradient kick takes its displacement per acceleration besides, a pair two times.
+#: (state, time) -> state; a gradient kick takes its displacement per acceleration besides.
 Operator = Callable[..., BodyState]
-
-#: Operators by name, and by two names those that execute two stages which follow each other.
-Operators = Mapping[Any, Operator]
 
 #: What makes a whole step.
 Stepper = Callable[[BodyState], BodyState]
@@ -62,21 +57,21 @@ class CachedForces:
         return self._value
 
     def at(self, q, A) -> tuple[np.ndarray, np.ndarray]:
-        """Forces and torques elsewhere, which are not kept."""
+        """Forces and torques elsewhere, which are not kept.
+
+        Raises:
+            ValueError: they have not the shape (3, n) of the positions, on which compiled loops rely.
+        """
         self.evaluations += 1
-        return self._compute(q, A)
+        F, tau = self._compute(q, A)
+        if not F.shape == tau.shape == q.shape:
+            raise ValueError(f"forces and torques must have the shape {q.shape} of q, got {F.shape} and {tau.shape}")
+        return F, tau
 
 
-def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = rotor.exact) -> dict:
-    """`Operators` for all schemes without a heat bath."""
-    found: dict = {
-        KICK: kick(forces),
-        GRADIENT_KICK: gradient_kick(bodies, forces),
-        DRIFT: drift(bodies, rotation),
-    }
-    if rotation is rotor.exact:
-        found[KICK, DRIFT] = kick_and_drift(bodies, forces)
-    return found
+def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = rotor.exact) -> dict[str, Operator]:
+    """What executes all schemes without a heat bath."""
+    return {KICK: kick(forces), GRADIENT_KICK: gradient_kick(bodies, forces), DRIFT: drift(bodies, rotation)}
 
 
 def kick(forces: CachedForces) -> Operator:
@@ -85,13 +80,21 @@ def kick(forces: CachedForces) -> Operator:
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
         if (loops := executor()) is None:
-            p, L = state.p + h * F, state.L + h * tau
-        else:
-            p, L = np.empty_like(state.p), np.empty_like(state.L)
-            loops.kick(slice(0, p.shape[1]), state.p, state.L, F, tau, h, p, L)
-        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
+            return _with_momenta(state, state.p + h * F, state.L + h * tau)
+        p, L = np.empty(F.shape), np.empty(F.shape)
+        loops.kick(_all(F), state.p, state.L, F, tau, h, p, L)
+        return _with_momenta(state, p, L)
 
     return apply
+
+
+def _with_momenta(state: BodyState, p, L) -> BodyState:
+    return BodyState(state.q, p, state.A, L, state.heat, state.draws)
+
+
+def _all(vectors) -> slice:
+    """All bodies, for the compiled loops."""
+    return slice(0, vectors.shape[1])
 
 
 def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
@@ -109,76 +112,83 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
 
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
         F, tau = forces(state)
-        arm = (shift * bodies.inverse_masses) * F
-        i, j, k = (-0.5 * shift) * bodies.inverse_moments * rotor.body_frame(state.A, tau)
-        # The Cayley form of the rotation differs from it by a third of the cube of the angle, O(h^6).
-        rows = kernels.rotation_matrix(np.ones_like(i), i, j, k)
-        A = np.stack([kernels.combine(row, state.A[0], state.A[1], state.A[2]) for row in rows])
-        F, tau = forces.at(state.q + arm, A)
-        tau = tau + np.stack(kernels.cross(arm, F))
-        return replace(state, p=state.p + h * F, L=state.L + h * tau)
+        q, A = _displaced(bodies, state, F, tau, shift)
+        arm = q - state.q
+        F, tau = forces.at(q, A)
+        if (loops := executor()) is None:
+            return _with_momenta(state, state.p + h * F, state.L + h * (tau + np.stack(kernels.cross(arm, F))))
+        p, L = np.empty(F.shape), np.empty(F.shape)
+        loops.kick_from(_all(F), state.p, state.L, F, tau, arm, h, p, L)
+        return _with_momenta(state, p, L)
 
     return apply
+
+
+def _displaced(bodies: RigidBodies, state: BodyState, F, tau, shift: float):
+    """Centres and attitudes of bodies displaced by `shift` times their accelerations.
+
+    The Cayley form of the rotation differs from it by a third of the cube of the angle, O(h^6).
+    """
+    inverses = bodies.inverse_masses, bodies.inverse_moments
+    if (loops := executor()) is not None:
+        q, A = np.empty(state.q.shape), np.empty(state.A.shape)
+        loops.displace(_all(q), state.q, state.A, F, tau, shift, *inverses, q, A)
+        return q, A
+    i, j, k = (-0.5 * shift) * inverses[1] * rotor.body_frame(state.A, tau)
+    rows = kernels.rotation_matrix(np.ones_like(i), i, j, k)
+    A = np.stack([kernels.combine(row, state.A[0], state.A[1], state.A[2]) for row in rows])
+    return state.q + (shift * inverses[0]) * F, A
 
 
 def drift(bodies: RigidBodies, rotation: Rotation = rotor.exact) -> Operator:
-    """Free motion of the bodies (van Zon and Schofield 2007, Eq. U1) with any free-rotation map."""
+    """Free motion of the bodies (van Zon and Schofield 2007, Eq. U1) with any free-rotation map.
 
-    def apply(state: BodyState, h: float) -> BodyState:
-        q = state.q + (h * bodies.inverse_masses) * state.p
-        if len(bodies.species) == 1:
-            A, L = rotation(state.A, state.L, bodies.species[0].moments, h)
-            return BodyState(q, state.p, A, L, state.heat, state.draws)
-        A, L = state.A.copy(), state.L.copy()
-        for species, part in zip(bodies.species, bodies.parts, strict=True):
-            if species.moments.any():
-                A[:, :, part], L[:, part] = rotation(A[:, :, part], L[:, part], species.moments, h)
-        return replace(state, q=q, A=A, L=L)
-
-    return apply
-
-
-def kick_and_drift(bodies: RigidBodies, forces: CachedForces) -> Operator:
-    """`kick` and then `drift` by the exact rotation; where code is compiled in one loop, as calls cost most in small
-    systems."""
-    kicked, drifted = kick(forces), drift(bodies)
+    The operator raises ValueError for the state of another number of bodies.
+    """
     tops = [rotor.top(species.moments) for species in bodies.species]
 
-    def apply(state: BodyState, kick_time: float, drift_time: float) -> BodyState:
-        if (loops := executor()) is None:
-            return drifted(kicked(state, kick_time), drift_time)
-        wrench, times = forces(state), (kick_time, drift_time)
+    def apply(state: BodyState, h: float) -> BodyState:
+        if state.q.shape != (3, bodies.n):
+            raise ValueError(f"the state of {bodies.n} bodies has q of shape {(3, bodies.n)}, got {state.q.shape}")
+        loops = executor() if rotation is rotor.exact else None
+        if loops is None:
+            A, L = _rotated(bodies, rotation, state, h)
+            q = state.q + (h * bodies.inverse_masses) * state.p
+            return BodyState(q, state.p, A, L, state.heat, state.draws)
+        q, A, far = np.empty(state.q.shape), np.empty(state.A.shape), np.empty(bodies.n, dtype=bool)
         before = state.q, state.p, state.A, state.L
-        q, p, A, L = after = [np.empty_like(values) for values in before]
-        far = np.empty(bodies.n, dtype=bool)
         for top, part in zip(tops, bodies.parts, strict=True):
-            loops.advance(
-                part, before, wrench, times, bodies.inverse_masses, top.frame, rotor.COMPILED_RULE, tuple(after), far
-            )
-        if far.any():
-            for top, part in zip(tops, bodies.parts, strict=True):
-                rotor.rotate_far(top, state.A[:, :, part], L[:, part], drift_time, A[:, :, part], far[part])
-        return BodyState(q, p, A, L, state.heat, state.draws)
+            loops.drift(part, *before, h, bodies.inverse_masses, top.frame, rotor.COMPILED_RULE, q, A, far)
+            rotor.rotate_far(top, part, state.A, state.L, h, A, far)
+        return BodyState(q, state.p, A, state.L, state.heat, state.draws)
 
     return apply
 
 
-def stepper(scheme: Scheme, operators: Operators, h: float) -> Stepper:
+def _rotated(bodies: RigidBodies, rotation: Rotation, state: BodyState, h: float):
+    if len(bodies.species) == 1:
+        return rotation(state.A, state.L, bodies.species[0].moments, h)
+    A, L = state.A.copy(), state.L.copy()
+    for species, part in zip(bodies.species, bodies.parts, strict=True):
+        if species.moments.any():
+            A[:, :, part], L[:, part] = rotation(A[:, :, part], L[:, part], species.moments, h)
+    return A, L
+
+
+def stepper(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
     """What makes a step of length h, by the scheme's stages in order. It leaves the state that it is given as it was.
 
     Args:
         scheme: what to execute.
-        operators: for each operator name of the scheme what executes it; one for a pair of names is preferred.
+        operators: for each operator name of the scheme what executes it.
         h: length of the step, ps.
+
+    Raises:
+        ValueError: the scheme has an operator that is not among them.
     """
-    calls: list[tuple[Operator, list[float]]] = []
-    stages = list(scheme.stages)
-    while stages:
-        names = tuple(stage.operator for stage in stages[:2])
-        operator = operators.get(names) or operators[names[0]]
-        done = 2 if names in operators else 1
-        calls.append((operator, [time for stage in stages[:done] for time in stage.times(h)]))
-        del stages[:done]
+    if missing := [name for name in scheme.operators if name not in operators]:
+        raise ValueError(f"nothing executes the operator '{missing[0]}' of the scheme {scheme.name}")
+    calls = [(operators[stage.operator], stage.times(h)) for stage in scheme.stages]
 
     def step(state: BodyState) -> BodyState:
         for operator, times in calls:

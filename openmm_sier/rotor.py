@@ -212,8 +212,9 @@ def exact(A, L, moments, h):
     new = np.empty((3, 3, n))
     if bodies.rates.ndim == 1 and (loops := executor()) is not None:
         far = np.empty(n, dtype=bool)
-        loops.rotate(slice(0, n), A, L, *bodies.frame, h, *COMPILED_RULE, new, far)
-        rotate_far(bodies, A, L, h, new, far)
+        everyone = slice(0, n)
+        loops.rotate(everyone, A, L, *bodies.frame, h, *COMPILED_RULE, new, far)
+        rotate_far(bodies, everyone, A, L, h, new, far)
     else:
         _demand_finite(A, L)
         for start in range(0, n, BLOCK):
@@ -222,18 +223,27 @@ def exact(A, L, moments, h):
     return new, L.copy()
 
 
-def rotate_far(bodies: Top, A, L, h, new, far) -> None:
-    """Write the new attitudes of the bodies that the compiled loops left aside, which `far` (n,) marks."""
-    if far.any():
-        _demand_finite(A, L)
-        new[:, :, far] = _rotate_block(bodies, A[:, :, far], L[:, far], h)
+def rotate_far(bodies: Top, part: slice, A, L, h, new, far) -> None:
+    """Write the new attitudes of those in a slice of the bodies that the compiled loops left aside.
+
+    Args:
+        bodies: their moments.
+        part: the slice.
+        A, L, h: as for `exact`, of all bodies.
+        new: (3, 3, n), written.
+        far: (n,), bool, of those left aside.
+    """
+    if far[part].any():
+        left = part.start + np.flatnonzero(far[part])
+        _demand_finite(A[:, :, left], L[:, left], left)
+        new[:, :, left] = _rotate_block(bodies, A[:, :, left], L[:, left], h)
 
 
-def _demand_finite(A, L) -> None:
+def _demand_finite(A, L, numbers=None) -> None:
     for name, values in (("angular momentum", L[None]), ("attitude", A)):
         if not np.isfinite(values).all():
             body = int(np.isfinite(values).all(axis=(0, 1)).argmin())
-            raise ValueError(f"the {name} of body {body} is not finite")
+            raise ValueError(f"the {name} of body {body if numbers is None else numbers[body]} is not finite")
 
 
 def _rotate_block(bodies: Top, A, L, h):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER2, SIER4, compiled, propagation, rotor
+from openmm_sier.bodies import BodyState
 from openmm_sier.schemes import SIER4G
 from tests import molecules
 from tests.test_langevin import GEOMETRIES, ensemble
@@ -76,32 +77,64 @@ def test_sums_and_places_agree(mixture):
         assert np.abs(plain - fast).max() < ROUNDING * max(1.0, np.abs(plain).max())
 
 
-@pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G], ids=lambda scheme: scheme.name)
-def test_a_kick_and_a_drift_in_one_loop_are_the_two(mixture, scheme):
-    """With a body at rest and one that spins too fast for the series, which the loop leaves to NumPy."""
-    bodies, state, forces = mixture
-    L = state.L.copy()
-    waters = bodies.parts[0].start
-    L[:, waters], L[:, waters + 1] = 0.0, 100 * L[:, waters + 1]
-    state = replace(state, L=L)
+def with_a_fast_body(bodies, state):
+    """The state with a body at rest and one that spins too fast for the series: the loops leave both to NumPy."""
+    L, slow = state.L.copy(), bodies.parts[1].start
+    L[:, slow], L[:, slow + 1] = 0.0, 100 * L[:, slow + 1]
+    return replace(state, L=L)
+
+
+def constant_torques(bodies, forces):
+    """Forces that hold the bodies near the origin, and torques of atom forces, none on the body at rest."""
 
     def forces_at(q, A):
         F, tau = bodies.forces_and_torques(forces, A)
-        tau[:, waters] = 0.0
+        tau[:, bodies.parts[1].start] = 0.0
         return F - 100.0 * q, tau
 
-    def after_a_step():
-        operators = propagation.body_operators(bodies, propagation.CachedForces(forces_at))
-        apart = {name: operator for name, operator in operators.items() if isinstance(name, str)}
-        return [propagation.stepper(scheme, some, 0.004)(state) for some in (operators, apart)]
+    return propagation.CachedForces(forces_at)
 
-    found = [state for pair in both(after_a_step) for state in pair]
-    assert not np.array_equal(found[0].A, state.A)
-    for other in found[1:]:
+
+@pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G], ids=lambda scheme: scheme.name)
+def test_steps_agree(mixture, scheme):
+    bodies, state, forces = mixture
+    state = with_a_fast_body(bodies, state)
+
+    def after_a_step():
+        operators = propagation.body_operators(bodies, constant_torques(bodies, forces))
+        return propagation.stepper(scheme, operators, 0.004)(state)
+
+    plain, fast = both(after_a_step)
+    assert not np.array_equal(plain.A, state.A)
+    for name in "qpAL":
+        one, other = getattr(plain, name), getattr(fast, name)
+        # Some stages, of the fast body by angles up to 30, each rounded.
+        assert np.abs(one - other).max() < 100 * ROUNDING * np.abs(one).max(), name
+
+
+def test_steps_of_no_bodies_and_of_points(rng):
+    for kinds in ([], [molecules.ION]):
+        bodies = molecules.scattered(kinds, each=5)
+        state = molecules.thermal_state(rng, bodies, rng.normal(size=(3, bodies.n)))
+        operators = propagation.body_operators(bodies, propagation.CachedForces(lambda q, A: (-q, 0 * q)))
+        plain, fast = both(lambda operators=operators, s=state: propagation.stepper(SIER4G, operators, 0.01)(s))
         for name in "qpAL":
-            one, two = getattr(found[0], name), getattr(other, name)
-            # Some stages, of the fast body by angles up to 30, each rounded.
-            assert np.abs(one - two).max() < 100 * ROUNDING * np.abs(one).max(), name
+            assert getattr(plain, name).shape == getattr(state, name).shape
+            # A gradient kick gives points the moment of parallel vectors, which is rounding of 1e-3 x 1.
+            assert np.allclose(getattr(plain, name), getattr(fast, name), rtol=10 * ROUNDING, atol=1e-3 * ROUNDING)
+
+
+@pytest.mark.parametrize("without_numba", [False, True])
+def test_wrong_shapes_are_refused(mixture, without_numba):
+    """Compiled loops look at no bounds."""
+    bodies, state, _ = mixture
+    fewer = BodyState(state.q[:, :4], state.p[:, :4], state.A[:, :, :4], state.L[:, :4])
+    with compiled.disabled() if without_numba else contextlib.nullcontext():
+        with pytest.raises(ValueError, match=r"q of shape \(3, 280\), got \(3, 4\)"):
+            propagation.drift(bodies)(fewer, 0.001)
+        short = propagation.CachedForces(lambda q, A: (q[:, :1], q))
+        with pytest.raises(ValueError, match=r"\(3, 280\) of q, got \(3, 1\) and \(3, 280\)"):
+            propagation.kick(short)(state, 0.001)
 
 
 @pytest.fixture
@@ -112,12 +145,11 @@ def three_threads(monkeypatch):
 
 
 def whole_step(bodies, state, forces):
-    """Everything that the loops compute, with a body at rest, which the rotation leaves to NumPy."""
-    L = state.L.copy()
-    L[:, 5] = 0
-    A, _ = rotor.exact(state.A, L, bodies.species[0].moments, 1e-3)
-    force = propagation.CachedForces(lambda q, A: bodies.forces_and_torques(forces, A))
-    end = propagation.stepper(SIER2, propagation.body_operators(bodies, force), 1e-3)(state)
+    """Everything that the loops compute."""
+    state = with_a_fast_body(bodies, state)
+    operators = propagation.body_operators(bodies, constant_torques(bodies, forces))
+    end = propagation.stepper(SIER4G, operators, 0.001)(state)
+    A, _ = rotor.exact(state.A, state.L, bodies.species[0].moments, 1e-3)
     positions = bodies.place(end.q, end.A, np.zeros_like(forces))
     return A, end.q, end.p, end.A, end.L, positions, bodies.move(end, np.zeros_like(forces))
 

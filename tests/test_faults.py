@@ -163,9 +163,13 @@ def test_a_fault_at_any_line_at_constant_pressure():
 
 def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     """Three threads place atoms and sum forces: none may write any more when the last completed step is written."""
-    monkeypatch.setattr(compiled, "SHARE", 2)
+    monkeypatch.setattr(compiled, "SHARE", 1)
     monkeypatch.setattr(compiled, "_available_threads", lambda: 3)
+    shared = []
+    run = compiled._Team.run
+    monkeypatch.setattr(compiled._Team, "run", lambda team, spans: shared.append(len(spans)) or run(team, spans))
     test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
+    assert set(shared) == {3}
 
 
 def after_a_checkpoint(context, saved, _positions):

@@ -11,6 +11,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERLangevinIntegrator
+from openmm_sier.snapshot import read_vectors
 from tests.waters import array, cluster_system, context_at, periodic_system, phase_point, platform, relaxed
 
 mdtraj = pytest.importorskip("mdtraj")
@@ -200,6 +201,18 @@ def test_run_for_clock_time(tmp_path, cluster, make):
         getattr(other, load)(name)
         assert other.currentStep == steps
         assert np.array_equal(phase_point(other.context), phase_point(simulation.context))
+
+
+def test_vectors_of_a_state(box):
+    """What is read past OpenMM's quantities is what its own methods give."""
+    _, system, point = box
+    context = context_at(system, openmm.VerletIntegrator(0.001), point, "CPU")
+    state = context.getState(positions=True, velocities=True, forces=True)
+    for name in ("Positions", "Velocities", "Forces"):
+        expected = getattr(state, f"get{name}")(asNumpy=True)._value
+        found = read_vectors(state, getattr(openmm.State, name), np.empty(expected.shape))
+        assert expected.any()
+        assert np.array_equal(found, expected)
 
 
 @every_integrator

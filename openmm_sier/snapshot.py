@@ -1,0 +1,48 @@
+"""What a Context holds at one moment, to tell later what was changed from outside."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+
+
+class Snapshot:
+    """Positions, velocities, clock, box and parameters of a Context.
+
+    Attributes:
+        positions, velocities: (N, 3), nm and nm/ps.
+        time: ps.
+        steps: the step count.
+    """
+
+    def __init__(self, context):
+        state = context.getState(positions=True, velocities=True, parameters=True)
+        shape = (state._getNumParticles(), 3)
+        self.positions = read_vectors(state, openmm.State.Positions, np.empty(shape))
+        self.velocities = read_vectors(state, openmm.State.Velocities, np.empty(shape))
+        self.time, self.steps = state.getTime()._value, state.getStepCount()
+        self._environment = state.getPeriodicBoxVectors()._value, dict(state.getParameters())
+
+    def same_positions(self, other: Snapshot | None) -> bool:
+        return other is not None and np.array_equal(self.positions, other.positions)
+
+    def same_velocities(self, other: Snapshot | None) -> bool:
+        return other is not None and np.array_equal(self.velocities, other.velocities)
+
+    def same_environment(self, other: Snapshot | None) -> bool:
+        """Whether box and parameters are the same. Changes of a Force itself leave no trace here."""
+        return other is not None and self._environment == other._environment
+
+
+def read_vectors(state, kind: int, values: np.ndarray) -> np.ndarray:
+    """Fill a contiguous float64 array (N, 3) of just this size, which is not checked, with vectors of a State.
+
+    It is what getPositions(asNumpy=True) and the like do, without a search in all names and a quantity made and undone.
+
+    Args:
+        state: a State.
+        kind: openmm.State.Positions, Velocities or Forces.
+        values: written, and returned.
+    """
+    state._getVectorAsNumpy(kind, values)
+    return values
