@@ -6,6 +6,7 @@ matrices, and few calls remain: small sets of bodies pay for every call.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -20,11 +21,16 @@ if TYPE_CHECKING:
 BLOCK = 2048
 
 
-def place(species: Species, part: slice, q, A, positions) -> None:
-    """Write the positions (N, 3) of the atoms of a species' part of the bodies, at q (3, n) and A (3, 3, n)."""
+def place(species: Species, part: slice, q, A, positions) -> bool:
+    """Write the positions (N, 3) of the atoms of a species' part of the bodies, at q (3, n) and A (3, 3, n).
+
+    Returns:
+        Whether a centre is not finite.
+    """
     for block, columns in _blocks(species, part):
         for column, arm in zip(columns, _products(species.sites.T, A[:, :, block]), strict=True):
             positions[column] = (q[:, block] + arm).T
+    return not _finite(q[:, part])
 
 
 def move(species: Species, part: slice, v, omega, A, velocities) -> None:
@@ -34,10 +40,13 @@ def move(species: Species, part: slice, v, omega, A, velocities) -> None:
             velocities[column] = (v[:, block] + np.stack(kernels.cross(omega[:, block], arm))).T
 
 
-def collect(species: Species, part: slice, vectors, A, weights, total, moment) -> None:
+def collect(species: Species, part: slice, vectors, A, weights, total, moment) -> bool:
     """Write the sums (3, n) of weighted vectors (N, 3) over the atoms of each body, and of their moments.
 
     With sites r = sum_a s_a A_a the moment sum_j r_j x f_j is sum_a A_a x M_a, M_a = sum_j s_aj f_j.
+
+    Returns:
+        Whether a sum is not finite.
     """
     axes, coordinates = species.extents
     factors = weights * coordinates
@@ -52,6 +61,12 @@ def collect(species: Species, part: slice, vectors, A, weights, total, moment) -
             outer = sum(A[axis][:, None, block] * M for axis, M in zip(axes, sums[1:], strict=True))
             for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
                 np.subtract(outer[y, z], outer[z, y], out=moment[x, block])
+    return not (_finite(total[:, part]) and _finite(moment[:, part]))
+
+
+def _finite(vectors) -> bool:
+    """Whether all components (3, n) are finite, as their sum shows if it does not overflow; einsum does not warn."""
+    return math.isfinite(np.einsum("ij->", vectors)) or bool(np.isfinite(vectors).all())
 
 
 def _products(factors, vectors):

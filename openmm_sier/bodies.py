@@ -33,6 +33,18 @@ class RigidityError(ValueError):
     """Atoms do not form the rigid body that they are meant to form."""
 
 
+class NotFiniteError(ValueError):
+    """Vectors of bodies are not all finite.
+
+    Attributes:
+        body: the number of the first one of which they are not.
+    """
+
+    def __init__(self, vectors):
+        self.body = int(np.isfinite(vectors).all(axis=0).argmin())
+        super().__init__(f"the vectors of body {self.body} are not finite")
+
+
 @dataclass(frozen=True, eq=False)
 class BodyState:
     """A phase point of n rigid bodies. States are never changed in place: operators return new ones.
@@ -268,6 +280,9 @@ class RigidBodies:
 
         Returns:
             (p, L), each of shape (3, n).
+
+        Raises:
+            NotFiniteError: one of them is not finite.
         """
         return self._sum_over_sites(velocities, A, weighted=True)
 
@@ -281,30 +296,43 @@ class RigidBodies:
 
         Returns:
             (F, tau), each of shape (3, n), in kJ/mol/nm and kJ/mol.
+
+        Raises:
+            NotFiniteError: one of them is not finite.
         """
         return self._sum_over_sites(forces, A, weighted=False)
 
     def _sum_over_sites(self, vectors, A, weighted):
         total, moment = np.empty((3, self.n)), np.zeros((3, self.n))
         loops = executor()
+        broken = 0
         for s, part in zip(self.species, self.parts, strict=True):
             weights = s.masses if weighted else s.ones
             if loops is None:
-                arrays.collect(s, part, vectors, A, weights, total, moment)
+                broken += arrays.collect(s, part, vectors, A, weights, total, moment)
             else:
-                loops.collect(part, part.start, vectors, A, s.sites, weights, s.atoms, total, moment)
+                broken += loops.collect(part, part.start, vectors, A, s.sites, weights, s.atoms, total, moment)
+        if broken:
+            raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
 
     # --- from bodies to atoms ---
 
     def place(self, q, A, positions) -> np.ndarray:
-        """Write the atoms of bodies at (q, A) into `positions`, shape (N, 3); other particles keep theirs."""
+        """Write the atoms of bodies at (q, A) into `positions`, shape (N, 3); other particles keep theirs.
+
+        Raises:
+            NotFiniteError: a position is not finite. All have been written then.
+        """
         loops = executor()
+        broken = 0
         for s, part in zip(self.species, self.parts, strict=True):
             if loops is None:
-                arrays.place(s, part, q, A, positions)
+                broken += arrays.place(s, part, q, A, positions)
             else:
-                loops.place(part, part.start, q, A, s.sites, s.atoms, positions)
+                broken += loops.place(part, part.start, q, A, s.sites, s.atoms, positions)
+        if broken:
+            raise NotFiniteError(q)
         return positions
 
     def move(self, state: BodyState, velocities) -> np.ndarray:

@@ -112,16 +112,15 @@ def _cached(function):
 
 
 def _threaded(loop):
-    """The loop over a slice of the bodies, which several threads share where it is long."""
+    """The loop over a slice of the bodies, which several threads share where it is long, and sum what they return."""
 
     def run(part, *arguments):
-        start, n = part.start, part.stop - part.start
-        count = min(threads(), n // SHARE)
-        if count < 2:
-            loop(start, part.stop, *arguments)
-            return
+        start, stop = part.start, part.stop
+        n = stop - start
+        if n < 2 * SHARE or (count := min(threads(), n // SHARE)) < 2:
+            return loop(start, stop, *arguments)
         edges = [start + n * i // count for i in range(count + 1)]
-        _Team(loop, arguments).run(list(pairwise(edges)))
+        return _Team(loop, arguments).run(list(pairwise(edges)))
 
     return run
 
@@ -138,14 +137,15 @@ class _Team:
         self._abandoned = False
         self._busy: list = []
         self._errors: list[BaseException] = []
+        self._results: list = []
 
-    def run(self, spans) -> None:
+    def run(self, spans):
         own, *others = spans
         workers = [threading.Thread(target=self._work, args=(span,), daemon=True) for span in others]
         try:
             for worker in workers:
                 worker.start()
-            self._loop(*own, *self._arguments)
+            self._results.append(self._loop(*own, *self._arguments))
             for worker in workers:
                 worker.join()
         except BaseException:
@@ -154,13 +154,14 @@ class _Team:
             raise
         if self._errors:
             raise self._errors[0]
+        return sum(result or 0 for result in self._results)
 
     def _work(self, span) -> None:
         # In this order: either the thread sees that it has been abandoned, or `_wait` sees that it is busy.
         self._busy.append(span)
         try:
             if not self._abandoned:
-                self._loop(*span, *self._arguments)
+                self._results.append(self._loop(*span, *self._arguments))
         except BaseException as error:
             self._errors.append(error)
         finally:
@@ -195,7 +196,7 @@ def _with_globals(function, namespace):
 
 
 def rotate(start, stop, A, L, rates, order, parity, h, times, weights, limits, out, far):
-    """Free rotation of bodies with equal moments; `far` is set for those that the series do not reach.
+    """Free rotation of bodies with equal moments; returns how many the series do not reach, and sets `far` for those.
 
     Args:
         start, stop: range of the bodies.
@@ -208,6 +209,7 @@ def rotate(start, stop, A, L, rates, order, parity, h, times, weights, limits, o
         far: (n,), bool.
     """
     longest, low, high = limits
+    left = 0
     tile = np.ones(ROWS * TILE)
     for first in range(start, stop, TILE):
         end = min(first + TILE, stop)
@@ -228,10 +230,12 @@ def rotate(start, stop, A, L, rates, order, parity, h, times, weights, limits, o
             square = tile[21 * TILE + n - first]
             phase, angle = tile[22 * TILE + n - first], abs(tile[23 * TILE + n - first])
             far[n] = not (low <= square <= high and phase <= longest and angle <= SMALL_ANGLE)
+            left += far[n]
+    return left
 
 
 def drift(start, stop, q, p, A, L, h, inverse_masses, frame, rule, new_q, new_A, far):
-    """Free motion of bodies with equal moments.
+    """Free motion of bodies with equal moments; returns what `rotate` does.
 
     Args:
         start, stop: range of the bodies.
@@ -247,10 +251,10 @@ def drift(start, stop, q, p, A, L, h, inverse_masses, frame, rule, new_q, new_A,
             new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
     rates, order, parity = frame
     if rates[0] > 0:
-        rotate(start, stop, A, L, rates, order, parity, h, rule[0], rule[1], rule[2], new_A, far)
-        return
+        return rotate(start, stop, A, L, rates, order, parity, h, rule[0], rule[1], rule[2], new_A, far)
     far[start:stop] = False
     new_A[:, :, start:stop] = A[:, :, start:stop]
+    return 0
 
 
 def kick(start, stop, p, L, F, torque, h, new_p, new_L):
@@ -331,7 +335,7 @@ def turn_tile(tile, rates, h, times, weights):
 
 
 def place(start, stop, first, q, A, sites, atoms, positions):
-    """Positions of the atoms of bodies.
+    """Positions of the atoms of bodies; returns how many bodies have one that is not finite.
 
     Args:
         start, stop: range of the bodies.
@@ -341,12 +345,17 @@ def place(start, stop, first, q, A, sites, atoms, positions):
         atoms: (m, k).
         positions: (N, 3), written.
     """
+    broken = 0
     for n in range(start, stop):
+        total = 0.0
         for j in range(atoms.shape[1]):
             site = (sites[0, j], sites[1, j], sites[2, j])
             atom = atoms[n - first, j]
             for x in range(3):
                 positions[atom, x] = q[x, n] + combine(site, A[0, x, n], A[1, x, n], A[2, x, n])
+                total += abs(positions[atom, x])
+        broken += not total < np.inf
+    return broken
 
 
 def move(start, stop, first, p, A, L, inverse_masses, inverse_moments, sites, atoms, velocities):
@@ -379,8 +388,9 @@ def move(start, stop, first, p, A, L, inverse_masses, inverse_moments, sites, at
 def collect(start, stop, first, vectors, A, sites, weights, atoms, total, moment):
     """Sums over the atoms of bodies of weighted vectors (N, 3) and of their moments, (3, n) each, written.
 
-    The rest as for `place`.
+    The rest as for `place`. Returns how many bodies have a sum that is not finite.
     """
+    broken = 0
     for n in range(start, stop):
         fx = fy = fz = tx = ty = tz = 0.0
         for j in range(atoms.shape[1]):
@@ -395,3 +405,5 @@ def collect(start, stop, first, vectors, A, sites, weights, atoms, total, moment
             tx, ty, tz = tx + turn[0], ty + turn[1], tz + turn[2]
         total[0, n], total[1, n], total[2, n] = fx, fy, fz
         moment[0, n], moment[1, n], moment[2, n] = tx, ty, tz
+        broken += not abs(fx) + abs(fy) + abs(fz) + abs(tx) + abs(ty) + abs(tz) < np.inf
+    return broken

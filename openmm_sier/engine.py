@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import weakref
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 import openmm
 
 from openmm_sier import actors, propagation, storage
-from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies
+from openmm_sier.bodies import GAS_CONSTANT, BodyState, NotFiniteError, RigidBodies
 from openmm_sier.piston import VolumeMove
 from openmm_sier.snapshot import Snapshot, read_vectors
 
@@ -57,6 +56,7 @@ class Engine:
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self._positions, self._velocities, self._atom_forces = np.zeros((3, n, 3))
         self._placed: tuple = (None, None)
+        self._groups = integrator.getIntegrationForceGroups()
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
         self.forces = propagation.CachedForces(self._compute_forces)
@@ -127,15 +127,17 @@ class Engine:
     def run(self, count: int) -> None:
         """Advance by `count` steps; an error or interrupt leaves the Context at the last completed one."""
         self.adopt()
-        h = self._integrator.getStepSize()._value
-        step = propagation.stepper(self._integrator._active_scheme(), self.operators, h)
+        integrator = self._integrator
+        h = integrator.getStepSize()._value
+        step = propagation.stepper(integrator._active_scheme(), self.operators, h)
+        alone = not self._has_actors and integrator._piston is None
         try:
             for _ in range(count):
-                if self._has_actors or self._moves_volume_now():
-                    self._step_with_actors(step, h)
-                else:
+                if alone or not self._acts_now():
                     # The Context learns of the step when the last one is published.
-                    self._complete(self._reached().state, step, h)
+                    self._complete(self.state, step, h)
+                else:
+                    self._step_with_actors(step, h)
             self._publish()
         except BaseException:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
@@ -155,7 +157,7 @@ class Engine:
 
     def _complete(self, state: BodyState, step: propagation.Stepper, h: float) -> None:
         _, time, steps = self._reached()
-        if any(steps % frequency == 0 for frequency in self._sweep_frequencies):
+        if self._sweep_frequencies and any(steps % frequency == 0 for frequency in self._sweep_frequencies):
             state = self._without_drift(state)
         state = step(state)
         # All of it at once, so that an interrupt finds the clock and the bodies in agreement.
@@ -167,12 +169,15 @@ class Engine:
             state = self._update_box() if self._barostats_alone else self._update_all(h)
         return self._with_volume_moved(state) if self._moves_volume_now() else state
 
+    def _acts_now(self) -> bool:
+        return self._has_actors or self._moves_volume_now()
+
     def _moves_volume_now(self) -> bool:
         piston = self._integrator._piston
         return piston is not None and (self._reached().steps + 1) % piston.interval == 0
 
     def _with_volume_moved(self, state: BodyState) -> BodyState:
-        context, groups, box = self._context, self._integrator.getIntegrationForceGroups(), self._box()
+        context, groups, box = self._context, self._groups, self._box()
 
         def energy(q, factor: float) -> float:
             context.setPeriodicBoxVectors(*(factor * box))
@@ -245,20 +250,17 @@ class Engine:
 
     def _compute_forces(self, q, A):
         self._place(q, A)
-        found = self._context.getState(forces=True, groups=self._integrator.getIntegrationForceGroups())
+        found = self._context.getState(forces=True, groups=self._groups)
         read_vectors(found, openmm.State.Forces, self._atom_forces)
-        F, tau = self.bodies.forces_and_torques(self._atom_forces, A)
-        self._demand_finite("force on", F, tau)
-        return F, tau
+        try:
+            return self.bodies.forces_and_torques(self._atom_forces, A)
+        except NotFiniteError as error:
+            raise self._blown_up("force on", error) from None
 
-    def _demand_finite(self, what: str, *values) -> None:
-        # A sum is finite only where all terms are; where it overflows they are asked themselves. einsum does not warn.
-        if all(math.isfinite(np.einsum("ij->", value)) or np.isfinite(value).all() for value in values):
-            return
-        finite = np.all([np.isfinite(value).all(axis=0) for value in values], axis=0)
+    def _blown_up(self, what: str, error: NotFiniteError) -> openmm.OpenMMException:
         step = self._context.getStepCount() if self._point is None else self._point.steps + 1
-        raise openmm.OpenMMException(
-            f"The {what} {self.bodies.describe(int(np.argmin(finite)))} is not finite in step {step}. Is the step size "
+        return openmm.OpenMMException(
+            f"The {what} {self.bodies.describe(error.body)} is not finite in step {step}. Is the step size "
             "too long, or do atoms overlap? The Context is left at the last completed step."
         )
 
@@ -292,6 +294,7 @@ class Engine:
             self._notice_environment(self._echo, now)
         self._velocities[:] = now.velocities
         integrator = self._integrator
+        self._groups = integrator.getIntegrationForceGroups()
         heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
         self._point, self._echo = _Point(replace(state, heat=heat, draws=draws), now.time, now.steps), now
 
@@ -318,13 +321,12 @@ class Engine:
             self.forces.forget()
 
     def _momenta(self, velocities, A):
-        p, L = self.bodies.momenta(velocities, A)
-        finite = np.isfinite(p).all(axis=0) & np.isfinite(L).all(axis=0)
-        if not finite.all():
+        try:
+            return self.bodies.momenta(velocities, A)
+        except NotFiniteError as error:
             raise openmm.OpenMMException(
-                f"The velocities of {self.bodies.describe(int(np.argmin(finite)))} in the Context are not finite"
-            )
-        return p, L
+                f"The velocities of {self.bodies.describe(error.body)} in the Context are not finite"
+            ) from None
 
     def _recall(self, now: Snapshot, moved: bool) -> BodyState | None:
         """The state stored in the integrator's variables, if it is that of the atoms to the last bit.
@@ -357,9 +359,11 @@ class Engine:
     def _place(self, q, A) -> None:
         if self._placed[0] is q and self._placed[1] is A:
             return
-        self._demand_finite("position of", q)
         context = self._context
-        context.setPositions(self.bodies.place(q, A, self._positions))
+        try:
+            context.setPositions(self.bodies.place(q, A, self._positions))
+        except NotFiniteError as error:
+            raise self._blown_up("position of", error) from None
         if self._has_virtual_sites:
             context.computeVirtualSites()
         self._placed = (q, A)

@@ -146,6 +146,7 @@ def drift(bodies: RigidBodies, rotation: Rotation = rotor.exact) -> Operator:
     The operator raises ValueError for the state of another number of bodies.
     """
     tops = [rotor.top(species.moments) for species in bodies.species]
+    pieces = [(top, top.frame, part) for top, part in zip(tops, bodies.parts, strict=True)]
 
     def apply(state: BodyState, h: float) -> BodyState:
         if state.q.shape != (3, bodies.n):
@@ -157,9 +158,9 @@ def drift(bodies: RigidBodies, rotation: Rotation = rotor.exact) -> Operator:
             return BodyState(q, state.p, A, L, state.heat, state.draws)
         q, A, far = np.empty(state.q.shape), np.empty(state.A.shape), np.empty(bodies.n, dtype=bool)
         before = state.q, state.p, state.A, state.L
-        for top, part in zip(tops, bodies.parts, strict=True):
-            loops.drift(part, *before, h, bodies.inverse_masses, top.frame, rotor.COMPILED_RULE, q, A, far)
-            rotor.rotate_far(top, part, state.A, state.L, h, A, far)
+        for top, frame, part in pieces:
+            if loops.drift(part, *before, h, bodies.inverse_masses, frame, rotor.COMPILED_RULE, q, A, far):
+                rotor.rotate_far(top, part, state.A, state.L, h, A, far)
         return BodyState(q, state.p, A, state.L, state.heat, state.draws)
 
     return apply

@@ -213,8 +213,8 @@ def exact(A, L, moments, h):
     if bodies.rates.ndim == 1 and (loops := executor()) is not None:
         far = np.empty(n, dtype=bool)
         everyone = slice(0, n)
-        loops.rotate(everyone, A, L, *bodies.frame, h, *COMPILED_RULE, new, far)
-        rotate_far(bodies, everyone, A, L, h, new, far)
+        if loops.rotate(everyone, A, L, *bodies.frame, h, *COMPILED_RULE, new, far):
+            rotate_far(bodies, everyone, A, L, h, new, far)
     else:
         _demand_finite(A, L)
         for start in range(0, n, BLOCK):
@@ -233,10 +233,9 @@ def rotate_far(bodies: Top, part: slice, A, L, h, new, far) -> None:
         new: (3, 3, n), written.
         far: (n,), bool, of those left aside.
     """
-    if far[part].any():
-        left = part.start + np.flatnonzero(far[part])
-        _demand_finite(A[:, :, left], L[:, left], left)
-        new[:, :, left] = _rotate_block(bodies, A[:, :, left], L[:, left], h)
+    left = part.start + np.flatnonzero(far[part])
+    _demand_finite(A[:, :, left], L[:, left], left)
+    new[:, :, left] = _rotate_block(bodies, A[:, :, left], L[:, left], h)
 
 
 def _demand_finite(A, L, numbers=None) -> None:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from openmm_sier.bodies import BodyState, RigidBodies
 
-#: Per-atom vectors that hold the six vectors of a body of two or more atoms.
+#: Per-atom vectors that hold the numbers of all bodies: 18 of one of two or more atoms, 6 of a point.
 VARIABLES = 3
 
 
 def pack(bodies: RigidBodies, state: BodyState) -> np.ndarray:
-    """The numbers (q, p, A, L) of all bodies, spread over their atoms.
+    """The numbers (q, p, L, A) of all bodies, one after the other.
 
     Returns:
-        Shape (VARIABLES, N, 3); zero for particles of no body.
+        Shape (VARIABLES, N, 3); zero beyond those numbers.
     """
     values = np.zeros((VARIABLES, bodies.n_particles, 3))
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
-        for (variable, column), vectors in zip(_places(species), _vectors(state), strict=False):
-            values[variable, column] = vectors[:, part].T
+    for place, vectors in _places(bodies, state, values):
+        place[:] = vectors
     return values
 
 
@@ -32,9 +33,8 @@ def unpack(bodies: RigidBodies, values: np.ndarray) -> BodyState:
     """
     q, p, L = np.zeros((3, 3, bodies.n))
     state = BodyState(q, p, np.repeat(np.eye(3)[:, :, None], bodies.n, axis=2), L)
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
-        for (variable, column), vectors in zip(_places(species), _vectors(state), strict=False):
-            vectors[:, part] = values[variable, column].T
+    for place, vectors in _places(bodies, state, values):
+        vectors[:] = place
     return state
 
 
@@ -46,14 +46,14 @@ def sites(bodies: RigidBodies) -> np.ndarray:
     return values
 
 
-def _vectors(state: BodyState):
-    """What is stored of a state, in its order."""
-    return state.q, state.p, state.L, *state.A
-
-
-def _places(species) -> list[tuple]:
-    """Where the vectors of a species' bodies go: variable and atoms."""
-    if len(species.columns) == 1:
+def _places(bodies: RigidBodies, state: BodyState, values: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of views of equal shape: where numbers are stored, and the part of the state that they are."""
+    flat, start = values.reshape(-1), 0
+    for species, part in zip(bodies.species, bodies.parts, strict=True):
+        vectors = [state.q[:, part], state.p[:, part]]
         # A point body's attitude means nothing, and it has no angular momentum.
-        return [(variable, species.columns[0]) for variable in range(2)]
-    return [(variable, column) for variable in range(VARIABLES) for column in species.columns]
+        if species.atoms.shape[1] > 1:
+            vectors += [state.L[:, part], state.A[:, :, part]]
+        for some in vectors:
+            yield flat[start : start + some.size].reshape(some.shape), some
+            start += some.size
