@@ -270,7 +270,7 @@ def _add_bench(commands) -> argparse.ArgumentParser:
     parser.add_argument("--parts", nargs="+", help="of steps, rotations, layer, accuracy (default: all)")
     parser.add_argument("--copies", type=_whole, nargs="+", help="of the box along each edge (default: 1 2 4)")
     parser.add_argument("--bodies", type=_whole, nargs="+", help="without forces (default: 512 4096 32768 131072)")
-    parser.add_argument("--rounds", type=_whole, help="default: 12")
+    parser.add_argument("--rounds", type=_whole, help="default: 8")
     parser.add_argument("--time", metavar="PS", type=_positive, help="of runs for the energy error (default: 1)")
     parser.add_argument("--seed", type=_whole, help="default: 1")
     parser.set_defaults(execute=_bench)

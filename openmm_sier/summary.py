@@ -58,18 +58,25 @@ def row(context, integrator) -> tuple[float, ...]:
 
 
 class ForceClock:
-    """Measures the time that evaluations of forces and energies take, from outside.
+    """Measures the time that evaluations of forces and energies take, and to give the positions for them, from outside.
 
-    It stands in front of `Context.getState`, through which the integrator asks for them.
+    It stands in front of `Context.getState` and `Context.setPositions`.
 
     Attributes:
-        seconds: spent in evaluations.
-        calls: number of those of forces.
+        seconds: spent in them.
+        calls: number of evaluations of forces.
     """
 
     def __init__(self, context):
         self.seconds, self.calls = 0.0, 0
-        ask = context.getState
+        ask, place = context.getState, context.setPositions
+
+        def place_and_measure(positions):
+            start = clock()
+            try:
+                place(positions)
+            finally:
+                self.seconds += clock() - start
 
         def ask_and_measure(*args, **kwargs):
             if not (kwargs.get("forces") or kwargs.get("energy")):
@@ -81,7 +88,7 @@ class ForceClock:
                 self.seconds += clock() - start
                 self.calls += bool(kwargs.get("forces"))
 
-        context.getState = ask_and_measure
+        context.getState, context.setPositions = ask_and_measure, place_and_measure
 
 
 @dataclass(frozen=True)

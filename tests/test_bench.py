@@ -50,6 +50,10 @@ def test_bench_in_miniature(box, tmp_path, monkeypatch):
     record = json.loads((tmp_path / "bench.json").read_text())
     assert {row["molecules"] for row in record["steps"]} == {27}
     assert all(row["median"] > 0 for row in record["steps"])
+    # A step is longer than the calls of forces in it.
+    own = [row["median"] for row in record["steps"] if row["name"].endswith("the force calls in it")]
+    assert len(own) == 2
+    assert min(own) > 1
     assert [row["bodies"] for row in record["rotations"]] == [20, 40]
     assert set(record["layer"]["nanoseconds"]) == {"20", "40"}
     assert [point["method"] for point in record["accuracy"]["points"]] == ["OpenMM Verlet", "SIER4"]
@@ -113,9 +117,8 @@ def test_level_that_no_step_or_every_step_reaches():
     assert math.isnan(accuracy.step_at([*points[:1], Point("m", 0.5, math.nan, math.nan)], "m", 1e-3))
 
 
-def test_cost_at_a_level(monkeypatch):
-    monkeypatch.setattr(accuracy, "LEVEL", 1e-3)
-    (row,) = accuracy.summary(power_law(1e-3 / 0.64, 2)).values()
+def test_cost_at_a_level():
+    (row,) = accuracy.summary(power_law(1e-3 / 0.64, 2), 1e-3).values()
     # 0.8 fs per force reach it, and a force takes 10 ms.
     assert row == pytest.approx({"fs_per_force": 0.8, "forces_per_ps": 1250.0, "fs_per_second": 80.0})
 

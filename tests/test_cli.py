@@ -212,7 +212,7 @@ def test_frames_after_more_steps_than_the_formats_count(box, suffix):
 
 
 def test_time_of_forces_and_energies_is_that_of_openmm(box):
-    """What asks for either is timed; calls are counted for forces alone."""
+    """What asks for either is timed, and what gives the positions; calls are counted for forces alone."""
     found = forcefields.read_box(box)
     context = openmm.Context(found.system, SIER2Integrator(0.001), openmm.Platform.getPlatformByName("Reference"))
     context.setPositions(found.positions)
@@ -224,6 +224,10 @@ def test_time_of_forces_and_energies_is_that_of_openmm(box):
     assert spent > 0
     assert watch.calls == 0
     context.getState(forces=True)
+    assert watch.seconds > spent
+    assert watch.calls == 1
+    spent = watch.seconds
+    context.setPositions(found.positions)
     assert watch.seconds > spent
     assert watch.calls == 1
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import math
+import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from itertools import cycle
 
@@ -17,17 +18,23 @@ from openmm_sier.forcefields import load, pme_system, read_box
 from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.preparation import make_context
 from openmm_sier.schemes import SIER2, SIER4
+from openmm_sier.summary import ForceClock
 
 #: Step per force evaluation of every method, ps.
 STEP = 1e-3
 
-BARE = "bare force"
+BARE, NUMPY = "bare force", "SIER2, NumPy"
 
-#: Molecules times force evaluations in a turn, at least; some 40 ms.
-WORK = 4096
+#: Force evaluations in a turn, a multiple of SIER4's. OpenMM's `Simulation` asks for ten steps at a time.
+EVALUATIONS = 12
 
-#: Copies of the box along each edge below which there are more rounds than were asked for: turns are shorter there.
-LONG_TURNS = 4
+#: Molecules with which there are as many rounds as asked for. In smaller boxes, whose turns are shorter, there are more
+#: and in larger ones less, within these factors.
+USUAL_SIZE = 4096
+LEAST, MOST = 1 / 3, 8
+
+#: Turns at least in which steps are compared with the force calls in them.
+FEWEST = 3
 
 #: Positions that the bare forces go through, in turns: as many as let OpenMM's neighbour lists grow old.
 FRAMES = 60
@@ -41,55 +48,66 @@ def measure(settings: Settings) -> list[dict]:
 def _ratios(copies: int, settings: Settings) -> list[dict]:
     topology, positions, system = repeated_box(settings, copies)
     molecules = topology.getNumResidues()
-    evaluations = 4 * math.ceil(WORK / molecules / 4)
-    actions = _actions(system, positions, evaluations, settings)
-    seconds = interleaved(actions, settings.rounds * max(1, LONG_TURNS // copies) ** 2)
-    pairs = [(name, BARE) for name in actions if name != BARE] + [("SIER2", "OpenMM Verlet")]
-    rows = []
-    for name, base in pairs:
-        median, spread = summary(seconds[name] / seconds[base])
-        cost = 1e3 * float(np.median(seconds[name])) / evaluations
-        row = {"name": f"{name} / {base}", "molecules": molecules, "median": median, "spread": spread}
-        rows.append(row | {"milliseconds": cost})
-        console.note(f"{molecules} molecules: {row['name']} = {median:.3f} ± {spread:.3f}")
-    return rows
-
-
-def _actions(system, positions, evaluations: int, settings: Settings) -> dict[str, Callable[[], None]]:
-    """What takes turns: as many force evaluations each, bare or in the steps of an integrator."""
     start = _start(system, positions, settings)
-    frames = cycle(_frames(system, start, max(evaluations, FRAMES), settings))
-    bare = _context_at(system, openmm.VerletIntegrator(STEP), start, settings)
+    contexts = _contexts(system, start, settings)
+    actions = {BARE: _bare_force(system, start, settings)}
+    actions |= {name: partial(_steps, name, context) for name, context in contexts.items()}
+    rounds = max(1, round(settings.rounds * min(max(USUAL_SIZE / molecules, LEAST), MOST)))
+    seconds = interleaved(actions, rounds)
+    pairs = [(name, BARE) for name in contexts] + [("SIER2", "OpenMM Verlet")]
+    ratios = {f"{name} / {base}": (seconds[name] / seconds[base], seconds[name]) for name, base in pairs}
+    for name in (name for name in ("SIER2", NUMPY) if name in contexts):
+        # It is the sharper measure, as a machine's changes of speed concern both alike.
+        ratios[f"{name} / the force calls in it"] = _over_own_force(name, contexts[name], max(FEWEST, rounds // 4))
+    return [_row(name, molecules, *values) for name, values in ratios.items()]
 
-    def forces():
-        for _ in range(evaluations):
-            bare.setPositions(next(frames))
-            bare.getState(forces=True)
 
-    actions: dict[str, Callable[[], None]] = {BARE: forces}
+def _row(name: str, molecules: int, ratios: np.ndarray, seconds: np.ndarray) -> dict:
+    median, spread = summary(ratios)
+    console.note(f"{molecules} molecules: {name} = {median:.3f} ± {spread:.3f}")
+    cost = 1e3 * float(np.median(seconds)) / EVALUATIONS
+    return {"name": name, "molecules": molecules, "median": median, "spread": spread, "milliseconds": cost}
+
+
+def _bare_force(system, start, settings: Settings) -> Callable[[], None]:
+    frames = cycle(_frames(system, start, settings))
+    context = _context_at(system, openmm.VerletIntegrator(STEP), start, settings)
+
+    def action():
+        for _ in range(EVALUATIONS):
+            context.setPositions(next(frames))
+            context.getState(forces=True)
+
+    return action
+
+
+def _contexts(system, start, settings: Settings) -> dict[str, openmm.Context]:
     integrators = {
         "SIER2": SIERIntegrator(STEP, SIER2),
         "SIER4": SIERIntegrator(4 * STEP, SIER4),
         "OpenMM Verlet": openmm.VerletIntegrator(STEP),
         "OpenMM LangevinMiddle": openmm.LangevinMiddleIntegrator(297, 1, STEP),
     }
-    for name, integrator in integrators.items():
-        context = _context_at(system, integrator, start, settings)
-        count = evaluations // 4 if name == "SIER4" else evaluations
-        actions[name] = partial(_steps, context, count)
     if compiled.executor() is not None:
-        context = _context_at(system, SIERIntegrator(STEP, SIER2), start, settings)
-        actions["SIER2, NumPy"] = partial(_steps_by_numpy, context, evaluations)
-    return actions
+        integrators[NUMPY] = SIERIntegrator(STEP, SIER2)
+    return {name: _context_at(system, integrator, start, settings) for name, integrator in integrators.items()}
 
 
-def _steps(context, count: int) -> None:
-    context.getIntegrator().step(count)
+def _steps(name: str, context) -> None:
+    """A turn: as many steps as take `EVALUATIONS` forces."""
+    with compiled.disabled() if name == NUMPY else nullcontext():
+        context.getIntegrator().step(EVALUATIONS // 4 if name == "SIER4" else EVALUATIONS)
 
 
-def _steps_by_numpy(context, count: int) -> None:
-    with compiled.disabled():
-        _steps(context, count)
+def _over_own_force(name: str, context, turns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Time of turns over that of the calls of OpenMM in them for positions and forces, and the former in seconds."""
+    clock = ForceClock(context)
+    totals, inside = np.empty(turns), np.empty(turns)
+    for turn in range(turns):
+        before, start = clock.seconds, time.perf_counter()
+        _steps(name, context)
+        totals[turn], inside[turn] = time.perf_counter() - start, clock.seconds - before
+    return totals / inside, totals
 
 
 def repeated_box(settings: Settings, copies: int):
@@ -122,12 +140,12 @@ def _context_at(system, integrator, start, settings: Settings):
     return context
 
 
-def _frames(system, start, count: int, settings: Settings) -> list[np.ndarray]:
+def _frames(system, start, settings: Settings) -> list[np.ndarray]:
     """Positions of consecutive steps: forces at positions that do not move would be cheaper than in a simulation."""
     integrator = openmm.VerletIntegrator(STEP)
     context = _context_at(system, integrator, start, settings)
     frames = []
-    for _ in range(count):
+    for _ in range(FRAMES):
         integrator.step(1)
         state = context.getState(positions=True)
         frames.append(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer).copy())

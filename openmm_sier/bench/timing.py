@@ -26,7 +26,7 @@ class Settings:
         forcefield: of it; None picks one.
         copies: repetitions of the box along each edge, one size each.
         bodies: sizes of the sets of bodies for the rotation and the layer alone.
-        rounds: how often everything takes its turn; in small boxes, whose turns are short, several times as often.
+        rounds: how often everything takes its turn; steps of small boxes more often, of large ones less.
         time: length of the runs that measure the energy error, ps.
         temperature, equilibrate: K, and ps before those runs.
         parts: names of what is measured, of `openmm_sier.bench.PARTS`; None takes all.
@@ -38,7 +38,7 @@ class Settings:
     forcefield: list[str] | None = None
     copies: tuple[int, ...] = (1, 2, 4)
     bodies: tuple[int, ...] = (512, 4096, 32768, 131072)
-    rounds: int = 12
+    rounds: int = 8
     time: float = 1.0
     temperature: float = 297.0
     equilibrate: float = 2.0
