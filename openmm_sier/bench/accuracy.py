@@ -159,7 +159,7 @@ def show(points: list[Point]) -> None:
         [[p.method, f"{p.fs_per_force:g}", cell(100 * p.error, 4), cell(p.fs_per_second, 0)] for p in points],
     )
     console.table(
-        "Cost of an accuracy; - where it is below the floor",
+        "Cost of an accuracy; - where the steps do not enclose it",
         ["rms(H)/rms(V)/%", "method", "fs per force", "forces per ps", "simulated fs per second"],
         [
             [
