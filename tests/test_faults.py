@@ -163,6 +163,7 @@ def test_a_fault_at_any_line_at_constant_pressure():
 
 def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     """Three threads place atoms and sum forces: none may write any more when the last completed step is written."""
+    monkeypatch.setattr(compiled, "_allowed", True)
     monkeypatch.setattr(compiled, "SHARE", 1)
     monkeypatch.setattr(compiled, "_available_threads", lambda: 3)
     shared = []
