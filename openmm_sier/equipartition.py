@@ -26,8 +26,6 @@ INTERVAL = 12.0
 #: Start of every run that is left out, ps.
 SETTLING = 2.0
 
-BAROSTAT_INTERVAL = 25
-
 #: Samples of the forces that predict the bias, steps of SIER2 before each, and their length in ps.
 FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 
@@ -93,9 +91,7 @@ def compare(settings: Settings) -> list[Row]:
     system = openmm.XmlSerializer.clone(box.system)
     system.addForce(openmm.CMMotionRemover())
     if settings.ensemble == "npt":
-        system.addForce(
-            openmm.MonteCarloBarostat(settings.pressure * unit.bar, settings.temperature, BAROSTAT_INTERVAL)
-        )
+        system.addForce(openmm.MonteCarloBarostat(settings.pressure * unit.bar, settings.temperature))
     rows = []
     for seed in range(settings.seed, settings.seed + settings.replicas):
         mine = replace(settings, seed=seed)

@@ -121,14 +121,15 @@ class SIERLangevinIntegrator(SIERIntegrator):
         return self.getBodyState().heat * unit.kilojoule_per_mole
 
     def _own_arguments(self) -> dict:
-        return {
+        arguments = {
             **super()._own_arguments(),
             "temperature": self.getTemperature(),
             "frictionCoeff": self.getFriction(),
             "rotationalFriction": None if self._same_friction else self.getRotationalFriction(),
-            "pressure": self.getPressure(),
-            "barostatInterval": 25 if self._piston is None else self._piston.interval,
         }
+        if self._piston is not None:
+            arguments |= {"pressure": self.getPressure(), "barostatInterval": self._piston.interval}
+        return arguments
 
     def _bind(self, context) -> None:
         super()._bind(context)
