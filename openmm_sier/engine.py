@@ -337,7 +337,7 @@ class Engine:
         integrator, bodies = self._integrator, self.bodies
         # One after the other: OpenMM gives lists of objects, which take much memory.
         values = np.stack([np.array(integrator.getPerDofVariableByName(name)) for name in STATE_VARIABLES])
-        if not values.any():
+        if not values.any() or not np.isfinite(values).all():
             return None
         state = storage.unpack(bodies, values)
         positions = bodies.place(state.q, state.A, now.positions.copy())

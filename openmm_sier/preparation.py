@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.bodies import NotFiniteError
 from openmm_sier.console import StepProgress, note
 from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.langevin import SIERLangevinIntegrator
@@ -90,11 +92,14 @@ def prepare(context, positions, options: Start, minimize: bool | None = None) ->
 
 
 def _strongest_force(context) -> float:
-    """Largest net force on a body, kJ/mol/nm."""
+    """Largest net force on a body, kJ/mol/nm; infinite where one is not finite."""
     integrator = context.getIntegrator()
     forces = context.getState(forces=True).getForces(asNumpy=True)
     forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
-    F, _ = integrator.bodies.forces_and_torques(forces, integrator.getBodyState().A)
+    try:
+        F, _ = integrator.bodies.forces_and_torques(forces, integrator.getBodyState().A)
+    except NotFiniteError:
+        return math.inf
     return float(np.linalg.norm(F, axis=0).max())
 
 

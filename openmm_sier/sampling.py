@@ -11,7 +11,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.bodies import GAS_CONSTANT, BodyState, RigidBodies, RigidityError
+from openmm_sier.bodies import GAS_CONSTANT, BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.langevin import SIERLangevinIntegrator
 from openmm_sier.rotor import body_frame
@@ -136,7 +136,7 @@ def sample(context, bodies: RigidBodies, steps: int, every: int, progress=None) 
         state = context.getState(energy=True)
         try:
             motion = _body_state(context, bodies)
-        except RigidityError as error:
+        except (RigidityError, NotFiniteError) as error:
             raise Unstable(f"after {done} steps {error}") from error
         rows.append(
             (

@@ -170,6 +170,16 @@ def test_torn_molecules_end_one_run_and_not_the_comparison():
         sampling.sample(context, RigidBodies.from_system(system, topology), 200, 5)
 
 
+def test_a_motion_that_is_not_finite_ends_one_run(monkeypatch):
+    topology, positions, system = periodic_system()
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform())
+    context.setPositions(positions)
+    bodies = RigidBodies.from_system(system, topology)
+    monkeypatch.setattr(bodies, "momenta", lambda velocities, A: RigidBodies.momenta(bodies, velocities * np.inf, A))
+    with pytest.raises(sampling.Unstable, match="after 1 steps the vectors of body 0 are not finite"):
+        sampling.sample(context, bodies, 2, 1)
+
+
 def test_an_unknown_scheme_is_refused_before_anything_is_read(settings, tmp_path):
     wrong = dataclasses.replace(settings, box=tmp_path / "none.pdb", schemes=("sier4g", "sier5"))
     with pytest.raises(ValueError, match=r"unknown scheme 'sier5'; known are verlet, sier2, .*srkn6b"):
