@@ -26,6 +26,7 @@ from openmm_sier.kernels import (
     SMALL_ANGLE,
     combine,
     cross,
+    displacing_rotation,
     even_and_odd,
     excess_weights,
     join,
@@ -195,20 +196,20 @@ def _with_globals(function, namespace):
     return clone
 
 
-def rotate(start, stop, A, L, rates, order, parity, h, times, weights, limits, out, far):
+def rotate(start, stop, A, L, h, frame, rule, out, far):
     """Free rotation of bodies with equal moments; returns how many the series do not reach, and sets `far` for those.
 
     Args:
         start, stop: range of the bodies.
         A, L: (3, 3, n) and (3, n).
-        rates, order, parity: of `openmm_sier.rotor.Top`, shapes (3,), (3,) and ().
         h: time.
-        times, weights: of `openmm_sier.rotor.Rule`.
-        limits: largest squared phase, least and largest |L|^2.
+        frame: rates (3,), order (3,) and parity () of `openmm_sier.rotor.Top`.
+        rule: times and weights of `openmm_sier.rotor.Rule`, and the largest squared phase, least and largest |L|^2.
         out: (3, 3, n), valid where `far` is not set.
         far: (n,), bool.
     """
-    longest, low, high = limits
+    rates, order, parity = frame
+    times, weights, (longest, low, high) = rule
     left = 0
     tile = np.ones(ROWS * TILE)
     for first in range(start, stop, TILE):
@@ -242,16 +243,14 @@ def drift(start, stop, q, p, A, L, h, inverse_masses, frame, rule, new_q, new_A,
         q, p, A, L: (3, n), and A (3, 3, n).
         h: time.
         inverse_masses: (n,).
-        frame: rates, order and parity of `rotate`; the rates of points are zero.
-        rule: times, weights and limits of `rotate`.
-        new_q, new_A, far: written as by `rotate`.
+        frame, rule: of `rotate`; the rates of points are zero.
+        new_q, new_A, far: written, the last two as by `rotate`.
     """
     for x in range(3):
         for n in range(start, stop):
             new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
-    rates, order, parity = frame
-    if rates[0] > 0:
-        return rotate(start, stop, A, L, rates, order, parity, h, rule[0], rule[1], rule[2], new_A, far)
+    if frame[0][0] > 0:
+        return rotate(start, stop, A, L, h, frame, rule, new_A, far)
     far[start:stop] = False
     new_A[:, :, start:stop] = A[:, :, start:stop]
     return 0
@@ -267,18 +266,18 @@ def kick(start, stop, p, L, F, torque, h, new_p, new_L):
 
 def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moments, new_q, new_A):
     """Bodies displaced by `shift` times their accelerations: q (3, n) and A (3, 3, n), and written alike."""
-    half = -0.5 * shift
     for n in range(start, stop):
+        x = (A[0, 0, n], A[0, 1, n], A[0, 2, n])
+        y = (A[1, 0, n], A[1, 1, n], A[1, 2, n])
+        z = (A[2, 0, n], A[2, 1, n], A[2, 2, n])
         turn = (torque[0, n], torque[1, n], torque[2, n])
-        i = half * inverse_moments[0, n] * combine(turn, A[0, 0, n], A[0, 1, n], A[0, 2, n])
-        j = half * inverse_moments[1, n] * combine(turn, A[1, 0, n], A[1, 1, n], A[1, 2, n])
-        k = half * inverse_moments[2, n] * combine(turn, A[2, 0, n], A[2, 1, n], A[2, 2, n])
-        rows = rotation_matrix(1.0, i, j, k)
-        for x in range(3):
-            new_q[x, n] = q[x, n] + (shift * inverse_masses[n]) * F[x, n]
-            new_A[0, x, n] = combine(rows[0], A[0, x, n], A[1, x, n], A[2, x, n])
-            new_A[1, x, n] = combine(rows[1], A[0, x, n], A[1, x, n], A[2, x, n])
-            new_A[2, x, n] = combine(rows[2], A[0, x, n], A[1, x, n], A[2, x, n])
+        inverses = (inverse_moments[0, n], inverse_moments[1, n], inverse_moments[2, n])
+        rows = displacing_rotation(x, y, z, turn, inverses, shift)
+        for axis in range(3):
+            new_q[axis, n] = q[axis, n] + (shift * inverse_masses[n]) * F[axis, n]
+            new_A[0, axis, n] = combine(rows[0], x[axis], y[axis], z[axis])
+            new_A[1, axis, n] = combine(rows[1], x[axis], y[axis], z[axis])
+            new_A[2, axis, n] = combine(rows[2], x[axis], y[axis], z[axis])
 
 
 def kick_from(start, stop, p, L, F, torque, arm, h, new_p, new_L):

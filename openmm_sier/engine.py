@@ -56,7 +56,7 @@ class Engine:
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self._positions, self._velocities, self._atom_forces = np.zeros((3, n, 3))
         self._placed: tuple = (None, None)
-        self._groups = integrator.getIntegrationForceGroups()
+        self._groups: int
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
         self.forces = propagation.CachedForces(self._compute_forces)
@@ -133,7 +133,7 @@ class Engine:
         alone = not self._has_actors and integrator._piston is None
         try:
             for _ in range(count):
-                if alone or not self._acts_now():
+                if alone or not (self._has_actors or self._moves_volume_now()):
                     # The Context learns of the step when the last one is published.
                     self._complete(self.state, step, h)
                 else:
@@ -168,9 +168,6 @@ class Engine:
         if self._has_actors:
             state = self._update_box() if self._barostats_alone else self._update_all(h)
         return self._with_volume_moved(state) if self._moves_volume_now() else state
-
-    def _acts_now(self) -> bool:
-        return self._has_actors or self._moves_volume_now()
 
     def _moves_volume_now(self) -> bool:
         piston = self._integrator._piston

@@ -134,6 +134,24 @@ def rotation_matrix(w, i, j, k):
     )
 
 
+def displacing_rotation(x, y, z, torque, inverses, shift):
+    """Rows of the rotation that displaces bodies by `shift` times their angular accelerations, in the body frame.
+
+    The Cayley form differs from the rotation by a third of the cube of the angle.
+
+    Args:
+        x, y, z: rows of the attitude.
+        torque: in the lab frame.
+        inverses: inverse principal moments.
+        shift: half the square of a time.
+    """
+    half = -0.5 * shift
+    i = half * inverses[0] * combine(torque, x[0], x[1], x[2])
+    j = half * inverses[1] * combine(torque, y[0], y[1], y[2])
+    k = half * inverses[2] * combine(torque, z[0], z[1], z[2])
+    return rotation_matrix(1.0, i, j, k)
+
+
 def combine(weights, x, y, z):
     """The sum of x, y and z with weights."""
     return weights[0] * x + weights[1] * y + weights[2] * z
@@ -158,5 +176,6 @@ ELEMENTWISE = (
     small_sine_cosine,
     rotation_matrix,
     combine,
+    displacing_rotation,
     cross,
 )

@@ -125,18 +125,15 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
 
 
 def _displaced(bodies: RigidBodies, state: BodyState, F, tau, shift: float):
-    """Centres and attitudes of bodies displaced by `shift` times their accelerations.
-
-    The Cayley form of the rotation differs from it by a third of the cube of the angle, O(h^6).
-    """
+    """Centres and attitudes of bodies displaced by `shift` times their accelerations."""
     inverses = bodies.inverse_masses, bodies.inverse_moments
     if (loops := executor()) is not None:
         q, A = np.empty(state.q.shape), np.empty(state.A.shape)
         loops.displace(_all(q), state.q, state.A, F, tau, shift, *inverses, q, A)
         return q, A
-    i, j, k = (-0.5 * shift) * inverses[1] * rotor.body_frame(state.A, tau)
-    rows = kernels.rotation_matrix(np.ones_like(i), i, j, k)
-    A = np.stack([kernels.combine(row, state.A[0], state.A[1], state.A[2]) for row in rows])
+    x, y, z = state.A
+    rows = kernels.displacing_rotation(x, y, z, tau, inverses[1], shift)
+    A = np.stack([kernels.combine(row, x, y, z) for row in rows])
     return state.q + (shift * inverses[0]) * F, A
 
 

@@ -213,7 +213,7 @@ def exact(A, L, moments, h):
     if bodies.rates.ndim == 1 and (loops := executor()) is not None:
         far = np.empty(n, dtype=bool)
         everyone = slice(0, n)
-        if loops.rotate(everyone, A, L, *bodies.frame, h, *COMPILED_RULE, new, far):
+        if loops.rotate(everyone, A, L, h, bodies.frame, COMPILED_RULE, new, far):
             rotate_far(bodies, everyone, A, L, h, new, far)
     else:
         _demand_finite(A, L)

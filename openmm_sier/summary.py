@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from openmm import unit
@@ -71,24 +72,20 @@ class ForceClock:
         self.seconds, self.calls = 0.0, 0
         ask, place = context.getState, context.setPositions
 
-        def place_and_measure(positions):
+        def measure(call, *args, **kwargs):
             start = clock()
             try:
-                place(positions)
+                return call(*args, **kwargs)
             finally:
                 self.seconds += clock() - start
 
         def ask_and_measure(*args, **kwargs):
             if not (kwargs.get("forces") or kwargs.get("energy")):
                 return ask(*args, **kwargs)
-            start = clock()
-            try:
-                return ask(*args, **kwargs)
-            finally:
-                self.seconds += clock() - start
-                self.calls += bool(kwargs.get("forces"))
+            self.calls += bool(kwargs.get("forces"))
+            return measure(ask, *args, **kwargs)
 
-        context.getState, context.setPositions = ask_and_measure, place_and_measure
+        context.getState, context.setPositions = ask_and_measure, partial(measure, place)
 
 
 @dataclass(frozen=True)

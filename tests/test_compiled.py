@@ -225,9 +225,13 @@ def test_no_directory_for_the_cache(monkeypatch):
     assert made == [child_of]
 
 
-def test_errors_of_threads_come_out(three_threads):
+@pytest.mark.parametrize("first", [0, 1])
+def test_errors_of_threads_come_out(three_threads, first):
+    """From every share, and from the shares of the other threads alone."""
+
     def loop(start, stop):
-        raise ValueError("what went wrong")
+        if start >= first:
+            raise ValueError("what went wrong")
 
     with pytest.raises(ValueError, match="what went wrong"):
         compiled._threaded(loop)(slice(0, 11))

@@ -241,6 +241,12 @@ def test_momentum_and_angular_momentum_are_constant(rng, mixture, scheme):
 # --- what a step costs and leaves alone -------------------------------------------------------------------------------
 
 
+def test_an_operator_that_nothing_executes_is_refused(waters):
+    _, operators = operators_of(waters)
+    with pytest.raises(ValueError, match="nothing executes the operator 'bath' of the scheme SIER2"):
+        stepper(SIER2.with_bath(), operators, 0.002)
+
+
 @pytest.mark.parametrize(("scheme", "evaluations"), [(SIER2, 1), (SIER4, 4)])
 def test_force_evaluations(rng, waters, scheme, evaluations):
     forces, operators = operators_of(waters)

@@ -163,7 +163,7 @@ def test_volume_is_that_of_openmms_barostat():
 
 
 def test_energy_less_heat_is_conserved(box):
-    """Moves of the box and the bath change the energy by 16 to 50 kJ/mol; what second order leaves is 0.5 to 1.7.
+    """Moves of the box and the bath change the energy by 24 kJ/mol; what second order leaves is 1.3.
 
     The moves alone change it by 6.
     """
@@ -180,7 +180,7 @@ def test_energy_less_heat_is_conserved(box):
     changed = np.flatnonzero(np.diff(sizes)) + 1
     assert 5 < len(changed) < 30
     assert not (changed % 2).any()
-    assert np.ptp(totals) > 10
+    assert np.ptp(totals) > 20
     assert np.ptp(np.array(totals) - heats) < 3.0
     # Molecules stay as they are.
     made.getBodyState()
