@@ -1,6 +1,7 @@
 """Symplectic integrators of second and fourth order for rigid molecules in OpenMM."""
 
 from openmm_sier.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.ewald import balance_ewald
 from openmm_sier.integrator import SIER2Integrator, SIER4Integrator, SIERIntegrator
 from openmm_sier.langevin import SIERLangevinIntegrator
 from openmm_sier.schemes import SIER2, SIER4, SIER4G, Scheme
@@ -19,4 +20,5 @@ __all__ = [
     "SIERLangevinIntegrator",
     "Scheme",
     "__version__",
+    "balance_ewald",
 ]

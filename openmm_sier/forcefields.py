@@ -10,6 +10,8 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from openmm_sier.ewald import balance_ewald
+
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 SHIPPED = (Path(__file__).parent / "systems", Path(__file__).parent.parent / "systems")
 
@@ -197,8 +199,9 @@ def add_virtual_sites(topology, positions, forcefield):
 def pme_system(topology, forcefield):
     """The System: rigid water, PME where there is a box, everything with everything where there is none.
 
-    The cut-off is 0.9 nm, less in a box too small for it; Lennard-Jones is switched off over the last sixth of it, with
-    the usual correction for its tail. Nothing removes the motion of the centre of mass.
+    The cut-off is 0.9 nm, less in a box too small for it, with the sums of PME balanced (`openmm_sier.balance_ewald`);
+    Lennard-Jones is switched off over the last sixth of it, with the usual correction for its tail. Nothing removes the
+    motion of the centre of mass.
 
     Raises:
         ForceFieldError: the force field has no template for a residue.
@@ -214,9 +217,12 @@ def pme_system(topology, forcefield):
             "ewaldErrorTolerance": EWALD_TOLERANCE,
         }
     try:
-        return forcefield.createSystem(topology, rigidWater=True, constraints=None, removeCMMotion=False, **settings)
+        system = forcefield.createSystem(topology, rigidWater=True, constraints=None, removeCMMotion=False, **settings)
     except Exception as error:
         raise ForceFieldError(first_line(error)) from error
+    if box is not None and any(isinstance(force, openmm.NonbondedForce) for force in system.getForces()):
+        balance_ewald(system)
+    return system
 
 
 @dataclass(frozen=True)
