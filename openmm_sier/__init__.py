@@ -1,16 +1,18 @@
 """Symplectic integrators of second and fourth order for rigid molecules in OpenMM."""
 
 from openmm_sier.bodies import BodyState, RigidBodies, RigidityError
-from openmm_sier.ewald import balance_ewald
 from openmm_sier.integrator import SIER2Integrator, SIER4Integrator, SIERIntegrator
 from openmm_sier.langevin import SIERLangevinIntegrator
-from openmm_sier.schemes import SIER2, SIER4, SIER4G, Scheme
+from openmm_sier.pme import balance_pme
+from openmm_sier.schemes import SIER2, SIER4, SIER4G, SIER4P, SIER4V, Scheme
 from openmm_sier.version import __version__
 
 __all__ = [
     "SIER2",
     "SIER4",
     "SIER4G",
+    "SIER4P",
+    "SIER4V",
     "BodyState",
     "RigidBodies",
     "RigidityError",
@@ -20,5 +22,5 @@ __all__ = [
     "SIERLangevinIntegrator",
     "Scheme",
     "__version__",
-    "balance_ewald",
+    "balance_pme",
 ]

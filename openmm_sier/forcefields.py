@@ -10,7 +10,7 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.ewald import balance_ewald
+from openmm_sier.pme import balance_pme, meshed_forces
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 SHIPPED = (Path(__file__).parent / "systems", Path(__file__).parent.parent / "systems")
@@ -24,6 +24,8 @@ REMARK = "REMARK  99 FORCEFIELD"
 #: Settings of the System, nm: direct-space cut-off, and where Lennard-Jones starts to be switched off.
 CUTOFF = 0.9
 SWITCH = 0.75
+
+#: From it follow the mesh and, with more to spare, the Ewald parameter.
 EWALD_TOLERANCE = 1e-5
 
 #: The cut-off as a fraction of the narrowest box width where the box is too small for `CUTOFF`. OpenMM refuses 0.5, and
@@ -199,7 +201,7 @@ def add_virtual_sites(topology, positions, forcefield):
 def pme_system(topology, forcefield):
     """The System: rigid water, PME where there is a box, everything with everything where there is none.
 
-    The cut-off is 0.9 nm, less in a box too small for it, with the sums of PME balanced (`openmm_sier.balance_ewald`);
+    The cut-off is 0.9 nm, less in a box too small for it, with the sums of PME balanced (`openmm_sier.balance_pme`);
     Lennard-Jones is switched off over the last sixth of it, with the usual correction for its tail. Nothing removes the
     motion of the centre of mass.
 
@@ -220,8 +222,8 @@ def pme_system(topology, forcefield):
         system = forcefield.createSystem(topology, rigidWater=True, constraints=None, removeCMMotion=False, **settings)
     except Exception as error:
         raise ForceFieldError(first_line(error)) from error
-    if box is not None and any(isinstance(force, openmm.NonbondedForce) for force in system.getForces()):
-        balance_ewald(system)
+    if meshed_forces(system):
+        balance_pme(system)
     return system
 
 

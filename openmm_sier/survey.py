@@ -35,15 +35,6 @@ _OMELYAN_2002 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002
 _OMELYAN_2003 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), "
 
 
-def _gradient_in_the_middle(share: float) -> tuple[Stage, ...]:
-    """The family drift, kick, drift, gradient kick, drift, kick, drift of fourth order; `share` is that of a kick."""
-    outer = 0.5 - 1 / math.sqrt(24 * share)
-    bracket = (1 - math.sqrt(6 * share) * (1 - share)) / 12
-    middle = Stage(GRADIENT_KICK, 1 - 2 * share, 2 * bracket / (1 - 2 * share))
-    half = (Stage(DRIFT, outer), Stage(KICK, share), Stage(DRIFT, 0.5 - outer))
-    return (*half, middle, *reversed(half))
-
-
 def _gradients_outside(share: float) -> tuple[Stage, ...]:
     """The family drift, gradient kick, drift, kick, drift, gradient kick, drift of fourth order."""
     outer = 0.5 - 1 / math.sqrt(24 * share)
@@ -88,9 +79,6 @@ OTHERS = {
         KICK,
         (0.1786178958448091, 0.7123418310626054, -0.06626458266981849, -0.2123418310626054),
         _OMELYAN_2002 + "position extended Forest-Ruth-like",
-    ),
-    "omf3g": Scheme(
-        "OMF, 3 forces and 1 gradient", _gradient_in_the_middle(0.2470939580390842), _OMELYAN_2003 + "Eq. 44"
     ),
     "omf3gg": Scheme("OMF, 3 forces and 2 gradients", _gradients_outside(0.3152315246820299), _OMELYAN_2003 + "Eq. 43"),
 }

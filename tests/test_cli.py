@@ -119,7 +119,7 @@ def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
 def test_run_conserves_energy_and_momentum(whole_run):
     rows = log(whole_run / "whole.csv")
     H, V = rows["total_kJ_per_mol"], rows["potential_kJ_per_mol"]
-    # SIER4 at 4 fs: 0.02 % in a large box; the cut-off of 0.47 nm and 11 samples leave room for a factor of some.
+    # SIER4 at 4 fs: 0.016 % in a large box; the cut-off of 0.47 nm and 11 samples leave room for a factor of some.
     assert H.std() / V.std() < 2e-3
     # The thermal momentum of one molecule is about 7 dalton nm/ps; PME conserves the total to its mesh's accuracy.
     assert rows["momentum_dalton_nm_per_ps"][0] < 1e-9

@@ -13,14 +13,14 @@ from openmm import app, unit
 
 from openmm_sier import RigidBodies, sampling, survey
 from openmm_sier.sampling import Series
-from openmm_sier.schemes import DRIFT, KICK, SIER4V, alternating
+from openmm_sier.schemes import DRIFT, KICK, SIER4P, SIER4V, alternating
 from openmm_sier.survey import OTHERS, Row, Settings
 from tests.molecules import WATER, SoftCluster
 from tests.test_gradient import slope
 from tests.waters import periodic_system, platform, water_box
 
-CANDIDATES = {**OTHERS, "sier4v": SIER4V}
-FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "omf3g": 4, "omf3gg": 5}
+CANDIDATES = {**OTHERS, "sier4v": SIER4V, "sier4p": SIER4P}
+FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "sier4p": 4, "omf3gg": 5}
 
 
 @pytest.mark.parametrize("name", CANDIDATES)

@@ -1,4 +1,4 @@
-"""Liquid water as OpenMM Systems: with the paper's smooth molecular cut-off, and as users would set it up."""
+"""Liquid water as OpenMM Systems: with the paper's smooth molecular cut-off, and with PME."""
 
 from __future__ import annotations
 
