@@ -51,7 +51,7 @@ from openmm_sier.elliptic import (
 )
 
 #: Bodies handled at a time, so that the temporaries of a block stay in cache.
-BLOCK = 2048
+BLOCK = 4096
 
 #: Largest max(p, q) (squared phase of the nutation in one step) for each quadrature rule, and the rule's nodes inside
 #: (0, 1) and weights: Gauss-Lobatto on [-1, 1] without the end points, whose weight is the first number, and

@@ -299,6 +299,6 @@ SIER4P = Scheme(
 )
 
 #: The schemes that users can name. Which one conserves the energy of liquid water best depends on the simulated time
-#: for each force evaluation (`openmm-sier schemes`): SIER4V at 1 and 1.5 fs, SIER4G at 2 and 2.5 fs. SIER2 bears the
-#: longest steps for each force, and SIER4 is the paper's.
+#: for each force evaluation (`openmm-sier schemes`): SIER4P up to 1.5 fs, SIER4G or SIER4P at 2 fs. SIER4V is the best
+#: without a gradient, SIER2 bears the longest steps for each force, and SIER4 is the paper's.
 CATALOGUE = {scheme.name.lower(): scheme for scheme in (SIER2, SIER4, SIER4V, SIER4G, SIER4P)}
