@@ -23,7 +23,7 @@ from openmm_sier.kernels import (
 )
 
 #: Bodies that are rotated together, and numbers that each needs for it.
-TILE, ROWS = 64, 24
+TILE, ROWS = 128, 24
 
 
 def span(start, stop):
