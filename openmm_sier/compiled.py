@@ -26,8 +26,8 @@ from openmm_sier import elliptic, kernels, loops
 #: Sums and products may be contracted, but not reordered: NumPy and Numba agree to rounding.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
-#: Least number of bodies for a thread: to start one takes as long as some thousand bodies do.
-SHARE = 8192
+#: Least number of bodies for a thread: to start one takes as long as some ten thousand bodies in a light loop do.
+SHARE = 32768
 
 #: Whether compiled code may be used.
 _allowed = os.environ.get("OPENMM_SIER_NUMBA", "1") != "0"

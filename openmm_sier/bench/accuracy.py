@@ -23,7 +23,7 @@ from openmm_sier.preparation import equilibrated, make_context
 
 #: fs per force evaluation: of methods of second order, and of those of fourth.
 SECOND_ORDER = (0.25, 0.5, 1.0, 2.0)
-FOURTH_ORDER = (0.5, 0.75, 1.0, 1.5, 2.0)
+FOURTH_ORDER = (0.75, 1.0, 1.5, 2.0, 2.5)
 METHODS = {"verlet": SECOND_ORDER, "sier2": SECOND_ORDER, "sier4": FOURTH_ORDER, "sier4g": FOURTH_ORDER}
 METHODS["sier4p"] = FOURTH_ORDER
 

@@ -11,8 +11,9 @@ import numpy as np
 import openmm
 
 from openmm_sier import console
-from openmm_sier.bench.timing import Settings, interleaved, summary
+from openmm_sier.bench.timing import Settings, apart, summary
 from openmm_sier.integrator import SIER2Integrator
+from openmm_sier.summary import ForceClock
 
 STEP = 1e-3
 STEPS = 20
@@ -49,10 +50,9 @@ def context_of(n: int, integrator) -> openmm.Context:
 def measure(settings: Settings) -> dict:
     """Nanoseconds a body and step of the layer, growth exponent, bytes a molecule, seconds of start-up."""
     sizes = [n for n in settings.bodies if SMALLEST <= n <= LARGEST] or [settings.bodies[-1]]
-    cost = {n: _nanoseconds(n, settings.rounds) for n in sizes}
+    cost = _nanoseconds(sizes, settings.rounds)
     record: dict = {"nanoseconds": cost}
-    # A difference of timings can be negative where it is small.
-    if len(sizes) > 1 and all(nanoseconds > 0 for nanoseconds, _ in cost.values()):
+    if len(sizes) > 1:
         slope = np.polyfit(np.log(sizes), np.log([cost[n][0] * n for n in sizes]), 1)[0]
         record["growth_exponent"] = float(slope)
     if (memory := bytes_per_molecule(sizes[-1])) is not None:
@@ -60,19 +60,23 @@ def measure(settings: Settings) -> dict:
     return record | {"seconds": start_up()}
 
 
-def _nanoseconds(n: int, rounds: int) -> tuple[float, float]:
-    """Of a step of free bodies, less those of the calls that any force evaluation takes."""
-    context = context_of(n, SIER2Integrator(STEP))
-    bare = context_of(n, openmm.VerletIntegrator(STEP))
-    positions = bare.getState(positions=True).getPositions(asNumpy=True)._value.copy()
+def _nanoseconds(sizes: list[int], rounds: int) -> dict[int, tuple[float, float]]:
+    """Of a step of free bodies outside the force calls, a body. Sizes take turns, which are equally long."""
+    contexts = {n: context_of(n, SIER2Integrator(STEP)) for n in sizes}
+    clocks = {n: ForceClock(context) for n, context in contexts.items()}
+    found = np.empty((rounds + 1, len(sizes)))
+    for turn in found:
+        for i, n in enumerate(sizes):
+            calls = max(1, max(sizes) // n)
+            outside, _ = apart(clocks[n], partial(_run, contexts[n].getIntegrator(), calls))
+            turn[i] = 1e9 * outside / (calls * STEPS * n)
+    # The first turn sets up what later ones find.
+    return {n: summary(values) for n, values in zip(sizes, found[1:].T, strict=True)}
 
-    def forces():
-        for _ in range(STEPS):
-            bare.setPositions(positions)
-            bare.getState(forces=True)
 
-    seconds = interleaved({"bare": forces, "step": partial(context.getIntegrator().step, STEPS)}, rounds)
-    return summary(1e9 * (seconds["step"] - seconds["bare"]) / (STEPS * n))
+def _run(integrator, calls: int) -> None:
+    for _ in range(calls):
+        integrator.step(STEPS)
 
 
 def bytes_per_molecule(n: int) -> float | None:

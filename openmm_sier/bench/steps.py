@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
@@ -13,7 +12,7 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier import compiled, console
-from openmm_sier.bench.timing import Settings, interleaved, summary
+from openmm_sier.bench.timing import Settings, apart, interleaved, summary
 from openmm_sier.forcefields import load, pme_system, read_box
 from openmm_sier.integrator import SIERIntegrator
 from openmm_sier.preparation import make_context
@@ -102,12 +101,8 @@ def _steps(name: str, context) -> None:
 def _over_own_force(name: str, context, turns: int) -> tuple[np.ndarray, np.ndarray]:
     """Time of turns over that of the calls of OpenMM in them for positions and forces, and the former in seconds."""
     clock = ForceClock(context)
-    totals, inside = np.empty(turns), np.empty(turns)
-    for turn in range(turns):
-        before, start = clock.seconds, time.perf_counter()
-        _steps(name, context)
-        totals[turn], inside[turn] = time.perf_counter() - start, clock.seconds - before
-    return totals / inside, totals
+    outside, inside = np.array([apart(clock, partial(_steps, name, context)) for _ in range(turns)]).T
+    return 1 + outside / inside, outside + inside
 
 
 def repeated_box(settings: Settings, copies: int):

@@ -14,6 +14,7 @@ import numpy as np
 import openmm
 
 from openmm_sier import compiled
+from openmm_sier.summary import ForceClock
 from openmm_sier.version import __version__
 
 
@@ -79,6 +80,14 @@ def interleaved(actions: Mapping[str, Callable[[], None]], rounds: int) -> dict[
             if number:
                 times[name].append(time.perf_counter() - start)
     return {name: np.array(values) for name, values in times.items()}
+
+
+def apart(clock: ForceClock, action: Callable[[], object]) -> tuple[float, float]:
+    """Seconds that an action takes outside and inside the force calls that a clock counts."""
+    before, start = clock.seconds, time.perf_counter()
+    action()
+    total, inside = time.perf_counter() - start, clock.seconds - before
+    return total - inside, inside
 
 
 def summary(values: np.ndarray) -> tuple[float, float]:
