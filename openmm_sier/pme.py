@@ -25,9 +25,8 @@ def balance_pme(system) -> None:
     The direct sum ends at the cut-off, where the energy has a step that no force knows of. By OpenMM's rule for
     `ewaldErrorTolerance` this step limits how well energy can be conserved, and the direct sum has most of the error. A
     larger Ewald parameter makes the step some twenty times smaller, and the error of the mesh two to three times
-    larger, with it the small net force of PME on the whole box. Forces in water have a fifth to a seventh of the error
-    before (cut-offs of 0.9 and 1.2 nm, tolerances from 1e-5 to 5e-4; half of it at 0.55 nm), at no cost
-    in time.
+    larger, with it the small net force of PME on the whole box. Forces in water take as long and have a fifth to an
+    eighth of the error before (cut-offs of 0.9 and 1.2 nm, tolerances from 1e-5 to 5e-4; half of it at 0.55 nm).
 
     Call it when box, cut-off and tolerance of the System are set, before a Context is created, and again if they
     change: parameters are those of `NonbondedForce.setPMEParameters`, and earlier ones are replaced. The Lennard-Jones
@@ -43,8 +42,8 @@ def balance_pme(system) -> None:
     forces = meshed_forces(system)
     if not forces:
         raise ValueError("balance_pme needs a NonbondedForce with PME or LJPME, and the System has none")
-    vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
-    edges = [vector[axis] for axis, vector in enumerate(vectors)]
+    box = system.getDefaultPeriodicBoxVectors()
+    edges = [vector.value_in_unit(unit.nanometer)[axis] for axis, vector in enumerate(box)]
     parameters = [_parameters(force, edges) for force in forces]
     for force, (alpha, mesh) in zip(forces, parameters, strict=True):
         force.setPMEParameters(alpha, *mesh)

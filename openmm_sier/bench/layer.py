@@ -64,10 +64,10 @@ def _nanoseconds(sizes: list[int], rounds: int) -> dict[int, tuple[float, float]
     """Of a step of free bodies outside the force calls, a body. Sizes take turns, which are equally long."""
     contexts = {n: context_of(n, SIER2Integrator(STEP)) for n in sizes}
     clocks = {n: ForceClock(context) for n, context in contexts.items()}
-    found = np.empty((rounds + 1, len(sizes)))
+    found, largest = np.empty((rounds + 1, len(sizes))), max(sizes)
     for turn in found:
         for i, n in enumerate(sizes):
-            calls = max(1, max(sizes) // n)
+            calls = largest // n
             outside, _ = apart(clocks[n], partial(_run, contexts[n].getIntegrator(), calls))
             turn[i] = 1e9 * outside / (calls * STEPS * n)
     # The first turn sets up what later ones find.
