@@ -21,7 +21,8 @@ import mdtraj
 import numpy as np
 from openmm import unit
 
-from openmm_sier import forcefields, records
+from openmm_sier.cli import records
+from openmm_sier.measure import forcefields
 
 SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
 

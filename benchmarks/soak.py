@@ -19,11 +19,12 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier import RigidBodies, SIERIntegrator, forcefields, sampling
-from openmm_sier.console import clock, duration, note, table
-from openmm_sier.preparation import make_context, prepare
-from openmm_sier.run import Options
-from openmm_sier.schemes import CATALOGUE
+from openmm_sier import RigidBodies, SIERIntegrator
+from openmm_sier.cli.run import Options
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.measure import forcefields, sampling
+from openmm_sier.measure.starts import make_context, prepare
+from openmm_sier.studies.console import clock, duration, note, table
 
 SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
 

@@ -9,7 +9,7 @@ import argparse
 
 import numpy as np
 
-from openmm_sier import rotor
+from openmm_sier.dynamics.rotation import rotor
 
 MOMENTS = np.array([1.0, 2.0, 3.0])  #: dalton nm^2
 TILT = 1e-3  #: radian between the angular momentum and the middle axis at the start

@@ -1,10 +1,10 @@
 """Symplectic integrators of second and fourth order for rigid molecules in OpenMM."""
 
-from openmm_sier.bodies import BodyState, RigidBodies, RigidityError
-from openmm_sier.integrator import SIER2Integrator, SIER4Integrator, SIERIntegrator
-from openmm_sier.langevin import SIERLangevinIntegrator
-from openmm_sier.pme import balance_pme
-from openmm_sier.schemes import SIER2, SIER4, SIER4G, SIER4P, SIER4V, Scheme
+from openmm_sier.context.integrator import SIER2Integrator, SIER4Integrator, SIERIntegrator
+from openmm_sier.context.langevin import SIERLangevinIntegrator
+from openmm_sier.context.pme import balance_pme
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, SIER4V, Scheme
 from openmm_sier.version import __version__
 
 __all__ = [

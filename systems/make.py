@@ -18,7 +18,8 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier import RigidBodies, forcefields
+from openmm_sier import RigidBodies
+from openmm_sier.measure import forcefields
 
 HERE = Path(__file__).parent
 DALTONS_PER_NM3 = 602.214076  #: in 1 g/cm^3

@@ -3,7 +3,8 @@ from importlib import util
 import numpy as np
 import pytest
 
-from openmm_sier import bodies, rotor
+from openmm_sier.dynamics import bodies
+from openmm_sier.dynamics.rotation import rotor
 
 
 @pytest.fixture

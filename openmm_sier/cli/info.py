@@ -1,0 +1,90 @@
+"""The command `openmm-sier info`: what bodies a PDB file holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.measure.forcefields import read_box
+from openmm_sier.studies.console import table
+
+#: Moments that differ by less than this fraction of the largest are called equal.
+EQUAL = 1e-6
+
+COLUMNS = ("residues", "bodies", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
+
+
+def info(path: Path, files: Sequence[str] | None = None) -> None:
+    """Print the kinds of body of a PDB file, masses in dalton and moments in dalton nm^2.
+
+    Args:
+        path: the PDB file.
+        files: force-field files; None picks one, see `forcefields.pick`.
+
+    Raises:
+        ForceFieldError, RigidityError, OSError: as their messages say.
+    """
+    box = read_box(path, files)
+    bodies = RigidBodies.from_system(box.system, box.topology)
+    atoms = list(box.topology.atoms())
+    riders = _riders(box.system, bodies)
+    rows = [_row(species, atoms, riders) for species in bodies.species]
+    table(f"{path}, {' '.join(box.choice.files)} ({box.choice.reason})", COLUMNS, rows)
+    counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.degrees_of_freedom} degrees of freedom"
+    print(counts + _extent(box))
+
+
+def _row(species: Species, atoms, riders: dict[int, list[int]]) -> list[str]:
+    first = species.atoms[0]
+    names = Counter(atoms[i].residue.name for i in species.atoms[:, 0])
+    return [
+        " ".join(names),
+        str(len(species.atoms)),
+        " ".join(atoms[i].name for i in first),
+        " ".join(atoms[i].name for i in riders.get(int(first[0]), [])) or "-",
+        f"{species.mass:.4f}",
+        " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",
+        kind(species.moments),
+        str(species.degrees_of_freedom),
+    ]
+
+
+def kind(moments) -> str:
+    """The name of a top with these ascending moments."""
+    low, middle, high = moments
+    if high == 0:
+        return "point"
+    if low == 0:
+        return "linear"
+    lower_pair, upper_pair = middle - low < EQUAL * high, high - middle < EQUAL * high
+    if lower_pair and upper_pair:
+        return "spherical top"
+    if lower_pair:
+        return "oblate top"
+    return "prolate top" if upper_pair else "asymmetric top"
+
+
+def _riders(system, bodies: RigidBodies) -> dict[int, list[int]]:
+    """For the first atom of each body the virtual sites that depend on the body's atoms."""
+    body_of = {int(i): int(members[0]) for species in bodies.species for members in species.atoms for i in members}
+    riders: dict[int, list[int]] = {}
+    for i in range(system.getNumParticles()):
+        if system.isVirtualSite(i):
+            riders.setdefault(body_of[system.getVirtualSite(i).getParticle(0)], []).append(i)
+    return riders
+
+
+def _extent(box) -> str:
+    vectors = box.topology.getPeriodicBoxVectors()
+    if vectors is None:
+        return ", no periodic box"
+    edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
+    masses = [box.system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(box.system.getNumParticles())]
+    volume = abs(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer))))
+    density = sum(masses) / volume / 602.214076
+    return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density:.3f} g/cm3"

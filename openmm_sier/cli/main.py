@@ -1,0 +1,318 @@
+"""The arguments of `openmm-sier`. What its commands do stands in modules of their own, imported when needed."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.version import __version__
+
+PROGRAM = "openmm-sier"
+SCHEMES = tuple(CATALOGUE)
+FAILED, MISUSED, INTERRUPTED = 1, 2, 130
+
+FORCEFIELD_HELP = (
+    "force-field files, OpenMM's or your own. Without it the file named in a record 'REMARK  99 FORCEFIELD file.xml' "
+    "of the PDB file, and without that the water model with the nearest geometry: tip3p.xml, spce.xml, tip4p.xml, "
+    "tip5p.xml or another"
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message):
+        self.exit(MISUSED, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Carry out a command line; returns the exit code."""
+    options = build_parser().parse_args(arguments)
+    try:
+        options.execute(options)
+    except KeyboardInterrupt as stop:
+        return _complain(str(stop) or "interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # The reader of our output has gone, as `head` does: nothing is left to be said.
+        sys.stderr.close()
+        return FAILED
+    except Exception as error:
+        if options.debug:
+            raise
+        expected = isinstance(error, (ValueError, OSError, ImportError)) or type(error).__module__.startswith("openmm")
+        return _complain(
+            _one_line(error) if expected else f"{type(error).__name__}: {_one_line(error)} (--debug shows where)"
+        )
+    return 0
+
+
+def _complain(message: str, code: int = FAILED) -> int:
+    print(f"{PROGRAM}: {message}", file=sys.stderr)
+    return code
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def build_parser() -> argparse.ArgumentParser:
+    parser = Parser(prog=PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for add in (_add_run, _add_info, _add_paper, _add_equipartition, _add_schemes, _add_bench):
+        added = add(commands)
+        added.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return parser
+
+
+# --- run ---
+
+
+def _add_run(commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "run",
+        help="simulate a PDB file",
+        description="Read a PDB file, equilibrate it at a temperature and simulate it at constant energy, temperature "
+        "or pressure. Writes a trajectory of the atoms that the PDB file lists, a log (CSV) and a checkpoint, from "
+        "which --restart goes on without a gap.",
+    )
+    parser.add_argument(
+        "box", metavar="BOX.pdb", type=Path, help="whole molecules with hydrogens; virtual sites are added"
+    )
+    parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
+    parser.add_argument("--scheme", choices=("auto", *SCHEMES), help="default: sier4; auto takes the recommended one")
+    parser.add_argument("--dt", metavar="FS", type=_positive, help="step in fs (default: 1 per force evaluation)")
+    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
+    parser.add_argument("--friction", metavar="1/PS", type=_not_negative, help="of the heat bath (default: 1)")
+    parser.add_argument("--pressure", metavar="BAR", type=_number, help="with npt (default: 1)")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument(
+        "--steps", type=_whole, help="length of the whole trajectory, of which a restart does what is left"
+    )
+    length.add_argument("--time", metavar="PS", type=_positive, help="the same in ps (default: 10)")
+    parser.add_argument("--temperature", metavar="K", type=_not_negative, default=297.0, help="default: 297")
+    parser.add_argument("--equilibrate", metavar="PS", type=_not_negative, default=1.0, help="how long (default: 1)")
+    parser.add_argument(
+        "--minimize",
+        action=argparse.BooleanOptionalAction,
+        help="minimize the energy first (default: if the start has forces that a liquid has not)",
+    )
+    parser.add_argument("--out", metavar="FILE", type=Path, help="trajectory, .dcd, .xtc or .h5 (default: BOX.dcd)")
+    parser.add_argument("--report", metavar="CSV", type=Path, help="log (default: as the trajectory, with .csv)")
+    parser.add_argument("--every", metavar="PS", type=_positive, help="between frames (default: 0.1)")
+    parser.add_argument("--report-every", metavar="PS", type=_positive, help="between rows of the log (default: 0.04)")
+    parser.add_argument("--checkpoint-every", metavar="PS", type=_positive, help="between checkpoints (default: 1)")
+    parser.add_argument("--seed", type=_whole, default=1, help="of velocities and equilibration (default: 1)")
+    parser.add_argument("--platform", help="of OpenMM (default: the fastest)")
+    parser.add_argument("--restart", metavar="FILE", type=Path, help="checkpoint (.chk) to go on from")
+    parser.add_argument("--overwrite", action="store_true", help="replace files of an earlier run")
+    parser.set_defaults(execute=_run)
+    return parser
+
+
+def _run(options) -> None:
+    from openmm_sier.cli import run
+
+    names = run.Options.__dataclass_fields__
+    run.run(run.Options(**{name: getattr(options, name) for name in names}))
+
+
+# --- info ---
+
+
+def _add_info(commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "info",
+        help="show what rigid bodies a PDB file has",
+        description="Show the kinds of rigid body that a PDB file has.",
+    )
+    parser.add_argument("box", metavar="BOX.pdb", type=Path)
+    parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
+    parser.set_defaults(execute=_info)
+    return parser
+
+
+def _info(options) -> None:
+    from openmm_sier.cli import info
+
+    info.info(options.box, options.forcefield)
+
+
+# --- paper ---
+
+
+def _add_paper(commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "paper",
+        help="repeat the paper's experiments",
+        description="Repeat the numerical experiments of van Zon and Schofield (2007).",
+    )
+    parser.add_argument("experiment", choices=("free-rotation", "dipole", "water", "all"))
+    parser.add_argument("--quick", action="store_true", help="less of everything, to see it work")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where tables and figures go")
+    parser.add_argument("--seed", type=_whole, default=1, help="default: 1")
+    parser.set_defaults(execute=_paper)
+    return parser
+
+
+def _paper(options) -> None:
+    from openmm_sier.studies import paper
+
+    paper.run(options.experiment, options.quick, options.out, options.seed)
+
+
+# --- comparisons ---
+
+
+def _add_comparison(commands, name: str, title: str, description: str):
+    """A parser with the arguments that all comparisons of integrators share."""
+    parser = commands.add_parser(name, help=title, description=description)
+    parser.add_argument("box", metavar="BOX.pdb", type=Path, nargs="?", help="default: 512 molecules of TIP3P water")
+    parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
+    parser.add_argument("--platform", help="of OpenMM (default: the fastest)")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out"), help="for the numbers and the figure")
+    return parser
+
+
+def _settings(cls, options):
+    """The settings of a comparison from the options of its command; what was not given keeps its default."""
+    given = {name: getattr(options, name, None) for name in cls.__dataclass_fields__}
+    given = {
+        name: tuple(value) if isinstance(value, list) and name != "forcefield" else value
+        for name, value in given.items()
+        if value is not None
+    }
+    if "box" not in given:
+        from openmm_sier.measure.forcefields import shipped_box
+
+        given["box"] = shipped_box()
+    return cls(**given)
+
+
+def _add_equipartition(commands) -> argparse.ArgumentParser:
+    parser = _add_comparison(
+        commands,
+        "equipartition",
+        "compare the temperatures of rotation and translation",
+        "T_trans, T_rot, mean potential energy and density with OpenMM's integrators and ours, at several steps.",
+    )
+    parser.add_argument(
+        "--dt", metavar="FS", type=_positive, nargs="+", help="per force evaluation (default: 0.5 to 4)"
+    )
+    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
+    parser.add_argument("--methods", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
+    parser.add_argument("--time", metavar="PS", type=_positive, help="of each run (default: 20)")
+    parser.add_argument("--replicas", type=_whole, help="runs of each, with seeds that follow --seed (default: 1)")
+    parser.add_argument(
+        "--pool",
+        metavar="DIR",
+        type=Path,
+        nargs="+",
+        help="instead of runs: pool those of earlier --out directories",
+    )
+    parser.add_argument("--equilibrate", metavar="PS", type=_positive, help="default: 10")
+    parser.add_argument("--temperature", metavar="K", type=_positive, help="default: 297")
+    parser.add_argument("--friction", metavar="1/PS", type=_positive, help="default: 1")
+    parser.add_argument("--pressure", metavar="BAR", type=_number, help="default: 1")
+    parser.add_argument("--seed", type=_whole, help="default: 1")
+    parser.set_defaults(execute=_equipartition)
+    return parser
+
+
+def _equipartition(options) -> None:
+    from openmm_sier.studies import equipartition
+
+    if options.pool:
+        if options.box is not None:
+            raise ValueError(f"--pool reads what earlier runs wrote: it takes no box, got {options.box}")
+        equipartition.pool(options.pool, options.out)
+    else:
+        equipartition.run(_settings(equipartition.Settings, options), options.out)
+
+
+def _add_schemes(commands) -> argparse.ArgumentParser:
+    parser = _add_comparison(
+        commands,
+        "schemes",
+        "compare the energy conservation of all schemes",
+        "Energy error and long-run drift of every scheme and of OpenMM's Verlet, against force evaluations per ps.",
+    )
+    parser.add_argument(
+        "--dt", metavar="FS", type=_positive, nargs="+", help="per force evaluation (default: 1 to 2.5)"
+    )
+    parser.add_argument("--time", metavar="PS", type=_positive, help="of each run (default: 4)")
+    parser.add_argument("--schemes", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
+    parser.add_argument("--seed", type=_whole, help="default: 1")
+    parser.set_defaults(execute=_schemes)
+    return parser
+
+
+def _schemes(options) -> None:
+    from openmm_sier.studies import scheme_comparison
+
+    scheme_comparison.run(_settings(scheme_comparison.Settings, options), options.out)
+
+
+def _add_bench(commands) -> argparse.ArgumentParser:
+    parser = _add_comparison(
+        commands,
+        "bench",
+        "measure what a step and what accuracy cost",
+        "Cost of a step over that of its forces and over OpenMM's integrators, of the free rotation and of the layer "
+        "above the forces alone; energy error against cost, beside LAMMPS (lmp) and GROMACS (gmx) where they are on "
+        "the PATH. Takes some 10 minutes of two cores; --parts and --copies make it shorter.",
+    )
+    parser.add_argument("--parts", nargs="+", help="of steps, rotations, layer, accuracy (default: all)")
+    parser.add_argument("--copies", type=_whole, nargs="+", help="of the box along each edge (default: 1 2 4)")
+    parser.add_argument("--bodies", type=_whole, nargs="+", help="without forces (default: 512 4096 32768 131072)")
+    parser.add_argument("--rounds", type=_whole, help="default: 8")
+    parser.add_argument("--time", metavar="PS", type=_positive, help="of runs for the energy error (default: 1)")
+    parser.add_argument("--seed", type=_whole, help="default: 1")
+    parser.set_defaults(execute=_bench)
+    return parser
+
+
+def _bench(options) -> None:
+    from openmm_sier.studies import bench
+
+    bench.run(_settings(bench.Settings, options), options.out)
+
+
+# --- values ---
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a number, got {text!r}")
+    return value
+
+
+def _positive(text: str) -> float:
+    if (value := _number(text)) <= 0:
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    if (value := _number(text)) < 0:
+        raise argparse.ArgumentTypeError(f"expected a number not below 0, got {text!r}")
+    return value
+
+
+def _whole(text: str) -> int:
+    if not text.isdigit() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
+    return int(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+"""What Forces do besides giving forces: they may change positions, velocities or the box in `updateContextState`.
+
+And Systems in which the volume cannot be changed without harm to rigid bodies, by Forces or by an integrator.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
+
+#: These are known to do nothing; with any other kind in the System the Context is told and read each step.
+PASSIVE_FORCES = (
+    openmm.NonbondedForce,
+    openmm.HarmonicBondForce,
+    openmm.HarmonicAngleForce,
+    openmm.PeriodicTorsionForce,
+    openmm.RBTorsionForce,
+    openmm.CMAPTorsionForce,
+    openmm.GBSAOBCForce,
+    openmm.GayBerneForce,
+    openmm.RMSDForce,
+    openmm.CustomBondForce,
+    openmm.CustomAngleForce,
+    openmm.CustomTorsionForce,
+    openmm.CustomExternalForce,
+    openmm.CustomCompoundBondForce,
+    openmm.CustomCentroidBondForce,
+    openmm.CustomNonbondedForce,
+    openmm.CustomGBForce,
+    openmm.CustomHbondForce,
+    openmm.CustomManyParticleForce,
+    # It has an effect, which `Engine._without_drift` takes over: a sum over bodies is cheaper than reading atoms back.
+    openmm.CMMotionRemover,
+)
+
+#: These change the box and positions together, and neither read nor change velocities.
+BAROSTATS = (
+    openmm.MonteCarloBarostat,
+    openmm.MonteCarloAnisotropicBarostat,
+    openmm.MonteCarloMembraneBarostat,
+    openmm.MonteCarloFlexibleBarostat,
+)
+
+
+def is_passive(force) -> bool:
+    """Whether a Force does nothing but give forces, whatever the time."""
+    if isinstance(force, openmm.CustomCVForce):
+        return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
+    return isinstance(force, PASSIVE_FORCES)
+
+
+def refuse_constant_pressure(system, bodies: RigidBodies) -> None:
+    """Refuse a System whose volume an integrator cannot change.
+
+    Raises:
+        openmm.OpenMMException: it is not periodic, has a barostat of its own, or a particle that belongs to no body.
+    """
+    if not system.usesPeriodicBoundaryConditions():
+        raise openmm.OpenMMException("A pressure needs a System with periodic boundary conditions")
+    for force in system.getForces():
+        if isinstance(force, BAROSTATS):
+            raise openmm.OpenMMException(
+                f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
+            )
+    alone = np.ones(bodies.n_particles, dtype=bool)
+    for species in bodies.species:
+        alone[species.atoms] = False
+    for i in np.flatnonzero(alone).tolist():
+        if not system.isVirtualSite(i):
+            raise openmm.OpenMMException(
+                f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
+                "has no mass or was left out of `bodies`: keep the volume, or do without it"
+            )
+
+
+def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
+    """Refuse a barostat that moves atoms of one body apart.
+
+    Args:
+        system: openmm.System.
+        molecules: particle indices of OpenMM's molecules, `Context.getMolecules()`.
+        bodies: the rigid bodies.
+
+    Raises:
+        RigidityError: a barostat scales atoms one by one, or by molecules of which several share a body.
+    """
+    barostats = [force for force in system.getForces() if isinstance(force, BAROSTATS)]
+    if not barostats:
+        return
+    molecule = molecule_of_atoms(molecules, bodies.n_particles)
+    for species in bodies.species:
+        if species.atoms.shape[1] == 1:
+            continue
+        for barostat in barostats:
+            if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
+                raise RigidityError(
+                    f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies: create it with "
+                    "scaleMoleculesAsRigid=True"
+                )
+        split = np.ptp(molecule[species.atoms], axis=1) > 0
+        if split.any():
+            raise RigidityError(
+                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
+                f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
+                "strength)"
+            )

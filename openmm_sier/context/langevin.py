@@ -1,0 +1,166 @@
+"""Langevin dynamics of rigid bodies, for OpenMM users."""
+
+from __future__ import annotations
+
+import secrets
+
+from openmm import unit
+
+from openmm_sier.context.engine import SEED
+from openmm_sier.context.integrator import Bodies, SIERIntegrator, quantity_to_float, whole_number
+from openmm_sier.dynamics.barostat import BAR, Piston
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics.schemes import BATH, SIER4, Scheme
+from openmm_sier.dynamics.thermostat import Bath
+
+
+class SIERLangevinIntegrator(SIERIntegrator):
+    """Rigid-body Langevin dynamics at constant temperature.
+
+    The scheme gets an exact heat bath: SIER2 in its middle (kick, half drift, bath, half drift, kick), SIER4 half at
+    either end. Where the friction is zero the trajectory is, bit for bit, that of the scheme without a bath.
+
+    The noise is a function of the seed and of the number of bath operations done so far. Both travel in checkpoints, so
+    that a restarted run continues the same trajectory. A State brings the number only, and never back to noise that the
+    Context has used: a run restarted from it is the same if its integrator was given the same seed.
+
+    With a pressure the volume of the box changes by Monte Carlo moves, of which the same is true. Of OpenMM's barostats
+    it is not: they work with this integrator too, but what they remember of their moves is in no State.
+    """
+
+    def __init__(
+        self,
+        temperature,
+        frictionCoeff,
+        stepSize,
+        scheme: Scheme = SIER4,
+        bodies: Bodies = None,
+        rotation=rotor.exact,
+        rotationalFriction=None,
+        pressure=None,
+        barostatInterval=25,
+    ):
+        """
+        Args:
+            temperature: of the bath, a quantity or a number in K.
+            frictionCoeff: coupling to the bath, a quantity or a number in 1/ps.
+            stepSize: step, a time quantity or a number in ps.
+            scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
+            bodies: see `SIERIntegrator`.
+            rotation: free-rotation map, as `rotor.exact`.
+            rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
+            pressure: if it is to be constant, a quantity or a number in bar. All edges of the box change by one factor,
+                and ln V by up to 0.5/sqrt(number of molecules) in one move.
+            barostatInterval: steps from one attempt to change the volume to the next.
+
+        Raises:
+            ValueError: a value is not finite or has the wrong sign.
+            TypeError: a quantity has the wrong dimension.
+        """
+        super().__init__(stepSize, scheme.with_bath() if isinstance(scheme, Scheme) else scheme, bodies, rotation)
+        friction = _friction("frictionCoeff", frictionCoeff)
+        turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
+        self._bath = Bath(_temperature(temperature), friction, turning, seed=0)
+        self._same_friction = rotationalFriction is None
+        if (interval := whole_number("barostatInterval", barostatInterval)) == 0:
+            raise ValueError("barostatInterval must be at least 1, got 0")
+        self._piston = None if pressure is None else Piston(_pressure(pressure), interval, self._bath)
+        self._cold_scheme = self._scheme.without(BATH)
+
+    def getTemperature(self):
+        """Temperature of the bath, a quantity in K."""
+        return self._bath.temperature * unit.kelvin
+
+    def setTemperature(self, temp) -> None:
+        """Set the temperature of the bath, a quantity or a number in K."""
+        self._bath.temperature = _temperature(temp)
+
+    def getFriction(self):
+        """Friction of the translation, a quantity in 1/ps."""
+        return self._bath.friction / unit.picosecond
+
+    def setFriction(self, coeff) -> None:
+        """Set the friction, a quantity or a number in 1/ps; that of the rotation too unless it was given apart."""
+        self._bath.friction = _friction("coeff", coeff)
+        if self._same_friction:
+            self._bath.rotational_friction = self._bath.friction
+
+    def getRotationalFriction(self):
+        """Friction of the rotation, a quantity in 1/ps."""
+        return self._bath.rotational_friction / unit.picosecond
+
+    def setRotationalFriction(self, coeff) -> None:
+        """Set the friction of the rotation, a quantity or a number in 1/ps; from now on apart from the other."""
+        self._bath.rotational_friction = _friction("coeff", coeff)
+        self._same_friction = False
+
+    def getPressure(self):
+        """Pressure that is kept, a quantity in bar; None where the volume is."""
+        return None if self._piston is None else self._piston.pressure / BAR * unit.bar
+
+    def setPressure(self, pressure) -> None:
+        """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
+        if self._piston is None:
+            raise ValueError("this integrator keeps the volume: create it with a pressure")
+        self._piston.pressure = _pressure(pressure)
+
+    def getBarostatInterval(self) -> int | None:
+        """Steps from one attempt to change the volume to the next; None where the volume is kept."""
+        return None if self._piston is None else self._piston.interval
+
+    def setRandomNumberSeed(self, seed) -> None:
+        """Set the seed of the noise for the next Context; as in OpenMM, 0 takes another one for every Context."""
+        super().setRandomNumberSeed(whole_number("seed", seed))
+
+    def getHeat(self):
+        """Energy that the bath, and moves of the volume, have given to the bodies, a quantity.
+
+        The total energy less it is conserved. The work P dV is not in it.
+        """
+        return self.getBodyState().heat * unit.kilojoule_per_mole
+
+    def _own_arguments(self) -> dict:
+        arguments = {
+            **super()._own_arguments(),
+            "temperature": self.getTemperature(),
+            "frictionCoeff": self.getFriction(),
+            "rotationalFriction": None if self._same_friction else self.getRotationalFriction(),
+        }
+        if self._piston is not None:
+            arguments |= {"pressure": self.getPressure(), "barostatInterval": self._piston.interval}
+        return arguments
+
+    def _bind(self, context) -> None:
+        super()._bind(context)
+        # A Context that was reinitialized with its state goes on with the seed that it has.
+        if self.getGlobalVariableByName(SEED) == 0:
+            seed = self.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
+            self.setGlobalVariableByName(SEED, seed)
+
+    def _active_scheme(self) -> Scheme:
+        # A loaded checkpoint brings the seed of its run.
+        self._bath.seed = int(self.getGlobalVariableByName(SEED))
+        cold = self._bath.friction == 0 and self._bath.rotational_friction == 0
+        return self._cold_scheme if cold else self._scheme
+
+    def _extra_operators(self, bodies: RigidBodies) -> dict:
+        return {BATH: self._bath.operator(bodies)}
+
+
+def _pressure(value) -> float:
+    return BAR * quantity_to_float("pressure", value, unit.bar, "bar")
+
+
+def _temperature(value) -> float:
+    value = quantity_to_float("temperature", value, unit.kelvin, "K")
+    if value < 0:
+        raise ValueError(f"temperature must not be negative, got {value} K")
+    return value
+
+
+def _friction(name: str, value) -> float:
+    value = quantity_to_float(name, value, unit.picosecond**-1, "1/ps")
+    if value < 0:
+        raise ValueError(f"{name} must not be negative, got {value} 1/ps")
+    return value

@@ -1,0 +1,1 @@
+"""Rigid-body dynamics with NumPy, without OpenMM."""

@@ -1,0 +1,1 @@
+"""What executes the formulas: NumPy, or loops compiled by Numba."""

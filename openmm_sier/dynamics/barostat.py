@@ -1,0 +1,80 @@
+"""Constant pressure: Monte Carlo moves of the volume, in which molecules keep their shape and orientation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies, molecule_of_atoms
+from openmm_sier.dynamics.thermostat import Bath
+
+#: Pressure of 1 bar in kJ/mol/nm^3.
+BAR = 0.0602214076
+
+#: Largest change of ln V, times the square root of the number of molecules. The volume itself fluctuates by 1 in an
+#: ideal gas and by 0.25 in water, where half of the moves are accepted.
+LARGEST_MOVE = 0.5
+
+#: (centres of the bodies, factor by which the box's edges are stretched) -> potential energy, kJ/mol
+Energy = Callable[[np.ndarray, float], float]
+
+#: (state, volume in nm^3, energy) -> state and the factor by which edges are to be stretched, 1 where nothing changed
+VolumeMove = Callable[[BodyState, float, Energy], tuple[BodyState, float]]
+
+
+class Piston:
+    """Keeps a pressure, as OpenMM's MonteCarloBarostat does.
+
+    Other than that one it keeps nothing to itself: moves have one size, and their random numbers are a function of the
+    bath's seed and the number of draws so far, which travel with the bodies' state. So a restart is exact.
+
+    Source: Chow and Ferguson, Comput. Phys. Commun. 91, 283 (1995), with ln V for V.
+
+    Attributes:
+        pressure: kJ/mol/nm^3.
+        interval: steps from one attempted move to the next.
+    """
+
+    def __init__(self, pressure: float, interval: int, bath: Bath):
+        self.pressure = pressure
+        self.interval = interval
+        self._bath = bath
+
+    def operator(self, bodies: RigidBodies, molecules) -> VolumeMove:
+        """The move of a set of bodies.
+
+        Args:
+            bodies: the rigid and point bodies.
+            molecules: particle indices of what is moved as a whole.
+        """
+        owner = _molecule_of(bodies, molecules)
+        n = int(owner.max()) + 1
+        weights = bodies.masses / np.bincount(owner, bodies.masses)[owner]
+        largest = LARGEST_MOVE / math.sqrt(n)
+
+        def move(state: BodyState, volume: float, energy: Energy) -> tuple[BodyState, float]:
+            place, luck = self._bath.generator(state.draws, stream=1).random(2)
+            growth = largest * (2 * place - 1)
+            factor = math.exp(growth / 3)
+            centres = np.stack([np.bincount(owner, weights * x)[owner] for x in state.q])
+            q = state.q + (factor - 1) * centres
+            before = energy(state.q, 1.0)
+            gain = energy(q, factor) - before
+            kT = GAS_CONSTANT * self._bath.temperature
+            # A move in ln V, of n centres that are scaled with the box.
+            cost = gain + self.pressure * volume * math.expm1(growth) - (n + 1) * kT * growth
+            state = replace(state, draws=state.draws + 1)
+            if not cost <= -kT * math.log(1 - luck):
+                return state, 1.0
+            return replace(state, q=q, heat=state.heat + gain), factor
+
+        return move
+
+
+def _molecule_of(bodies: RigidBodies, molecules) -> np.ndarray:
+    """For each body a number of its molecule, counted without gaps. A body that joins several belongs to the first."""
+    first = np.concatenate([species.atoms[:, 0] for species in bodies.species])
+    return np.unique(molecule_of_atoms(molecules, bodies.n_particles)[first], return_inverse=True)[1]

@@ -1,0 +1,425 @@
+"""Rigid bodies: their masses, moments and sites, and the way between the coordinates of atoms and of bodies.
+
+Lengths are in nm, times in ps, masses in dalton, energies in kJ/mol, so that no conversion factor appears.
+Arrays of bodies are component-first: a vector for each of n bodies has shape (3, n), an attitude matrix (3, 3, n).
+Arrays of atoms have OpenMM's shape (N, 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from openmm_sier.dynamics.backend import arrays, kernels
+from openmm_sier.dynamics.backend.compiled import executor
+from openmm_sier.dynamics.rotation.rotor import body_frame
+
+#: Largest distance in nm between an atom and its place in the reference geometry that `RigidBodies.fit` accepts.
+FIT_TOLERANCE = 0.005
+
+#: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
+LINEAR_MOMENT = 1e-10
+ON_AXIS = 1e-9
+
+#: Gas constant, kJ/mol/K (CODATA 2018).
+GAS_CONSTANT = 8.31446261815324e-3
+
+
+class RigidityError(ValueError):
+    """Atoms do not form the rigid body that they are meant to form."""
+
+
+class NotFiniteError(ValueError):
+    """Vectors of bodies are not all finite.
+
+    Attributes:
+        body: the number of the first one of which they are not.
+    """
+
+    def __init__(self, vectors):
+        self.body = int(np.isfinite(vectors).all(axis=0).argmin())
+        super().__init__(f"the vectors of body {self.body} are not finite")
+
+
+@dataclass(frozen=True, eq=False)
+class BodyState:
+    """A phase point of n rigid bodies. States are never changed in place: operators return new ones.
+
+    Attributes:
+        q: centres of mass, (3, n), nm.
+        p: momenta, (3, n), dalton nm/ps.
+        A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
+        L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
+        heat: energy that a heat bath, and moves of the volume, have given to the bodies, kJ/mol.
+        draws: how often noise was drawn for them, which is the counter of the random numbers.
+    """
+
+    q: np.ndarray
+    p: np.ndarray
+    A: np.ndarray
+    L: np.ndarray
+    heat: float = 0.0
+    draws: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Species:
+    """All bodies that share one geometry.
+
+    Attributes:
+        atoms: particle indices, (m, k): m bodies of k atoms.
+        masses: (k,), dalton.
+        sites: atom positions in the principal frame, (3, k), nm.
+        moments: principal moments, (3,), ascending, dalton nm^2; exact zeros for a line or a point.
+    """
+
+    atoms: np.ndarray
+    masses: np.ndarray
+    sites: np.ndarray
+    moments: np.ndarray
+
+    @classmethod
+    def from_coordinates(cls, atoms, masses, coordinates, resolution: float = 0.0) -> Species:
+        """Species whose geometry is that of one set of atom positions.
+
+        Args:
+            atoms: particle indices, (m, k).
+            masses: (k,), dalton, positive.
+            coordinates: positions of the k atoms in any frame, (k, 3), nm.
+            resolution: atoms that are all within this distance of a principal plane, in nm, are put onto it.
+        """
+        masses = np.array(masses, dtype=float)
+        r = np.array(coordinates, dtype=float)
+        r = r - masses @ r / masses.sum()
+        inertia = np.einsum("k,kx,kx->", masses, r, r) * np.eye(3) - np.einsum("k,kx,ky->xy", masses, r, r)
+        _, axes = np.linalg.eigh(inertia)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        sites = (r @ axes).T
+        sites[np.abs(sites) <= ON_AXIS * np.abs(sites).max()] = 0.0
+        sites[np.abs(sites).max(axis=1) <= resolution] = 0.0
+        squares = (masses * sites**2).sum(axis=1)
+        moments = squares.sum() - squares
+        moments[moments <= LINEAR_MOMENT * moments.max()] = 0.0
+        return cls(np.array(atoms, dtype=np.int64), masses, sites, moments)
+
+    def of_atoms(self, atoms) -> Species:
+        """Other bodies, (m, k) particle indices, of the same geometry."""
+        return replace(self, atoms=np.array(atoms, dtype=np.int64))
+
+    def mirrored(self) -> Species:
+        """The mirror image, whose principal axes are the same."""
+        return replace(self, sites=self.sites * [[1.0], [1.0], [-1.0]])
+
+    @property
+    def mass(self) -> float:
+        return float(self.masses.sum())
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Of one body: 3 for a point, 5 for a line, 6 otherwise."""
+        return 3 + int(np.count_nonzero(self.moments))
+
+    @cached_property
+    def columns(self) -> list[slice | np.ndarray]:
+        """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
+        return [_as_slice(column) for column in self.atoms.T]
+
+    @cached_property
+    def ones(self) -> np.ndarray:
+        """(k,), the weights of a plain sum over the atoms."""
+        return np.ones_like(self.masses)
+
+    @cached_property
+    def extents(self) -> tuple[list[int], np.ndarray]:
+        """The principal axes along which the body extends, and for each site 1 and its coordinates on those."""
+        axes = np.flatnonzero(self.sites.any(axis=1)).tolist()
+        return axes, np.vstack([self.ones, self.sites[axes]])
+
+
+def molecule_of_atoms(molecules, n_particles: int) -> np.ndarray:
+    """For each particle the number of its molecule.
+
+    Args:
+        molecules: particle indices of each, as `Context.getMolecules()` gives them.
+        n_particles: of the system.
+    """
+    numbers = np.zeros(n_particles, dtype=int)
+    for number, atoms in enumerate(molecules):
+        numbers[list(atoms)] = number
+    return numbers
+
+
+def _as_slice(indices):
+    if indices.size == 1:
+        return slice(int(indices[0]), int(indices[0]) + 1)
+    step = int(indices[1] - indices[0])
+    if step > 0 and np.all(np.diff(indices) == step):
+        return slice(int(indices[0]), int(indices[-1]) + 1, step)
+    return indices
+
+
+class RigidBodies:
+    """The rigid and point bodies of a system.
+
+    Bodies are numbered species by species. Particles that belong to no body (virtual sites, fixed massless particles)
+    are left alone.
+
+    Attributes:
+        species: the kinds of body.
+        parts: for each species the slice of its bodies.
+        masses: (n,), dalton.
+        moments: (3, n), dalton nm^2.
+    """
+
+    def __init__(self, species: Sequence[Species], n_particles: int, labels: Sequence[str] | None = None):
+        """
+        Args:
+            species: kinds of body; no particle may be in two.
+            n_particles: number of particles of the system.
+            labels: for each particle the name of its residue, for messages.
+
+        Raises:
+            ValueError: a particle is in two bodies or out of range, or a mass is not positive.
+        """
+        self.species = tuple(species)
+        self.n_particles = n_particles
+        self.labels = labels
+        starts = np.cumsum([0] + [s.atoms.shape[0] for s in self.species])
+        self.n = int(starts[-1])
+        self.parts = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
+        self._check()
+        counts = [s.atoms.shape[0] for s in self.species]
+        self.masses = np.repeat([s.mass for s in self.species], counts)
+        self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
+        self.degrees_of_freedom = sum(s.degrees_of_freedom * s.atoms.shape[0] for s in self.species)
+
+    @classmethod
+    def from_system(cls, system, topology=None, rigid=None, positions=None) -> RigidBodies:
+        """The bodies of an OpenMM System; see `openmm_sier.context.find_bodies.find_bodies`, which this calls."""
+        from openmm_sier.context.find_bodies import find_bodies
+
+        return find_bodies(system, topology, rigid, positions)
+
+    def _check(self):
+        used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
+        outside = used[(used < 0) | (used >= self.n_particles)]
+        if outside.size:
+            raise ValueError(f"bodies name particle {outside[0]}, the system has {self.n_particles} particles")
+        twice = np.flatnonzero(np.bincount(used, minlength=self.n_particles) > 1)
+        if twice.size:
+            raise ValueError(f"particle {twice[0]} is in more than one body")
+        for s in self.species:
+            if not (s.masses > 0).all():
+                raise ValueError(f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}")
+
+    def atoms_of(self, body: int) -> np.ndarray:
+        """Particle indices of one body."""
+        for s, part in zip(self.species, self.parts, strict=True):
+            if part.start <= body < part.stop:
+                return s.atoms[body - part.start]
+        raise IndexError(f"there is no body {body}, only {self.n}")
+
+    def describe(self, body: int) -> str:
+        """A name for messages: residue, if known, and atoms of one body."""
+        return self.describe_atoms(self.atoms_of(body))
+
+    def describe_atoms(self, atoms) -> str:
+        names = "atoms " + ", ".join(str(int(i)) for i in atoms) if len(atoms) > 1 else f"atom {int(atoms[0])}"
+        if self.labels is None:
+            return names if len(atoms) == 1 else f"the body of {names}"
+        residues = list(dict.fromkeys(self.labels[i] for i in atoms))
+        return f"residue {' and '.join(residues)} ({names})"
+
+    # --- from atoms to bodies ---
+
+    def fit(self, positions, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Centres and attitudes of the bodies that atom positions form.
+
+        Args:
+            positions: (N, 3), nm.
+            previous: a state whose attitudes are kept, to the bit, if they reproduce the positions to rounding. So
+                a barostat that moves bodies rigidly leaves them as they were.
+
+        Returns:
+            (q, A), shapes (3, n) and (3, 3, n).
+
+        Raises:
+            RigidityError: an atom is further than `FIT_TOLERANCE` from its place, or a position is not finite.
+        """
+        q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
+        misfit = np.zeros(self.n)
+        for s, part in zip(self.species, self.parts, strict=True):
+            x = positions[s.atoms]
+            centre = np.einsum("k,mkx->mx", s.masses / s.mass, x)
+            q[:, part] = centre.T
+            if not np.isfinite(centre).all():
+                body = part.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
+                raise RigidityError(f"the positions of {self.describe(body)} are not finite")
+            kept = None if previous is None else previous.A[:, :, part]
+            A[:, :, part], misfit[part] = fit_attitudes(s, x - centre[:, None, :], kept)
+        if self.n and misfit.max() > FIT_TOLERANCE:
+            worst = int(misfit.argmax())
+            raise RigidityError(
+                f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm "
+                f"from its place, at most {FIT_TOLERANCE} nm can be mended ({np.count_nonzero(misfit > FIT_TOLERANCE)} "
+                "bodies fail). Are the molecules whole (not cut by the periodic boundary), and do their "
+                "distances match the constraints? context.applyConstraints(1e-6) mends small deviations."
+            )
+        return q, A
+
+    def momenta(self, velocities, A) -> tuple[np.ndarray, np.ndarray]:
+        """Momenta and angular momenta that atom velocities carry: the rigid part of their motion.
+
+        Args:
+            velocities: (N, 3), nm/ps.
+            A: attitudes, (3, 3, n).
+
+        Returns:
+            (p, L), each of shape (3, n).
+
+        Raises:
+            NotFiniteError: one of them is not finite.
+        """
+        return self._sum_over_sites(velocities, A, weighted=True)
+
+    def forces_and_torques(self, forces, A) -> tuple[np.ndarray, np.ndarray]:
+        """Net force and torque about the centre of mass (van Zon and Schofield, Eq. forcestorques).
+
+        Args:
+            forces: on the particles, (N, 3), kJ/mol/nm. Those on virtual sites must already be passed on to massive
+                particles, as OpenMM does.
+            A: attitudes, (3, 3, n).
+
+        Returns:
+            (F, tau), each of shape (3, n), in kJ/mol/nm and kJ/mol.
+
+        Raises:
+            NotFiniteError: one of them is not finite.
+        """
+        return self._sum_over_sites(forces, A, weighted=False)
+
+    def _sum_over_sites(self, vectors, A, weighted):
+        total, moment = np.empty((3, self.n)), np.zeros((3, self.n))
+        loops = executor()
+        broken = 0
+        for s, part in zip(self.species, self.parts, strict=True):
+            weights = s.masses if weighted else s.ones
+            if loops is None:
+                broken += arrays.collect(s, part, vectors, A, weights, total, moment)
+            else:
+                broken += loops.collect(part, part.start, vectors, A, s.sites, weights, s.atoms, total, moment)
+        if broken:
+            raise NotFiniteError(np.concatenate([total, moment]))
+        return total, moment
+
+    # --- from bodies to atoms ---
+
+    def place(self, q, A, positions) -> np.ndarray:
+        """Write the atoms of bodies at (q, A) into `positions`, shape (N, 3); other particles keep theirs.
+
+        Raises:
+            NotFiniteError: a position is not finite. All have been written then.
+        """
+        loops = executor()
+        broken = 0
+        for s, part in zip(self.species, self.parts, strict=True):
+            if loops is None:
+                broken += arrays.place(s, part, q, A, positions)
+            else:
+                broken += loops.place(part, part.start, q, A, s.sites, s.atoms, positions)
+        if broken:
+            raise NotFiniteError(q)
+        return positions
+
+    def move(self, state: BodyState, velocities) -> np.ndarray:
+        """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
+        if (loops := executor()) is None:
+            v, omega = state.p * self.inverse_masses, self.angular_velocities(state)
+            for s, part in zip(self.species, self.parts, strict=True):
+                arrays.move(s, part, v, omega, state.A, velocities)
+            return velocities
+        inverses = self.inverse_masses, self.inverse_moments
+        for s, part in zip(self.species, self.parts, strict=True):
+            loops.move(part, part.start, state.p, state.A, state.L, *inverses, s.sites, s.atoms, velocities)
+        return velocities
+
+    def angular_velocities(self, state: BodyState) -> np.ndarray:
+        """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""
+        omega = body_frame(state.A, state.L) * self.inverse_moments
+        A = state.A
+        return kernels.combine(omega, A[0], A[1], A[2])
+
+    @cached_property
+    def inverse_masses(self) -> np.ndarray:
+        """(n,), 1/dalton."""
+        return 1 / self.masses
+
+    @cached_property
+    def inverse_moments(self) -> np.ndarray:
+        """(3, n), 1/(dalton nm^2); zero where the moment is."""
+        return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
+
+    # --- observables ---
+
+    def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
+        """Translational and rotational kinetic energy, kJ/mol."""
+        translation = 0.5 * float(((state.p**2).sum(axis=0) / self.masses).sum())
+        rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
+        return translation, rotation
+
+    def temperatures(self, state: BodyState, removed: int = 0) -> tuple[float, float]:
+        """Temperatures in K of translation and rotation; NaN where there is nothing that moves so.
+
+        Args:
+            state: the phase point.
+            removed: translational degrees of freedom that are held at zero (3 where the centre of mass is at rest).
+        """
+        translation, rotation = self.kinetic_energies(state)
+        freedoms = 3 * self.n - removed, self.degrees_of_freedom - 3 * self.n
+        return (
+            2 * translation / (freedoms[0] * GAS_CONSTANT) if freedoms[0] > 0 else float("nan"),
+            2 * rotation / (freedoms[1] * GAS_CONSTANT) if freedoms[1] > 0 else float("nan"),
+        )
+
+    def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
+        """Total momentum and total angular momentum about the origin, each (3,)."""
+        return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
+
+
+def fit_attitudes(species: Species, arms, kept=None):
+    """Attitudes that turn the sites of a species onto atoms, and the largest distance left for each body.
+
+    The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
+    Acta Cryst. A 34, 827 (1978)).
+
+    Args:
+        species: what to turn.
+        arms: atom positions from the centres of mass, (m, k, 3), nm.
+        kept: attitudes (3, 3, m) that are returned as they are if they fit to rounding.
+
+    Returns:
+        (A, misfit), shapes (3, 3, m) and (m,).
+    """
+    m = arms.shape[0]
+    if not species.sites.any():
+        attitudes = np.repeat(np.eye(3)[:, :, None], m, axis=2) if kept is None else kept
+        return attitudes, np.linalg.norm(arms, axis=2).max(axis=1)
+    if kept is not None:
+        misfit = _misfit(species, arms, kept)
+        # Atom positions carry the rounding of coordinates of some nm.
+        if misfit.max() < 1e-13 * (1 + np.abs(arms).max()):
+            return kept, misfit
+    correlation = np.einsum("k,ak,mkx->max", species.masses, species.sites, arms)
+    u, _, vt = np.linalg.svd(correlation)
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    attitudes = np.ascontiguousarray((u @ vt).transpose(1, 2, 0))
+    return attitudes, _misfit(species, arms, attitudes)
+
+
+def _misfit(species: Species, arms, A):
+    places = np.einsum("ak,axm->mkx", species.sites, A)
+    return np.linalg.norm(arms - places, axis=2).max(axis=1)

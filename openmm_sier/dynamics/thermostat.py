@@ -1,0 +1,63 @@
+"""The heat bath: an exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from openmm_sier.dynamics.backend.kernels import combine
+from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies
+from openmm_sier.dynamics.operators import Operator
+from openmm_sier.dynamics.rotation.rotor import body_frame
+
+
+class Bath:
+    """Langevin heat bath for rigid bodies.
+
+    Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
+    or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
+    for point particles; Davidchack, Ouldridge and Tretyakov, J. Chem. Phys. 142, 144114 (2015) for rigid bodies).
+
+    Attributes:
+        temperature: K.
+        friction: of the centres of mass, 1/ps.
+        rotational_friction: 1/ps.
+        seed: together with the number of earlier draws it fixes the noise.
+    """
+
+    def __init__(self, temperature: float, friction: float, rotational_friction: float, seed: int):
+        self.temperature = temperature
+        self.friction = friction
+        self.rotational_friction = rotational_friction
+        self.seed = seed
+
+    def operator(self, bodies: RigidBodies) -> Operator:
+        """The bath as an operator of a splitting scheme. It counts its heat and its draws in the state."""
+        masses, moments = bodies.masses, bodies.moments
+
+        def apply(state: BodyState, h: float) -> BodyState:
+            noise = self.generator(state.draws).standard_normal((6, bodies.n))
+            thermal = GAS_CONSTANT * self.temperature
+            kept, spread = _decay(self.friction, h)
+            p = kept * state.p + (spread * np.sqrt(thermal * masses)) * noise[:3]
+            heat = 0.5 * float(((p * p - state.p * state.p).sum(axis=0) / masses).sum())
+            kept, spread = _decay(self.rotational_friction, h)
+            kicks = (spread * np.sqrt(thermal * moments)) * noise[3:]
+            A, along = state.A, body_frame(state.A, state.L)
+            L = kept * state.L + combine(kicks, A[0], A[1], A[2])
+            new_along = kept * along + kicks
+            heat += 0.5 * float(((new_along * new_along - along * along) * bodies.inverse_moments).sum())
+            return replace(state, p=p, L=L, draws=state.draws + 1, heat=state.heat + heat)
+
+        return apply
+
+    def generator(self, draw: int, stream: int = 0) -> np.random.Generator:
+        """Random numbers that depend on seed, draw and stream alone."""
+        return np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, draw, stream]))
+
+
+def _decay(friction, h):
+    """Factor that a momentum keeps in a time h, and the standard deviation it gains over its thermal one."""
+    return math.exp(-friction * abs(h)), math.sqrt(-math.expm1(-2 * friction * abs(h)))

@@ -1,0 +1,1 @@
+"""Starts, samples and observables, without a command line."""

@@ -1,0 +1,72 @@
+"""Cost of the free-rotation maps alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics.bodies import GAS_CONSTANT
+from openmm_sier.dynamics.rotation import baselines, rotor
+from openmm_sier.studies import console
+from openmm_sier.studies.bench.timing import Settings, interleaved, summary
+
+STEP = 1e-3
+WATER_MOMENTS = (0.0061, 0.0115, 0.0176)
+
+
+def measure(settings: Settings) -> list[dict[str, Any]]:
+    """Nanoseconds a body of each free-rotation map at the thermal motion of water, for several numbers of bodies.
+
+    One thread does the work, whatever their number is elsewhere.
+    """
+    rows = []
+    for n in settings.bodies:
+        repeats = max(1, 20000 // n)
+        arguments = (*thermal_rotors(n), repeats)
+        actions: dict[str, Callable[[], None]] = {
+            name: partial(_by_numpy, rotation, *arguments)
+            for name, rotation in (("exact", rotor.exact), ("MRDL", baselines.mrdl), ("SEJ4", baselines.sej4))
+        }
+        if compiled.executor() is not None:
+            actions["exact, Numba"] = partial(_rotate, rotor.exact, *arguments)
+        with compiled.single_threaded():
+            seconds = interleaved(actions, settings.rounds)
+        row: dict[str, Any] = {"bodies": n}
+        row |= {name: summary(1e9 * values / (repeats * n)) for name, values in seconds.items()}
+        row["exact / MRDL"] = summary(seconds["exact"] / seconds["MRDL"])
+        rows.append(row)
+    return rows
+
+
+def _rotate(rotation, A, L, repeats: int) -> None:
+    for _ in range(repeats):
+        rotation(A, L, WATER_MOMENTS, STEP)
+
+
+def _by_numpy(rotation, A, L, repeats: int) -> None:
+    with compiled.disabled():
+        _rotate(rotation, A, L, repeats)
+
+
+def thermal_rotors(n: int, seed: int = 1):
+    """Attitudes (3, 3, n) and angular momenta (3, n) of water molecules at 297 K."""
+    rng = np.random.default_rng(seed)
+    q, _ = np.linalg.qr(rng.normal(size=(n, 3, 3)))
+    A = q * np.sign(np.linalg.det(q))[:, None, None]
+    tilde = rng.normal(size=(n, 3)) * np.sqrt(GAS_CONSTANT * 297 * np.array(WATER_MOMENTS))
+    return np.ascontiguousarray(A.transpose(1, 2, 0)), np.ascontiguousarray(np.einsum("nab,na->bn", A, tilde))
+
+
+def show(rows: list[dict]) -> None:
+    """Print the table."""
+    names = [name for name in rows[0] if name != "bodies"]
+    console.table(
+        "Free rotation, ns a body on one core (NumPy where nothing else is said), and ratio of costs",
+        ["bodies", *names],
+        [[str(row["bodies"]), *(f"{row[name][0]:.3g} ± {row[name][1]:.1g}" for name in names)] for row in rows],
+        left=0,
+    )

@@ -1,0 +1,166 @@
+"""Cost of a step over that of its forces and over OpenMM's own integrators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from functools import partial
+from itertools import cycle
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from openmm_sier.context.integrator import SIERIntegrator
+from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics.schemes import SIER2, SIER4
+from openmm_sier.measure.force_clock import ForceClock
+from openmm_sier.measure.forcefields import load, pme_system, read_box
+from openmm_sier.measure.starts import make_context
+from openmm_sier.studies import console
+from openmm_sier.studies.bench.timing import Settings, apart, interleaved, summary
+
+#: Step per force evaluation of every method, ps.
+STEP = 1e-3
+
+BARE, NUMPY = "bare force", "SIER2, NumPy"
+
+#: Force evaluations in a turn, a multiple of SIER4's. OpenMM's `Simulation` asks for ten steps at a time.
+EVALUATIONS = 12
+
+#: Molecules with which there are as many rounds as asked for. In smaller boxes, whose turns are shorter, there are more
+#: and in larger ones less, within these factors.
+USUAL_SIZE = 4096
+LEAST, MOST = 1 / 3, 8
+
+#: Turns at least in which steps are compared with the force calls in them.
+FEWEST = 3
+
+#: Positions that the bare forces go through, in turns: as many as let OpenMM's neighbour lists grow old.
+FRAMES = 60
+
+
+def measure(settings: Settings) -> list[dict]:
+    """Rows of cost ratios for every size of box."""
+    return [row for copies in settings.copies for row in _ratios(copies, settings)]
+
+
+def _ratios(copies: int, settings: Settings) -> list[dict]:
+    topology, positions, system = repeated_box(settings, copies)
+    molecules = topology.getNumResidues()
+    start = _start(system, positions, settings)
+    contexts = _contexts(system, start, settings)
+    actions = {BARE: _bare_force(system, start, settings)}
+    actions |= {name: partial(_steps, name, context) for name, context in contexts.items()}
+    rounds = max(1, round(settings.rounds * min(max(USUAL_SIZE / molecules, LEAST), MOST)))
+    seconds = interleaved(actions, rounds)
+    pairs = [(name, BARE) for name in contexts] + [("SIER2", "OpenMM Verlet")]
+    ratios = {f"{name} / {base}": (seconds[name] / seconds[base], seconds[name]) for name, base in pairs}
+    for name in (name for name in ("SIER2", NUMPY) if name in contexts):
+        # It is the sharper measure, as a machine's changes of speed concern both alike.
+        ratios[f"{name} / the force calls in it"] = _over_own_force(name, contexts[name], max(FEWEST, rounds // 4))
+    return [_row(name, molecules, *values) for name, values in ratios.items()]
+
+
+def _row(name: str, molecules: int, ratios: np.ndarray, seconds: np.ndarray) -> dict:
+    median, spread = summary(ratios)
+    console.note(f"{molecules} molecules: {name} = {median:.3f} ± {spread:.3f}")
+    cost = 1e3 * float(np.median(seconds)) / EVALUATIONS
+    return {"name": name, "molecules": molecules, "median": median, "spread": spread, "milliseconds": cost}
+
+
+def _bare_force(system, start, settings: Settings) -> Callable[[], None]:
+    frames = cycle(_frames(system, start, settings))
+    context = _context_at(system, openmm.VerletIntegrator(STEP), start, settings)
+
+    def action():
+        for _ in range(EVALUATIONS):
+            context.setPositions(next(frames))
+            context.getState(forces=True)
+
+    return action
+
+
+def _contexts(system, start, settings: Settings) -> dict[str, openmm.Context]:
+    integrators = {
+        "SIER2": SIERIntegrator(STEP, SIER2),
+        "SIER4": SIERIntegrator(4 * STEP, SIER4),
+        "OpenMM Verlet": openmm.VerletIntegrator(STEP),
+        "OpenMM LangevinMiddle": openmm.LangevinMiddleIntegrator(297, 1, STEP),
+    }
+    if compiled.executor() is not None:
+        integrators[NUMPY] = SIERIntegrator(STEP, SIER2)
+    return {name: _context_at(system, integrator, start, settings) for name, integrator in integrators.items()}
+
+
+def _steps(name: str, context) -> None:
+    """A turn: as many steps as take `EVALUATIONS` forces."""
+    with compiled.disabled() if name == NUMPY else nullcontext():
+        context.getIntegrator().step(EVALUATIONS // 4 if name == "SIER4" else EVALUATIONS)
+
+
+def _over_own_force(name: str, context, turns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Time of turns over that of the calls of OpenMM in them for positions and forces, and the former in seconds."""
+    clock = ForceClock(context)
+    outside, inside = np.array([apart(clock, partial(_steps, name, context)) for _ in range(turns)]).T
+    return 1 + outside / inside, outside + inside
+
+
+def repeated_box(settings: Settings, copies: int):
+    """Topology, positions (N, 3) and System of a box repeated along each edge."""
+    box = read_box(settings.box, settings.forcefield)
+    lengths = np.array(box.positions.value_in_unit(unit.nanometer))
+    vectors = np.array(box.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
+    if copies == 1:
+        return box.topology, lengths, box.system
+    model = app.Modeller(box.topology, box.positions)
+    shifts = np.stack(np.meshgrid(*[np.arange(copies)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) @ vectors
+    for shift in shifts[1:]:
+        model.add(box.topology, (lengths + shift) * unit.nanometer)
+    model.topology.setPeriodicBoxVectors(copies * vectors * unit.nanometer)
+    positions = (lengths + shifts[:, None]).reshape(-1, 3)
+    return model.topology, positions, pme_system(model.topology, load(box.choice.files, settings.box.parent))
+
+
+def _start(system, positions, settings: Settings):
+    context = make_context(system, openmm.VerletIntegrator(STEP), settings.platform)
+    context.setPositions(positions)
+    context.applyConstraints(1e-6)
+    context.setVelocitiesToTemperature(297, settings.seed)
+    return context.getState(positions=True, velocities=True)
+
+
+def _context_at(system, integrator, start, settings: Settings):
+    context = make_context(system, integrator, settings.platform)
+    context.setState(start)
+    return context
+
+
+def _frames(system, start, settings: Settings) -> list[np.ndarray]:
+    """Positions of consecutive steps: forces at positions that do not move would be cheaper than in a simulation."""
+    integrator = openmm.VerletIntegrator(STEP)
+    context = _context_at(system, integrator, start, settings)
+    frames = []
+    for _ in range(FRAMES):
+        integrator.step(1)
+        state = context.getState(positions=True)
+        frames.append(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer).copy())
+    return frames
+
+
+def show(rows: list[dict]) -> None:
+    """Print the table."""
+    console.table(
+        "Cost of a step, one force evaluation's worth of it",
+        ["ratio", "molecules", "median", "± its standard error", "ms per force evaluation"],
+        [
+            [
+                row["name"],
+                str(row["molecules"]),
+                f"{row['median']:.3f}",
+                f"{row['spread']:.3f}",
+                f"{row['milliseconds']:.3g}",
+            ]
+            for row in rows
+        ],
+    )

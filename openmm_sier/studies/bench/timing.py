@@ -1,0 +1,100 @@
+"""Timings that a machine's changing speed does not spoil, and what they depend on."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.backend import compiled
+from openmm_sier.measure.force_clock import ForceClock
+from openmm_sier.version import __version__
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is measured.
+
+    Attributes:
+        box: PDB file of the unit that larger boxes repeat.
+        forcefield: of it; None picks one.
+        copies: repetitions of the box along each edge, one size each.
+        bodies: sizes of the sets of bodies for the rotation and the layer alone.
+        rounds: how often everything takes its turn; steps of small boxes more often, of large ones less.
+        time: length of the runs that measure the energy error, ps.
+        temperature, equilibrate: K, and ps before those runs.
+        parts: names of what is measured, of `openmm_sier.studies.bench.PARTS`; None takes all.
+        platform: OpenMM platform; None takes the fastest.
+        seed: of velocities.
+    """
+
+    box: Path
+    forcefield: list[str] | None = None
+    copies: tuple[int, ...] = (1, 2, 4)
+    bodies: tuple[int, ...] = (512, 4096, 32768, 131072)
+    rounds: int = 8
+    time: float = 1.0
+    temperature: float = 297.0
+    equilibrate: float = 2.0
+    parts: tuple[str, ...] | None = None
+    platform: str | None = None
+    seed: int = 1
+
+
+def machine() -> dict:
+    """What the timings depend on."""
+    model = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
+        if line.startswith("model name"):
+            model = line.partition(":")[2].strip()
+            break
+    return {
+        "processor": model,
+        "cores": os.cpu_count(),
+        "threads": compiled.threads(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "openmm": openmm.__version__,
+        "openmm_sier": __version__,
+        "executor": "NumPy" if compiled.executor() is None else "Numba",
+    }
+
+
+def interleaved(actions: Mapping[str, Callable[[], None]], rounds: int) -> dict[str, np.ndarray]:
+    """Seconds that each action took in each round; one round before is not counted.
+
+    What is compared should take its turns within some tenths of a second: a machine's speed changes over seconds.
+    """
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    for number in range(rounds + 1):
+        for name, action in actions.items():
+            start = time.perf_counter()
+            action()
+            if number:
+                times[name].append(time.perf_counter() - start)
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def apart(clock: ForceClock, action: Callable[[], object]) -> tuple[float, float]:
+    """Seconds that an action takes outside and inside the force calls that a clock counts."""
+    before, start = clock.seconds, time.perf_counter()
+    action()
+    total, inside = time.perf_counter() - start, clock.seconds - before
+    return total - inside, inside
+
+
+def summary(values: np.ndarray) -> tuple[float, float]:
+    """Median of independent values and its standard error, NaN for a single one.
+
+    The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the
+    distance of the quartiles, 1.349 sigma, since an interrupted turn lies far off.
+    """
+    low, median, high = np.percentile(values, [25, 50, 75])
+    return float(median), float(0.929 * (high - low) / np.sqrt(len(values))) if len(values) > 1 else math.nan

@@ -1,0 +1,109 @@
+"""What the commands show: tables, notes and a progress bar, with rich, and figures where matplotlib is installed."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+
+try:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.table import Table
+    from rich.text import Text
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError("the command needs rich; install it with: pip install 'openmm-sier[cli]'") from error
+
+PS_PER_NS = 1000.0
+SECONDS_PER_DAY = 86400.0
+
+
+def note(message: str) -> None:
+    """A line about what is being done."""
+    print(message, flush=True)
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
+    """Print a table on standard output.
+
+    Args:
+        title: above the table.
+        columns: headings; none are shown if all are empty.
+        rows: cells, as many a row as there are columns.
+        left: number of leading columns that are aligned to the left, the others being numbers.
+    """
+    made = Table(title=title, title_justify="left", show_header=any(columns))
+    for i, heading in enumerate(columns):
+        made.add_column(heading, justify="left" if i < left else "right", overflow="fold")
+    for row in rows:
+        made.add_row(*row)
+    # Lines are as long as they have to be where they go to a file.
+    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
+
+
+class Rate(ProgressColumn):
+    """Simulated ns a day, from the time since the bar was started."""
+
+    def render(self, task) -> Text:
+        if not task.elapsed or not task.completed:
+            return Text("")
+        ps_done = (task.completed - task.fields["begun_at"]) * task.fields["ps"]
+        return Text(f"{ps_done / PS_PER_NS / task.elapsed * SECONDS_PER_DAY:.2f} ns/day")
+
+
+class StepProgress:
+    """A progress bar on standard error for a number of steps; nothing is shown where that is no terminal.
+
+    A context manager, whose value is a function that takes the number of steps done so far.
+    """
+
+    def __init__(self, description: str, total: int, ps: float, done: int = 0):
+        """
+        Args:
+            description: in front of the bar.
+            total: number of steps.
+            ps: length of one step.
+            done: number of steps that were done before the bar is started, as after a restart.
+        """
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:.0f}/{task.total:.0f} steps"),
+        )
+        console = Console(stderr=True)
+        self._progress = Progress(
+            *columns, Rate(), TimeRemainingColumn(), console=console, disable=not console.is_terminal
+        )
+        self._task = self._progress.add_task(description, total=total, completed=done, ps=ps, begun_at=done)
+
+    def __enter__(self):
+        self._progress.start()
+        return lambda done: self._progress.update(self._task, completed=done)
+
+    def __exit__(self, *_):
+        self._progress.stop()
+
+
+def draw(figure: str, *arguments) -> None:
+    """Draw a figure of `openmm_sier.studies.figures`, or say why there is none: matplotlib is an extra.
+
+    Args:
+        figure: name of the function.
+        arguments: of it; the last one is the path of the PNG file.
+    """
+    if find_spec("matplotlib") is None:
+        note("no figure: matplotlib is missing, install it with: pip install 'openmm-sier[plots]'")
+        return
+    getattr(import_module("openmm_sier.studies.figures"), figure)(*arguments)
+
+
+def duration(value: float) -> str:
+    """A duration with a unit that suits it."""
+    return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s"
+
+
+def clock() -> float:
+    """Seconds, for differences."""
+    return time.perf_counter()

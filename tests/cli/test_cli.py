@@ -1,0 +1,590 @@
+"""The command line, on small boxes of water: `run` with its files, crashes and continuations, `info`, refusals."""
+
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import mdtraj
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import SIER2Integrator
+from openmm_sier.cli import main, records, summary
+from openmm_sier.measure import force_clock, forcefields
+from openmm_sier.version import __version__
+
+SYSTEMS = Path(__file__).parents[2] / "systems"
+SMALL = ["--platform", "Reference", "--equilibrate", "0.1", "--every", "0.02", "--checkpoint-every", "0.1"]
+
+#: Frames and rows of a run of 0.4 ps with the options above: every 5th step of 4 fs, every 10th, and the start.
+STEPS, FRAMES, ROWS = 100, 20, 11
+
+
+def load_program(path):
+    """A program of the project as a module."""
+    path = SYSTEMS.parent / path
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+make = load_program("systems/make.py")
+
+
+def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
+    """A box of water that has not seen an equilibration."""
+    topology = make.make_topology(molecules, 0)
+    edge = make.box_edge(topology, 0.997)
+    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
+    geometry = make.water_geometry(forcefields.load([file], SYSTEMS))
+    positions = make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(3)) * unit.nanometer
+    make.write(path, topology, positions, edge, [f"FORCEFIELD {file}"] if named else [])
+    return path
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
+
+
+@pytest.fixture(scope="module")
+def whole_run(box):
+    """Directory of a run of 0.4 ps that nothing disturbed."""
+    assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--out", str(box.with_name("whole.dcd"))]) == 0
+    return box.parent
+
+
+@pytest.fixture(autouse=True)
+def directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def frames(path, box):
+    return mdtraj.load(str(path)) if path.suffix == ".h5" else mdtraj.load(str(path), top=str(box))
+
+
+def log(path):
+    return records.Log(Path(path), summary.COLUMNS, Path(path).stat().st_size).read()
+
+
+def complaint(capsys, *arguments, code=1):
+    """The one line on standard error with which a command line fails."""
+    if code == main.MISUSED:
+        with pytest.raises(SystemExit) as stop:
+            main.main(list(arguments))
+        assert stop.value.code == code
+    else:
+        assert main.main([str(argument) for argument in arguments]) == code
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    assert err.startswith("openmm-sier")
+    return err
+
+
+def frames_in_header(path):
+    """Number of frames that a DCD file says it has; MDTraj goes by the length of the file, other readers by this."""
+    return int.from_bytes(path.read_bytes()[8:12], "little")
+
+
+# --- a run ---
+
+
+def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
+    assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--scheme", "sier2"]) == 0
+    out = capsys.readouterr().out
+    assert "force field tip3p.xml (named in the PDB file)" in out
+    for name in ("energy drift", "rms(H)/rms(V)", "T_trans", "T_rot", "total momentum", "wall time per step"):
+        assert name in out
+    # One evaluation more than one a step: the first step of a run has no force to start from.
+    assert re.search(r"force evaluations per step +│ +1\.00", out)
+    assert 0 < float(re.search(r"time outside the force +│ +([\d.]+) %", out).group(1)) < 100
+    assert frames(Path("box.dcd"), box).n_frames == FRAMES
+    rows = log("box.csv")
+    # 1 fs steps, rows every 0.04 ps.
+    np.testing.assert_array_equal(rows["step"], np.arange(0, 401, 40))
+    np.testing.assert_allclose(rows["time_ps"], 0.001 * rows["step"], atol=1e-12)
+    np.testing.assert_allclose(rows["total_kJ_per_mol"], rows["potential_kJ_per_mol"] + rows["kinetic_kJ_per_mol"])
+    assert Path("box.chk").exists()
+
+
+def test_run_conserves_energy_and_momentum(whole_run):
+    rows = log(whole_run / "whole.csv")
+    H, V = rows["total_kJ_per_mol"], rows["potential_kJ_per_mol"]
+    # SIER4 at 4 fs: 0.016 % in a large box; the cut-off of 0.47 nm and 11 samples leave room for a factor of some.
+    assert H.std() / V.std() < 2e-3
+    # The thermal momentum of one molecule is about 7 dalton nm/ps; PME conserves the total to its mesh's accuracy.
+    assert rows["momentum_dalton_nm_per_ps"][0] < 1e-9
+    assert rows["momentum_dalton_nm_per_ps"].max() < 0.05
+
+
+def test_temperatures_are_those_of_the_atoms(whole_run, box):
+    """The log's temperatures against the energies in it, by counting degrees of freedom: 6 a molecule, less 3."""
+    rows = log(whole_run / "whole.csv")
+    K, R = rows["kinetic_kJ_per_mol"], 8.31446261815324e-3
+    np.testing.assert_allclose(rows["T_K"], 2 * K / ((6 * 27 - 3) * R), rtol=1e-9)
+    parts = (3 * 27 - 3) * rows["T_trans_K"] + 3 * 27 * rows["T_rot_K"]
+    np.testing.assert_allclose(parts * R / 2, K, rtol=1e-9)
+
+
+def test_equilibration_reaches_the_temperature(box):
+    """From a lattice, whose potential energy would heat the box to 650 K."""
+    start = ["run", str(box), *SMALL, "--equilibrate", "2", "--time", "0.4", "--temperature", "350"]
+    assert main.main(start) == 0
+    # The instantaneous temperature of 159 degrees of freedom scatters by 350 K sqrt(2/159) = 39 K; four times that.
+    assert abs(log("box.csv")["T_K"].mean() - 350) < 157
+
+
+def test_start_with_overlaps_is_minimized_and_others_are_not(box, capsys):
+    assert main.main(["run", str(box), *SMALL, "--steps", "1", "--out", "first.dcd"]) == 0
+    assert "minimized" not in capsys.readouterr().out
+    pdb = app.PDBFile(str(box))
+    positions = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    # The second molecule 0.2 nm from the first one, where a liquid has none.
+    positions[3:6] += positions[0] - positions[3] + [0.2, 0, 0]
+    with open("close.pdb", "w") as file:
+        app.PDBFile.writeFile(pdb.topology, positions * unit.nanometer, file)
+    assert main.main(["run", "close.pdb", *SMALL, "--steps", "1"]) == 0
+    assert "minimized: the largest force" in capsys.readouterr().out
+
+
+def test_trajectory_has_the_atoms_of_the_pdb_file_for_a_model_with_virtual_sites(capsys):
+    box = write_lattice(Path("four.pdb"), file="tip4p.xml")
+    assert main.main(["run", str(box), *SMALL, "--time", "0.04"]) == 0
+    read = frames(Path("four.dcd"), box)
+    assert read.n_atoms == 3 * 27
+    # O-H of TIP4P; the DCD file has single precision in Angstrom.
+    bonds = mdtraj.compute_distances(read, [[0, 1], [0, 2], [3, 4]])
+    np.testing.assert_allclose(bonds, 0.09572, atol=2e-6)
+
+
+def test_one_molecule_without_a_box_tumbles_freely(capsys):
+    assert main.main(["run", str(SYSTEMS / "tip4p-1.pdb"), "--time", "2", "--equilibrate", "0.1"]) == 0
+    assert "without a periodic box" in capsys.readouterr().out
+    rows = log("tip4p-1.csv")
+    # Rounding alone: the molecule has no potential energy.
+    np.testing.assert_allclose(rows["total_kJ_per_mol"], rows["total_kJ_per_mol"][0], rtol=1e-12)
+    assert rows["total_kJ_per_mol"][0] > 0
+
+
+def test_same_seed_same_trajectory_and_another_seed_another(box, whole_run):
+    for seed, same in (("1", True), ("2", False)):
+        assert main.main(["run", str(box), *SMALL, "--time", "0.04", "--seed", seed, "--out", f"{seed}.dcd"]) == 0
+        ours, theirs = frames(Path(f"{seed}.dcd"), box).xyz, frames(whole_run / "whole.dcd", box).xyz[:2]
+        # Sums may be taken in another order by another thread, hence not to the bit.
+        assert (np.abs(ours - theirs).max() < 1e-5) == same
+
+
+@pytest.mark.parametrize("suffix", [".xtc", ".h5"])
+def test_formats_hold_the_same_frames(box, whole_run, suffix):
+    out = Path("same").with_suffix(suffix)
+    assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--out", str(out)]) == 0
+    ours, theirs = frames(out, box), frames(whole_run / "whole.dcd", box)
+    # XTC rounds to 0.001 nm.
+    np.testing.assert_allclose(ours.xyz, theirs.xyz, atol=6e-4 if suffix == ".xtc" else 1e-5)
+    np.testing.assert_allclose(ours.time, 0.02 * np.arange(1, FRAMES + 1), rtol=1e-5)
+    np.testing.assert_allclose(ours.unitcell_lengths, theirs.unitcell_lengths, rtol=1e-5)
+    np.testing.assert_allclose(ours.unitcell_angles, 90, rtol=1e-5)
+    assert not list(Path().glob("*.h5.dcd")) + list(Path().glob("unfinished*"))
+
+
+@pytest.mark.parametrize("suffix", [".dcd", ".xtc"])
+def test_frames_after_more_steps_than_the_formats_count(box, suffix):
+    out = Path("long").with_suffix(suffix)
+    pdb = app.PDBFile(str(box))
+    # A frame every 2e9 steps: the second is beyond 32 bits.
+    file = records.trajectory_format(out)(out, pdb.topology, 0.001, 2_000_000_000)
+    for _ in range(3):
+        file.write(pdb.getPositions(asNumpy=True), pdb.topology.getPeriodicBoxVectors())
+    file.finish()
+    read = frames(out, box)
+    assert read.n_frames == 3
+    if suffix == ".xtc":
+        np.testing.assert_allclose(read.time, [2e6, 4e6, 6e6])
+
+
+def test_time_of_forces_and_energies_is_that_of_openmm(box):
+    """What asks for either is timed, and what gives the positions; calls are counted for forces alone."""
+    found = forcefields.read_box(box)
+    context = openmm.Context(found.system, SIER2Integrator(0.001), openmm.Platform.getPlatformByName("Reference"))
+    context.setPositions(found.positions)
+    watch = force_clock.ForceClock(context)
+    context.getState(positions=True)
+    assert (watch.seconds, watch.calls) == (0, 0)
+    context.getState(energy=True)
+    spent = watch.seconds
+    assert spent > 0
+    assert watch.calls == 0
+    context.getState(forces=True)
+    assert watch.seconds > spent
+    assert watch.calls == 1
+    spent = watch.seconds
+    context.setPositions(found.positions)
+    assert watch.seconds > spent
+    assert watch.calls == 1
+
+
+# --- crashes and continuations ---
+
+#: Runs the command and kills it, without warning, in the middle of a write: half of the bytes of a frame or row get
+#: to the file, or the whole of a new checkpoint that has not yet taken the place of the old one, or nothing to the HDF5
+#: file that is made at the end.
+KILLER = """
+import os, signal, sys
+from openmm_sier.cli import main
+from openmm_sier.cli import records
+
+place, after, *arguments = sys.argv[1:]
+append, replace = records.GrowingFile.append, os.replace
+calls = 0
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def append_half(self, record, counts=True):
+    if isinstance(self, records.Log) == (place == "row") and self.count == int(after):
+        self._file.write(record[: len(record) // 2])
+        die()
+    append(self, record, counts)
+
+def replace_or_die(*names):
+    global calls
+    calls += 1
+    if calls > int(after):
+        die()
+    replace(*names)
+
+if place == "checkpoint":
+    os.replace = replace_or_die
+elif place == "end":
+    import mdtraj
+    mdtraj.formats.HDF5TrajectoryFile.write = lambda *_, **__: die()
+else:
+    records.GrowingFile.append = append_half
+sys.exit(main.main(arguments))
+"""
+
+
+@pytest.mark.parametrize(
+    ("suffix", "place", "after", "checkpoint", "left"),
+    [
+        # Checkpoints at steps 0, 25, 50 and 75. Frames every 5 steps, so that 13 of them are there at step 65; rows at
+        # step 0 and every 10 steps, so that the eighth is for step 70, when the frame of that step is there.
+        (".dcd", "frame", 13, 50, 13),
+        (".dcd", "frame", 3, 0, 3),
+        (".xtc", "frame", 13, 50, 13),
+        (".h5", "frame", 13, 50, 13),
+        (".dcd", "row", 7, 50, 14),
+        (".dcd", "checkpoint", 2, 25, 10),
+    ],
+)
+def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
+    box, whole_run, suffix, place, after, checkpoint, left
+):
+    out = Path("cut").with_suffix(suffix)
+    command = ["run", str(box), *SMALL, "--time", "0.4", "--out", str(out)]
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLER, place, str(after), *command], capture_output=True, check=False
+    )
+    assert killed.returncode == -signal.SIGKILL
+    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == checkpoint
+    if suffix != ".xtc":
+        # MDTraj refuses an XTC file that ends in half a frame.
+        kept = frames(Path("cut.h5.dcd") if suffix == ".h5" else out, box)
+        assert kept.n_frames == left
+
+    assert main.main([*command, "--restart", "cut.chk"]) == 0
+    ours, theirs = frames(out, box), frames(whole_run / "whole.dcd", box)
+    assert ours.n_frames == FRAMES
+    # The continuation starts from the checkpoint's doubles; what differs is the files' rounding.
+    np.testing.assert_allclose(ours.xyz, theirs.xyz, atol=6e-4 if suffix == ".xtc" else 1e-5)
+    rows, all_rows = log("cut.csv"), log(whole_run / "whole.csv")
+    np.testing.assert_array_equal(rows["step"], np.arange(0, STEPS + 1, 10))
+    np.testing.assert_allclose(rows["potential_kJ_per_mol"], all_rows["potential_kJ_per_mol"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".dcd", ".xtc", ".h5"])
+def test_what_was_written_after_the_checkpoint_is_cut_off(box, suffix):
+    """The killed run had 13 frames, the checkpoint at step 50 has 10; the two steps from there write nothing."""
+    out = Path("cut").with_suffix(suffix)
+    command = ["run", str(box), *SMALL, "--out", str(out)]
+    script = [sys.executable, "-c", KILLER, "frame", "13"]
+    killed = subprocess.run([*script, *command, "--time", "0.4"], capture_output=True, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert main.main([*command, "--steps", "52", "--restart", "cut.chk"]) == 0
+    assert frames(out, box).n_frames == 10
+    np.testing.assert_array_equal(log("cut.csv")["step"], np.arange(0, 51, 10))
+    if suffix == ".dcd":
+        assert frames_in_header(out) == 10
+
+
+def test_killed_when_nothing_but_the_hdf5_file_is_missing(box, whole_run):
+    command = ["run", str(box), *SMALL, "--time", "0.4", "--out", "cut.h5"]
+    killed = subprocess.run([sys.executable, "-c", KILLER, "end", "0", *command], capture_output=True, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == STEPS
+    assert not Path("cut.h5").exists()
+    assert main.main([*command, "--restart", "cut.chk"]) == 0
+    np.testing.assert_allclose(frames(Path("cut.h5"), box).xyz, frames(whole_run / "whole.dcd", box).xyz, atol=1e-5)
+    assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.h5"]
+
+
+def test_killed_at_random_moments_again_and_again(tmp_path):
+    """What benchmarks/kill_loop.py does fifty times: not a bit may differ from a run that nothing disturbed."""
+    met = load_program("benchmarks/kill_loop.py").kill_loop(tmp_path, ".dcd", kills=3)
+    assert met["kills"] == 3
+    assert met["steps"] >= 30
+    assert met["frames"] == met["steps"] // 4
+
+
+def test_killed_from_outside_and_continued(box):
+    command = [sys.executable, "-m", "openmm_sier.cli", "run", str(box), *SMALL, "--out", "cut.dcd"]
+    process = subprocess.Popen([*command, "--time", "1000"], stdout=subprocess.DEVNULL)
+    wait_for(lambda: Path("cut.chk").exists() and Path("cut.csv").read_text().count("\n") > 8, process)
+    process.kill()
+    process.wait()
+    step = records.read_checkpoint(Path("cut.chk"))[1]["step"]
+    assert (
+        main.main(["run", str(box), "--restart", "cut.chk", "--steps", str(step + 25), "--platform", "Reference"]) == 0
+    )
+    assert frames(Path("cut.dcd"), box).n_frames == (step + 25) // 5
+    np.testing.assert_array_equal(log("cut.csv")["step"], np.arange(0, step + 26, 10))
+
+
+def wait_for(condition, process):
+    while not condition():
+        assert process.poll() is None, "the command ended by itself"
+        time.sleep(0.02)
+
+
+def test_interrupt_is_one_line_with_the_way_on(box):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "openmm_sier.cli", "run", str(box), *SMALL, "--time", "1000", "--out", "cut.dcd"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    wait_for(lambda: Path("cut.csv").exists() and Path("cut.csv").read_text().count("\n") > 3, process)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert process.returncode == 130
+    assert re.fullmatch(r"openmm-sier: interrupted at step \d+; .*--restart cut\.chk\n", err)
+
+
+def test_finished_run_goes_on_with_more_time(box, whole_run):
+    half = ["run", str(box), *SMALL, "--out", "two.dcd"]
+    assert main.main([*half, "--steps", "45"]) == 0
+    assert main.main([*half, "--steps", str(STEPS), "--restart", "two.chk"]) == 0
+    ours, theirs = frames(Path("two.dcd"), box), frames(whole_run / "whole.dcd", box)
+    np.testing.assert_allclose(ours.xyz, theirs.xyz, atol=1e-5)
+    assert frames_in_header(Path("two.dcd")) == FRAMES
+
+
+def test_run_can_be_moved_to_another_directory_and_continued(box):
+    Path("there").mkdir()
+    Path("moved").mkdir()
+    start = ["run", str(box), *SMALL, "--steps", "20", "--out", "there/a.dcd"]
+    assert main.main(start) == 0
+    for path in Path("there").iterdir():
+        path.rename(Path("moved") / path.name)
+    again = ["run", str(box), "--platform", "Reference", "--steps", "40", "--restart", "moved/a.chk"]
+    assert main.main(again) == 0
+    assert frames(Path("moved/a.dcd"), box).n_frames == 8
+
+
+def test_failed_checkpoint_leaves_the_old_one(box, monkeypatch):
+    assert main.main(["run", str(box), *SMALL, "--steps", "20", "--out", "a.dcd"]) == 0
+    before = Path("a.chk").read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
+    again = ["run", str(box), "--platform", "Reference", "--steps", "40", "--restart", "a.chk"]
+    assert main.main(again) == 1
+    assert Path("a.chk").read_bytes() == before
+
+
+# --- refusals ---
+
+
+def test_continuations_that_are_refused(box, whole_run, capsys):
+    chk, platform = whole_run / "whole.chk", ["--platform", "Reference"]
+    assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk)
+    assert "is no checkpoint" in complaint(capsys, "run", box, *platform, "--restart", whole_run / "whole.csv")
+    assert "none.chk: No such file" in complaint(capsys, "run", box, "--restart", "none.chk")
+    for option, value in (("--dt", "2"), ("--scheme", "sier2"), ("--out", "other.dcd"), ("--every", "0.5")):
+        message = complaint(capsys, "run", box, *platform, "--restart", chk, option, value)
+        assert f"{option} " in message
+        assert "differs from" in message
+    one = SYSTEMS / "tip4p-1.pdb"
+    assert "has 81 particles" in complaint(capsys, "run", one, *platform, "--restart", chk, "--time", "1")
+
+
+def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys, monkeypatch):
+    monkeypatch.setattr(records, "FORMAT", 2)
+    assert "in format 1" in complaint(capsys, "run", box, "--restart", whole_run / "whole.chk", "--time", "1")
+
+
+def test_continuation_with_another_force_field_is_refused(whole_run, box, capsys):
+    other = Path("box.pdb")
+    other.write_text(box.read_text().replace("tip3p.xml", "spce.xml"))
+    command = "run", other, "--restart", whole_run / "whole.chk", "--time", "1", "--platform", "Reference"
+    assert "another system or force field" in complaint(capsys, *command)
+
+
+def test_continuation_of_a_shortened_trajectory_is_refused(box, capsys):
+    assert main.main(["run", str(box), *SMALL, "--steps", "20", "--out", "a.dcd"]) == 0
+    os.truncate("a.dcd", 3000)
+    capsys.readouterr()
+    again = ["run", str(box), "--platform", "Reference", "--steps", "40", "--restart", "a.chk"]
+    assert "a.dcd has 3000 bytes, fewer than" in complaint(capsys, *again)
+
+
+def test_files_of_an_earlier_run_are_kept_unless_overwriting_is_allowed(box, capsys):
+    Path("a.csv").write_text("mine\n")
+    command = ["run", str(box), *SMALL, "--steps", "5", "--out", "a.dcd"]
+    assert "a.csv exists" in complaint(capsys, *command)
+    assert Path("a.csv").read_text() == "mine\n"
+    assert main.main([*command, "--overwrite"]) == 0
+    assert len(log("a.csv")["step"]) == 1
+
+
+def test_bad_input_is_refused_in_one_line(box, capsys):
+    assert "none.pdb: No such file or directory" in complaint(capsys, "run", "none.pdb")
+    Path("text.pdb").write_text("this is no structure\n")
+    assert "text.pdb is no PDB file with atoms" in complaint(capsys, "info", "text.pdb")
+    assert "no registered Platform" in complaint(capsys, "run", box, "--platform", "Abacus")
+    assert "there is no force field none.xml" in complaint(capsys, "run", box, "--forcefield", "none.xml")
+    assert "No template found for residue" in complaint(capsys, "run", box, "--forcefield", "amber14/lipid17.xml")
+    assert "there is no directory" in complaint(capsys, "run", box, "--out", "none/a.dcd")
+    assert "ends in .dcd, .xtc, .h5" in complaint(capsys, "run", box, "--out", "a.trr")
+    assert "different files" in complaint(capsys, "run", box, "--report", "box.dcd")
+    assert not list(Path().glob("box.*"))
+
+
+def test_bad_arguments_are_refused_in_one_line(box, capsys):
+    for arguments in (
+        ["run"],
+        ["run", "a.pdb", "--dt", "-1"],
+        ["run", "a.pdb", "--dt", "fast"],
+        ["run", "a.pdb", "--time", "nan"],
+        ["run", "a.pdb", "--steps", "0"],
+        ["run", "a.pdb", "--steps", "5", "--time", "1"],
+        ["run", "a.pdb", "--scheme", "sier3"],
+        ["paper", "everything"],
+        ["fly"],
+        [],
+    ):
+        complaint(capsys, *arguments, code=main.MISUSED)
+
+
+def test_step_that_is_too_long_is_reported_in_one_line(box, capsys):
+    message = complaint(capsys, "run", box, *SMALL, "--dt", "100", "--steps", "100000", "--every", "10")
+    assert "step size too long" in message
+
+
+def test_missing_rich_names_the_extra(box, capsys, monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == "rich"]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ("console", "run", "info", "summary", "preparation"):
+        monkeypatch.delitem(sys.modules, f"openmm_sier.{name}", raising=False)
+        monkeypatch.delattr(f"openmm_sier.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, "rich", None)
+    monkeypatch.setitem(sys.modules, "rich.console", None)
+    assert "openmm-sier[cli]" in complaint(capsys, "info", box)
+
+
+def test_unexpected_error_is_one_line_or_a_traceback_on_demand(box, capsys, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("a mistake\nof ours")
+
+    monkeypatch.setattr(forcefields, "pme_system", broken)
+    assert "ZeroDivisionError: a mistake of ours" in complaint(capsys, "info", box)
+    with pytest.raises(ZeroDivisionError):
+        main.main(["info", str(box), "--debug"])
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main.main(["--version"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out == f"openmm-sier {__version__}\n"
+
+
+# --- info and the choice of a force field ---
+
+
+def test_info_shows_the_bodies_of_a_salt_solution(capsys):
+    assert main.main(["info", str(SYSTEMS / "tip3p-nacl-512.pdb")]) == 0
+    out = capsys.readouterr().out
+    rows = [re.sub(r" +", " ", line).strip("│ ").split(" │ ") for line in out.splitlines() if line.startswith("│")]
+    assert {row[0]: (row[1], row[2], row[6], row[7]) for row in rows} == {
+        "HOH": ("494", "O H1 H2", "asymmetric top", "6"),
+        "NA": ("9", "NA", "point", "3"),
+        "CL": ("9", "CL", "point", "3"),
+    }
+    assert "512 bodies, 1500 particles, 3018 degrees of freedom" in out
+
+
+def test_info_shows_virtual_sites(capsys):
+    assert main.main(["info", str(SYSTEMS / "tip4p-1.pdb"), "--forcefield", "tip5p.xml"]) == 0
+    out = capsys.readouterr().out
+    assert "M1 M2" in out
+    assert "no periodic box" in out
+
+
+@pytest.mark.parametrize("file", ["tip3p.xml", "spce.xml", "tip4p.xml", "tip4pew.xml", "tip4p2005.xml", "tip5p.xml"])
+def test_force_field_is_recognized_by_the_geometry(file):
+    """A PDB file with all sites and no remark, as other programs write it, gets the force field it was made with."""
+    field = forcefields.load([file], SYSTEMS)
+    write_lattice(Path("bare.pdb"), file=file, named=False)
+    pdb = app.PDBFile("bare.pdb")
+    topology, positions = forcefields.add_virtual_sites(pdb.topology, pdb.positions, field)
+    # Where the sites are is computed by OpenMM, and rounded by the file to 0.0001 nm.
+    context = make.openmm.Context(
+        forcefields.pme_system(topology, field),
+        make.openmm.VerletIntegrator(0.001),
+        make.openmm.Platform.getPlatformByName("Reference"),
+    )
+    context.setPositions(positions)
+    context.computeVirtualSites()
+    with open("sites.pdb", "w") as out:
+        app.PDBFile.writeFile(topology, context.getState(positions=True).getPositions(), out)
+    box = forcefields.read_box("sites.pdb")
+    assert box.choice.files == (file,)
+    assert len(box.listed) == topology.getNumAtoms()
+
+
+def test_molecules_cut_by_the_boundary_are_made_whole(box):
+    pdb = app.PDBFile(str(box))
+    edge = pdb.topology.getUnitCellDimensions()[0].value_in_unit(unit.nanometer)
+    whole = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    cut = (whole + 0.15) % edge
+    assert np.abs(cut - whole).max() > 0.5
+    mended = forcefields.make_whole(cut, pdb.topology).reshape(-1, 3, 3)
+    # Positions in the file have 0.0001 nm.
+    np.testing.assert_allclose(np.linalg.norm(mended[:, 1] - mended[:, 0], axis=1), 0.09572, atol=2e-4)
+
+
+def test_choices_that_are_refused(box, capsys):
+    text = box.read_text()
+    lines = [line for line in text.splitlines(keepends=True) if not line.startswith("REMARK")]
+    atoms = [i for i, line in enumerate(lines) if line.startswith("HETATM")]
+    Path("odd.pdb").write_text("".join(lines[: atoms[2]] + lines[atoms[3] :]))
+    assert "residue HOH 1 has 2 atoms" in complaint(capsys, "info", "odd.pdb")
+    oxygens = [line for i, line in enumerate(lines) if i not in atoms or " O " in line]
+    Path("dry.pdb").write_text("".join(oxygens))
+    assert "Are hydrogens missing?" in complaint(capsys, "info", "dry.pdb")
+    Path("ions.pdb").write_text("HETATM    1 NA    NA A   1       0.000   0.000   0.000  1.00  0.00          NA\nEND\n")
+    assert "has no water" in complaint(capsys, "info", "ions.pdb")

@@ -1,0 +1,687 @@
+"""What goes wrong stops a run with a reason, and leaves Context and integrator where the run can go on."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import pathlib
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_sier
+from openmm_sier import (
+    SIER2,
+    SIER4,
+    RigidBodies,
+    RigidityError,
+    Scheme,
+    SIER2Integrator,
+    SIER4Integrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+)
+from openmm_sier.dynamics.backend import compiled
+from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
+
+PACKAGE = str(pathlib.Path(openmm_sier.__file__).parent)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    topology, positions, system = cluster_system(3, "tip4pew")
+    return topology, system, relaxed(topology, positions, system)
+
+
+def langevin(scheme=SIER2):
+    integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=scheme)
+    integrator.setRandomNumberSeed(3)
+    return integrator
+
+
+# --- a fault at every line --------------------------------------------------------------------------------------
+
+
+class Fault(Exception):
+    """Like Ctrl-C, or an error of the machine, it may come at any line."""
+
+
+def lines_run(action, fault_at=None, error=Fault):
+    """Number of lines of the package that an action runs; an error is raised at one of them, counted from 1."""
+    count = 0
+
+    def trace(frame, event, _argument):
+        nonlocal count
+        if not frame.f_code.co_filename.startswith(PACKAGE):
+            return None
+        if event == "line":
+            count += 1
+            if count == fault_at:
+                raise error
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        action()
+    except error:
+        if fault_at is None or count < fault_at:
+            raise
+    finally:
+        sys.settrace(before)
+    return count
+
+
+def clock(context):
+    state = context.getState()
+    return state.getStepCount(), state.getTime()._value
+
+
+def box_of(context):
+    return context.getState().getPeriodicBoxVectors(asNumpy=True)._value.copy()
+
+
+class Trajectory:
+    """The states of an undisturbed run by step number, computed as they are asked for."""
+
+    def __init__(self, system, make, point):
+        self._integrator = make()
+        self._context = context_at(system, self._integrator, point)
+        self._integrator.step(0)
+        self.states = [self._now()]
+
+    def _now(self):
+        return (*phase_point(self._context), clock(self._context)[1], box_of(self._context))
+
+    def __getitem__(self, step):
+        while len(self.states) <= step:
+            self._integrator.step(1)
+            self.states.append(self._now())
+        return self.states[step]
+
+
+def assert_at(context, trajectory):
+    step, time = clock(context)
+    positions, velocities, reference_time, box = trajectory[step]
+    assert time == reference_time
+    assert np.array_equal(box_of(context), box)
+    assert np.array_equal(phase_point(context)[0], positions)
+    assert np.array_equal(phase_point(context)[1], velocities)
+    return step
+
+
+@pytest.mark.parametrize("error", [Fault, KeyboardInterrupt])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: SIER2Integrator(0.001), lambda: SIER4Integrator(0.002), langevin, lambda: langevin(SIER4)],
+    ids=["SIER2", "SIER4", "SIER2 NVT", "SIER4 NVT"],
+)
+def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
+    _, system, point = cluster
+    trajectory = Trajectory(system, make, point)
+    integrator = make()
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    total = lines_run(lambda: integrator.step(2))
+    assert total > 50
+    reached = set()
+    for line in range(1, total + 1):
+        before = assert_at(context, trajectory)
+        lines_run(lambda: integrator.step(2), line, error)
+        reached.add(assert_at(context, trajectory) - before)
+    # The undisturbed run goes on.
+    integrator.step(5)
+    assert_at(context, trajectory)
+    # Faults came before, between and after the two steps.
+    assert reached == {0, 1, 2}
+
+
+def test_a_fault_at_any_line_at_constant_pressure():
+    """The box is that of the completed step too, though each step changes it, or tries to."""
+    topology, positions, system = periodic_system(molecules=27)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+            force.setCutoffDistance(0.4)
+    point = relaxed(topology, positions, system)
+
+    def make():
+        integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=SIER2, pressure=1e3, barostatInterval=1)
+        integrator.setRandomNumberSeed(1)
+        return integrator
+
+    trajectory = Trajectory(system, make, point)
+    # Of the first three moves some are accepted and some are not.
+    assert len({trajectory[step][3].tobytes() for step in range(4)}) in (2, 3)
+    test_a_fault_at_any_line_leaves_a_completed_step((topology, system, point), make, Fault)
+
+
+def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
+    """Three threads place atoms and sum forces: none may write any more when the last completed step is written."""
+    monkeypatch.setattr(compiled, "_allowed", True)
+    monkeypatch.setattr(compiled, "SHARE", 1)
+    monkeypatch.setattr(compiled, "_available_threads", lambda: 3)
+    shared = []
+    run = compiled._Team.run
+    monkeypatch.setattr(compiled._Team, "run", lambda team, spans: shared.append(len(spans)) or run(team, spans))
+    test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
+    assert set(shared) == {3}
+
+
+def after_a_checkpoint(context, saved, _positions):
+    context.loadCheckpoint(saved)
+
+
+def after_new_positions(context, saved, positions):
+    context.loadCheckpoint(saved)
+    context.setPositions(positions)
+
+
+@pytest.mark.parametrize("change", [after_a_checkpoint, after_new_positions])
+def test_a_fault_while_the_context_is_read(cluster, change):
+    _, system, point = cluster
+    integrator = langevin()
+    context = context_at(system, integrator, point)
+    integrator.step(3)
+    saved = context.createCheckpoint()
+    positions = phase_point(context)[0] + 0.25
+    ends = []
+    integrator.step(2)
+    change(context, saved, positions)
+    total = lines_run(lambda: integrator.step(1))
+    integrator.step(1)
+    ends = phase_point(context)
+    for line in range(1, total + 1):
+        change(context, saved, positions)
+        lines_run(lambda: integrator.step(1), line)
+        integrator.step(5 - context.getStepCount())
+        assert np.array_equal(phase_point(context)[0], ends[0])
+        assert np.array_equal(phase_point(context)[1], ends[1])
+        assert context.getStepCount() == 5
+
+
+def crowded_system():
+    """A periodic box of four-site water with a fixed massless particle, under a barostat that acts each step."""
+    _, positions, system = periodic_system("tip4pew", 64)
+    system = openmm.XmlSerializer.clone(system)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+            force.addParticle(0.0, 0.3, 0.1)
+    system.addParticle(0.0)
+    barostat = openmm.MonteCarloBarostat(1.0, 297.0, 1)
+    barostat.setRandomNumberSeed(5)
+    system.addForce(barostat)
+    positions = np.vstack([positions, positions.mean(axis=0) + np.array([0.03, 0.02, 0.01])])
+    return system, positions
+
+
+def crowded_start(system, positions):
+    """A phase point without the overlaps of `crowded_system`, from which steps lead to NaN."""
+    minimizer = SIER2Integrator(0.001)
+    context = context_at(system, minimizer, (positions, 0 * positions))
+    openmm.LocalEnergyMinimizer.minimize(context, maxIterations=30)
+    context.setVelocitiesToTemperature(297.0, 1)
+    return phase_point(context)
+
+
+def test_a_fault_at_any_line_with_a_barostat():
+    system, positions = crowded_system()
+    point = crowded_start(system, positions)
+
+    integrator = langevin()
+    context = context_at(system, integrator, point, "CPU")
+    integrator.step(1)
+    total = lines_run(lambda: integrator.step(1))
+    moved = 0
+    for line in range(1, total + 1):
+        before = (*phase_point(context), box_of(context))
+        step, time = clock(context)
+        lines_run(lambda: integrator.step(1), line)
+        after = (*phase_point(context), box_of(context))
+        if clock(context)[0] == step:
+            assert clock(context)[1] == time
+            for a, b in zip(after, before, strict=True):
+                assert np.array_equal(a, b)
+        else:
+            moved += 1
+            assert clock(context) == (step + 1, pytest.approx(time + 0.001))
+        integrator.step(1)
+        # What a fault leaves is whole: the run would stop at molecules that are not, or at atoms on one another.
+        assert context.getState(energy=True).getPotentialEnergy()._value < 0
+    assert 0 < moved < total
+    volumes = []
+    # A third of the moves is rejected.
+    for _ in range(25):
+        integrator.step(1)
+        volumes.append(np.linalg.det(box_of(context)))
+    assert len(set(volumes)) > 1
+
+
+def test_fixed_particles_and_virtual_sites_stay_where_openmm_leaves_them():
+    system, positions = crowded_system()
+    system.removeForce(system.getNumForces() - 1)
+    positions, velocities = crowded_start(system, positions)
+    velocities[-1] = [1.0, 2.0, 3.0]
+    for make in (openmm.VerletIntegrator, SIER2Integrator):
+        integrator = make(0.001)
+        context = context_at(system, integrator, (positions, velocities))
+        integrator.step(2)
+        assert np.isfinite(phase_point(context)[0]).all()
+        assert np.array_equal(phase_point(context)[0][-1], positions[-1])
+        assert np.array_equal(phase_point(context)[1][-1], velocities[-1])
+
+
+# --- numbers that are none --------------------------------------------------------------------------------------
+
+
+def with_external(system, expression, parameter, value):
+    system = openmm.XmlSerializer.clone(system)
+    force = openmm.CustomExternalForce(expression)
+    force.addGlobalParameter(parameter, value)
+    for i in range(system.getNumParticles()):
+        if not system.isVirtualSite(i):
+            force.addParticle(i)
+    system.addForce(force)
+    return system
+
+
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+def test_force_that_is_not_finite(cluster, name):
+    topology, system, point = cluster
+    system = with_external(system, "k*x", "k", 1.0)
+
+    def make():
+        return langevin_of(RigidBodies.from_system(system, topology))
+
+    def langevin_of(bodies):
+        integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=SIER4, bodies=bodies)
+        integrator.setRandomNumberSeed(3)
+        return integrator
+
+    undisturbed, integrator = make(), make()
+    reference = context_at(system, undisturbed, point, name)
+    undisturbed.step(10)
+    context = context_at(system, integrator, point, name)
+    integrator.step(4)
+    before = phase_point(context)
+    context.setParameter("k", float("nan"))
+    with pytest.raises(openmm.OpenMMException, match=r"force on residue HOH \d+ \(atoms 0, 1, 2\) is not .* step 5"):
+        integrator.step(3)
+    assert clock(context) == (4, pytest.approx(0.004))
+    assert np.array_equal(phase_point(context)[0], before[0])
+    assert np.array_equal(phase_point(context)[1], before[1])
+    context.setParameter("k", 1.0)
+    integrator.step(6)
+    assert np.array_equal(phase_point(context)[0], phase_point(reference)[0])
+    assert np.array_equal(phase_point(context)[1], phase_point(reference)[1])
+    assert integrator.getHeat() == undisturbed.getHeat()
+
+
+def test_force_that_is_not_finite_in_the_middle_of_a_run(cluster):
+    """A wall whose potential is not defined behind it: the first molecule that crosses it is named."""
+    _, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(6)
+    at_six = phase_point(context)[0]
+    integrator.step(1)
+    at_seven = phase_point(context)[0]
+    atoms = [i for i in range(system.getNumParticles()) if not system.isVirtualSite(i)]
+    atom = max(atoms, key=lambda i: at_seven[i, 0] - at_six[i, 0])
+    gone = np.abs(at_six[atoms, 0] - at_six[atom, 0]).argsort()  # Only this atom crosses a wall in front of it.
+    wall = openmm.CustomExternalForce("1e-9*sqrt(wall - x)")
+    wall.addGlobalParameter("wall", 0.5 * (at_six[atom, 0] + at_seven[atom, 0]))
+    wall.addParticle(atom)
+    assert atoms[gone[0]] == atom
+    walled = openmm.XmlSerializer.clone(system)
+    walled.addForce(wall)
+
+    integrator = SIER2Integrator(0.001)
+    context = context_at(walled, integrator, point)
+    molecule = integrator.bodies.describe(next(b for b in range(3) if atom in integrator.bodies.atoms_of(b)))
+    with pytest.raises(openmm.OpenMMException) as caught:
+        integrator.step(20)
+    assert f"force on {molecule} is not finite in step 7" in str(caught.value)
+    assert context.getStepCount() == 6
+    # The wall pulls by 1e-9 kJ/mol only.
+    assert np.abs(phase_point(context)[0] - at_six).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("what", "error"),
+    [("positions", RigidityError), ("velocities", openmm.OpenMMException)],
+)
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_positions_and_velocities_that_are_not_finite(cluster, what, error, value):
+    _, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(2)
+    good = phase_point(context)
+    wrong = {"positions": good[0].copy(), "velocities": good[1].copy()}
+    wrong[what][5, 1] = value
+    getattr(context, f"set{what.capitalize()}")(wrong[what])
+    for _ in range(2):
+        with (
+            np.errstate(invalid="ignore"),
+            pytest.raises(error, match=f"{what[:5]}.* of the body of atoms 4, 5, 6.* not finite"),
+        ):
+            integrator.step(1)
+    assert context.getStepCount() == 2
+    context.setPositions(good[0])
+    context.setVelocities(good[1])
+    integrator.step(1)
+    undisturbed = SIER2Integrator(0.001)
+    reference = context_at(system, undisturbed, point)
+    undisturbed.step(3)
+    # The bodies were read anew from the atoms, which costs their rounding.
+    assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-14
+
+
+def test_position_that_is_not_finite_is_not_written(cluster):
+    """In a scheme that ends with a drift no force would show it."""
+    _, system, point = cluster
+    drifting = Scheme("position Verlet", (("drift", 0.5), ("kick", 1.0), ("drift", 0.5)))
+    integrator = SIERIntegrator(0.001, drifting)
+    context = context_at(system, integrator, (point[0], 0 * point[1]))
+    integrator.step(2)
+    before = phase_point(context)
+    velocities = before[1].copy()
+    velocities[8:12] = [1e306, 0, 0]
+    context.setVelocities(velocities)
+    integrator.setStepSize(1000.0)
+    with (
+        np.errstate(over="ignore", invalid="ignore"),
+        pytest.raises(openmm.OpenMMException, match="position of the body of atoms 8, 9, 10 is not finite in step 3"),
+    ):
+        integrator.step(1)
+    assert context.getStepCount() == 2
+    assert np.array_equal(phase_point(context)[0], before[0])
+
+
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+@pytest.mark.parametrize("scheme", [SIER2, SIER4], ids=lambda s: s.name)
+def test_step_that_is_much_too_long(name, scheme):
+    """The run breaks: at a number that is none, which is named, and never with the Context broken too."""
+    topology, positions, system = periodic_system()
+    point = relaxed(topology, positions, system)
+    integrator = SIERIntegrator(0.05, scheme)
+    context = context_at(system, integrator, point, name)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(200):
+            steps = context.getStepCount()
+            try:
+                integrator.step(1)
+            except openmm.OpenMMException:
+                assert context.getStepCount() == steps
+                break
+    assert np.isfinite(phase_point(context)).all()
+    context.setPositions(point[0])
+    context.setVelocities(point[1])
+    integrator.setStepSize(0.001)
+    integrator.step(5)
+    assert np.isfinite(context.getState(energy=True).getPotentialEnergy()._value)
+
+
+def test_bodies_that_are_no_longer_rigid(cluster):
+    topology, system, point = cluster
+    integrator = SIER2Integrator(0.001, bodies=RigidBodies.from_system(system, topology))
+    context = context_at(system, integrator, point)
+    integrator.step(3)
+    checkpoint = context.createCheckpoint()
+    integrator.step(3)
+    end = phase_point(context)
+    context.loadCheckpoint(checkpoint)
+    positions = phase_point(context)[0]
+    bent = positions.copy()
+    bent[5] += [0.0, 0.02, 0.0]
+    context.setPositions(bent)
+    message = r"residue HOH \d+ \(atoms 4, 5, 6\) does not have the shape of its rigid body"
+    for ask in (lambda: integrator.step(1), integrator.getBodyState, integrator.computeSystemTemperature):
+        with pytest.raises(RigidityError, match=message):
+            ask()
+    assert context.getStepCount() == 3
+    assert np.array_equal(phase_point(context)[0], bent)
+    context.setPositions(positions)
+    integrator.step(3)
+    # The same atoms, at the same places with the same velocities: the stored state is theirs.
+    assert np.array_equal(phase_point(context)[0], end[0])
+    assert np.array_equal(phase_point(context)[1], end[1])
+
+
+def test_positions_never_set(cluster):
+    _, system, _ = cluster
+    integrator = SIER2Integrator(0.001)
+    context = openmm.Context(system, integrator, platform())
+    for ask in (lambda: integrator.step(1), integrator.getBodyState, integrator.computeSystemTemperature):
+        with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):
+            ask()
+    assert context.getStepCount() == 0
+
+
+# --- integrators where they do not belong -----------------------------------------------------------------------
+
+
+def test_integrator_for_a_second_context(cluster):
+    _, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    with pytest.raises(openmm.OpenMMException, match="already bound to a context"):
+        openmm.Context(system, integrator, platform())
+    integrator.step(2)
+    assert context.getStepCount() == 2
+
+
+def test_context_that_is_gone(cluster):
+    _, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    del context
+    gc.collect()
+    for ask in (lambda: integrator.step(1), integrator.getBodyState):
+        with pytest.raises(openmm.OpenMMException, match="Context of this integrator no longer exists"):
+            ask()
+
+
+def test_context_alone_keeps_its_integrator(cluster):
+    _, system, point = cluster
+    context = context_at(system, SIER2Integrator(0.001), point)
+    gc.collect()
+    context.getIntegrator().step(2)
+    assert context.getStepCount() == 2
+
+
+def test_contexts_are_freed(cluster):
+    """Neither keeps the other alive in a circle that only the garbage collector opens."""
+    _, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    gc.disable()
+    try:
+        engine = integrator._engine
+        del context
+        assert engine._context_ref() is None
+    finally:
+        gc.enable()
+
+
+def test_compound_integrator_is_refused(cluster):
+    _, system, _ = cluster
+    compound = openmm.CompoundIntegrator()
+    compound.addIntegrator(openmm.VerletIntegrator(0.001))
+    compound.addIntegrator(SIER2Integrator(0.001))
+    with pytest.raises(openmm.OpenMMException, match="cannot be part of a CompoundIntegrator"):
+        openmm.Context(system, compound, platform())
+
+
+@pytest.mark.parametrize("bound", [False, True])
+def test_xml_copy_is_refused(tmp_path, cluster, bound):
+    topology, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    if bound:
+        _context = context_at(system, integrator, point)
+        integrator.step(1)
+    file = tmp_path / "integrator.xml"
+    file.write_text(openmm.XmlSerializer.serialize(integrator))
+    with pytest.raises(openmm.OpenMMException, match="was a SIER integrator before it went through XML"):
+        openmm.Context(system, openmm.XmlSerializer.clone(integrator), platform())
+    with pytest.raises(openmm.OpenMMException, match="was a SIER integrator before it went through XML"):
+        app.Simulation(topology, system, str(file), platform())
+
+
+WITHOUT_THE_PACKAGE = """
+import sys
+import openmm
+from openmm import app
+system, integrator, state = (openmm.XmlSerializer.deserialize(open(name).read()) for name in sys.argv[1:4])
+context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName(sys.argv[4]))
+context.setState(state)
+before = context.getState(positions=True).getPositions(asNumpy=True)
+for _ in range(2):
+    try:
+        integrator.step(1)
+    except openmm.OpenMMException as error:
+        print(error)
+print(context.getStepCount(), (context.getState(positions=True).getPositions(asNumpy=True) == before).all())
+"""
+
+
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+def test_xml_copy_in_a_process_that_knows_nothing_of_the_package(tmp_path, name):
+    _, positions, system = periodic_system()
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, (positions, 0 * positions))
+    state = context.getState(positions=True, velocities=True)
+    files = []
+    for number, item in enumerate((system, integrator, state)):
+        files.append(str(tmp_path / f"{number}.xml"))
+        pathlib.Path(files[-1]).write_text(openmm.XmlSerializer.serialize(item))
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_THE_PACKAGE, *files, name], capture_output=True, text=True, check=True
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == 3
+    for line in lines[:2]:
+        assert "SIER_integrator_is_lost_in_XML__create_it_anew" in line
+    assert lines[2] == "0 True"
+
+
+def described(integrator):
+    parts = [type(integrator), integrator.getStepSize(), integrator.scheme, integrator.rotation]
+    parts += [integrator.getIntegrationForceGroups(), integrator.getConstraintTolerance()]
+    parts += [integrator.getRandomNumberSeed(), integrator._given_bodies]
+    if isinstance(integrator, SIERLangevinIntegrator):
+        parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
+    return parts
+
+
+COPIES = {
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda integrator: pickle.loads(pickle.dumps(integrator)),
+}
+
+
+@pytest.mark.parametrize("way", COPIES.values(), ids=COPIES.keys())
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: SIER2Integrator(0.002, bodies=[[0, 1, 2]]),
+        lambda: SIER4Integrator(0.004),
+        lambda: SIERIntegrator(0.003, SIER4),
+        lambda: SIERLangevinIntegrator(310.0, 3.0, 0.002, scheme=SIER4, rotationalFriction=7.0),
+    ],
+    ids=["SIER2", "SIER4", "SIER", "Langevin"],
+)
+def test_copies_keep_class_and_settings(cluster, make, way):
+    _, system, point = cluster
+    original = make()
+    original.setStepSize(0.0015)
+    original.setIntegrationForceGroups({0, 3})
+    original.setConstraintTolerance(1e-7)
+    original.setRandomNumberSeed(12)
+    copied = way(original)
+    assert copied is not original
+    for one, two in zip(described(copied), described(original), strict=True):
+        assert one == two
+    original.setStepSize(0.001)
+    assert copied.getStepSize() == 0.0015 * unit.picosecond
+    context = context_at(system, copied, point)
+    copied.step(2)
+    assert context.getStepCount() == 2
+    # A copy of a bound integrator is free.
+    other = context_at(system, way(copied), point)
+    other.getIntegrator().step(1)
+    assert (context.getStepCount(), other.getStepCount()) == (2, 1)
+
+
+# --- a System that changes --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("preserve", [True, False])
+def test_changed_masses_act_after_reinitialization(cluster, preserve):
+    _, system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(0)
+    for i in range(system.getNumParticles()):
+        system.setParticleMass(i, 3 * system.getParticleMass(i))
+    before = phase_point(context)
+    integrator.step(0)
+    light = integrator.bodies.masses.copy()
+    context.reinitialize(preserveState=preserve)
+    if not preserve:
+        context.setPositions(before[0])
+        context.setVelocities(before[1])
+    assert np.allclose(integrator.bodies.masses, 3 * light, rtol=1e-14)
+    integrator.step(20)
+    fresh = SIER2Integrator(0.001)
+    reference = context_at(system, fresh, before)
+    fresh.step(20)
+    # The same molecules, read from the atoms once or twice: rounding.
+    assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-12
+    assert np.abs(phase_point(context)[0] - before[0]).max() > 1e-3
+
+
+def test_bodies_of_other_masses_are_refused(cluster):
+    topology, system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    bodies = RigidBodies.from_system(system, topology)
+    integrator = SIER2Integrator(0.001, bodies=bodies)
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    system.setParticleMass(6, 2.0)
+    message = r"residue HOH \d+ .* made with a mass of 1.00\d+ for atom 6, the System has 2.0"
+    with pytest.raises(ValueError, match=message):
+        context.reinitialize(preserveState=True)
+    with pytest.raises(openmm.OpenMMException, match="not bound to a Context"):
+        integrator.step(1)
+    with pytest.raises(ValueError, match=message):
+        openmm.Context(system, SIER2Integrator(0.001, bodies=bodies), platform())
+
+
+def test_reinitialization_with_a_system_that_cannot_be_used(cluster):
+    _, system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    removed = system.getConstraintParameters(0)
+    system.removeConstraint(0)
+    with pytest.raises(RigidityError, match="constrained but not rigid"):
+        context.reinitialize(preserveState=True)
+    with pytest.raises(openmm.OpenMMException, match="not bound to a Context"):
+        integrator.step(1)
+    system.addConstraint(*removed)
+    context.reinitialize(preserveState=True)
+    integrator.step(1)
+    assert context.getStepCount() == 2

@@ -1,0 +1,471 @@
+"""The integrators in OpenMM Contexts: conservation, order, agreement with OpenMM, and what users do to a Context."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_sier
+from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERIntegrator
+from tests.support.waters import (
+    cluster_system,
+    context_at,
+    energies,
+    periodic_system,
+    phase_point,
+    platform,
+    relaxed,
+    water_box,
+)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    topology, positions, system = cluster_system(8)
+    return system, relaxed(topology, positions, system)
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system()
+    return topology, system, relaxed(topology, positions, system)
+
+
+def test_isolated_cluster_conserves_momentum_and_angular_momentum(cluster):
+    system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    _context = context_at(system, integrator, point)
+    start = integrator.getBodyState()
+    scale_p = np.linalg.norm(start.p, axis=0).sum()
+    q, p = start.q - start.q.mean(axis=1, keepdims=True), start.p
+    scale_l = np.linalg.norm(np.cross(q.T, p.T).T + start.L, axis=0).sum()
+    before = integrator.bodies.total_momenta(start)
+    integrator.step(10000)
+    after = integrator.bodies.total_momenta(integrator.getBodyState())
+    # Each of 10^4 steps rounds sums of some 50 terms: a random walk of 100 sqrt(50) eps = 2e-13, and the pair forces of
+    # the Reference platform cancel to rounding. A torque about a wrong centre gives 1e-2.
+    assert np.abs(after[0] - before[0]).max() < 1e-12 * scale_p
+    assert np.abs(after[1] - before[1]).max() < 1e-12 * scale_l
+
+
+@pytest.mark.parametrize("make", [SIER2Integrator, SIER4Integrator])
+def test_reversed_momenta_lead_back(cluster, make):
+    system, point = cluster
+    integrator = make(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(0)
+    start = phase_point(context)
+    integrator.step(1000)
+    context.setVelocities(-phase_point(context)[1])
+    integrator.step(1000)
+    end = phase_point(context)
+    # Rounding of 1e-16 a step grows with the Lyapunov exponent of water, about 1/ps, over 2 to 4 ps.
+    assert np.abs(end[0] - start[0]).max() < 1e-9
+    assert np.abs(end[1] + start[1]).max() < 1e-7
+
+
+@pytest.mark.parametrize(("make", "evaluations"), [(SIER2Integrator, 1), (SIER4Integrator, 4)])
+def test_force_evaluations_a_step(box, make, evaluations):
+    _, system, point = box
+    integrator = make(0.001)
+    _context = context_at(system, integrator, point, "CPU")
+    for count in (1, 3, 1):
+        integrator.step(count)
+    # One more at the very start; no more where `step` is called again.
+    assert integrator.forceEvaluations == 5 * evaluations + 1
+
+
+def constrained_velocity_verlet(h):
+    """The peer that starts from the same phase point: RATTLE as a CustomIntegrator (OpenMM's documentation)."""
+    verlet = openmm.CustomIntegrator(h)
+    verlet.addPerDofVariable("x1", 0)
+    verlet.addUpdateContextState()
+    verlet.addComputePerDof("v", "v+0.5*dt*f/m")
+    verlet.addComputePerDof("x", "x+dt*v")
+    verlet.addComputePerDof("x1", "x")
+    verlet.addConstrainPositions()
+    verlet.addComputePerDof("v", "v+0.5*dt*f/m+(x-x1)/dt")
+    verlet.addConstrainVelocities()
+    verlet.setConstraintTolerance(1e-10)
+    return verlet
+
+
+def test_agrees_with_constrained_velocity_verlet_as_the_step_shrinks(cluster):
+    system, point = cluster
+    differences = []
+    for h in (0.002, 0.001):
+        ends = []
+        for integrator in (SIER2Integrator(h), constrained_velocity_verlet(h)):
+            context = context_at(system, integrator, point)
+            integrator.step(round(0.04 / h))
+            ends.append(phase_point(context)[0])
+        differences.append(np.abs(ends[0] - ends[1]).max())
+    # Two second-order methods from one start differ by O(h^2); SETTLE's lengths, off by some 1e-9 nm, matter less.
+    assert 1e-7 < differences[1] < 1e-4
+    assert 3.4 < differences[0] / differences[1] < 4.6
+
+
+@pytest.mark.parametrize(("scheme", "slope", "tolerance"), [(SIER2, 2.0, 0.1), (SIER4, 4.0, 0.2)])
+def test_order_of_the_trajectory(cluster, scheme, slope, tolerance):
+    system, point = cluster
+    ends = []
+    steps = (0.002, 0.001) if scheme is SIER4 else (0.001, 0.0005)
+    for h in (*steps, 0.0001):
+        integrator = SIERIntegrator(h, SIER4 if h == 0.0001 else scheme)
+        context = context_at(system, integrator, point)
+        integrator.step(round(0.04 / h))
+        ends.append(phase_point(context)[0])
+    errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
+    assert abs(np.log2(errors[0] / errors[1]) - slope) < tolerance
+
+
+def test_kinetic_energy_of_the_context_is_that_of_the_bodies(box):
+    _, system, point = box
+    integrator = SIER4Integrator(0.002)
+    context = context_at(system, integrator, point)
+    integrator.step(3)
+    assert energies(context)[1] == pytest.approx(sum(integrator.bodies.kinetic_energies(integrator.getBodyState())))
+
+
+def test_energy_is_conserved_better_by_the_fourth_order(cluster):
+    system, point = cluster
+    spread = {}
+    for make, h in ((SIER2Integrator, 0.001), (SIER4Integrator, 0.004)):
+        integrator = make(h)
+        context = context_at(system, integrator, point)
+        totals = []
+        for _ in range(round(0.4 / h)):
+            integrator.step(1)
+            totals.append(sum(energies(context)))
+        spread[make] = np.std(totals)
+    # At one force evaluation per fs the liquid shows 0.2 % against 0.03 % of rms(V).
+    assert spread[SIER4Integrator] < 0.5 * spread[SIER2Integrator]
+
+
+def velocity_change(context, point):
+    context.setVelocities(2 * point[1])
+
+
+def position_change(context, point):
+    context.setPositions(point[0] + 0.5)
+
+
+def box_change(context, point):
+    a, b, c = context.getState().getPeriodicBoxVectors()
+    context.setPeriodicBoxVectors(a * 1.01, b, c)
+
+
+def minimization(context, point):
+    openmm.LocalEnergyMinimizer.minimize(context, maxIterations=5)
+
+
+def thermalization(context, point):
+    context.setVelocitiesToTemperature(500, 3)
+
+
+def reinitialization(context, point):
+    context.reinitialize(preserveState=True)
+
+
+@pytest.mark.parametrize(
+    "change", [velocity_change, position_change, box_change, minimization, thermalization, reinitialization]
+)
+def test_changes_from_outside_are_noticed(box, change):
+    _, system, point = box
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(5)
+    change(context, point)
+    state = context.getState(positions=True, velocities=True)
+    integrator.step(5)
+
+    fresh = SIER2Integrator(0.001)
+    other = openmm.Context(system, fresh, platform())
+    other.setState(state)
+    fresh.step(5)
+    # The fresh integrator fits its bodies to positions whose molecules are off by SETTLE's 5e-9 nm at most.
+    assert np.abs(phase_point(context)[0] - phase_point(other)[0]).max() < 1e-8
+    assert np.abs(phase_point(context)[1] - phase_point(other)[1]).max() < 1e-5
+
+
+def test_parameters_changed_from_outside_are_noticed(cluster):
+    system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    pull = openmm.CustomExternalForce("strength*x")
+    pull.addGlobalParameter("strength", 0.0)
+    for i in range(system.getNumParticles()):
+        pull.addParticle(i)
+    system.addForce(pull)
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    before = integrator.getBodyState().p
+    context.setParameter("strength", 1000.0)
+    integrator.step(1)
+    gained = integrator.getBodyState().p.sum(axis=1) - before.sum(axis=1)
+    # Both half kicks of the step feel it: 24 atoms, 1000 kJ/mol/nm, 1 fs. A stale force would give half of it.
+    assert gained[0] == pytest.approx(-24.0, rel=1e-6)
+
+
+def test_forces_changed_without_a_trace_can_be_declared(cluster):
+    system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    pull = openmm.CustomExternalForce("k*x")
+    pull.addPerParticleParameter("k")
+    for i in range(system.getNumParticles()):
+        pull.addParticle(i, [0.0])
+    system.addForce(pull)
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    before = integrator.getBodyState().p.sum(axis=1)[0]
+    for i in range(system.getNumParticles()):
+        pull.setParticleParameters(i, i, [1000.0])
+    pull.updateParametersInContext(context)
+    integrator.forcesChanged()
+    integrator.step(1)
+    assert integrator.getBodyState().p.sum(axis=1)[0] - before == pytest.approx(-24.0, rel=1e-6)
+
+
+def test_step_size_and_clock(box):
+    _, system, point = box
+    integrator = SIER2Integrator(2 * unit.femtosecond)
+    context = context_at(system, integrator, point)
+    integrator.step(2)
+    integrator.setStepSize(0.5 * unit.femtosecond)
+    integrator.step(2)
+    assert context.getTime().value_in_unit(unit.femtosecond) == pytest.approx(5.0)
+    assert context.getStepCount() == 4
+    context.setTime(7 * unit.picosecond)
+    integrator.step(1)
+    assert context.getTime().value_in_unit(unit.femtosecond) == pytest.approx(7000.5)
+
+
+def test_integration_force_groups(cluster):
+    system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    for force in system.getForces():
+        force.setForceGroup(3)
+    integrator = SIER2Integrator(0.001)
+    integrator.setIntegrationForceGroups({0})
+    context = context_at(system, integrator, point)
+    before = integrator.getBodyState()
+    integrator.step(10)
+    after = integrator.getBodyState()
+    # No force is integrated: momenta stay to the bit.
+    assert np.array_equal(before.p, after.p)
+    integrator.setIntegrationForceGroups(0xFFFFFFFF)
+    context.reinitialize(preserveState=True)
+    integrator.step(1)
+    assert not np.array_equal(before.p, integrator.getBodyState().p)
+
+
+def test_centre_of_mass_motion_is_removed_as_by_openmm(box):
+    _, system, point = box
+    integrator = SIER2Integrator(0.001)
+    _context = context_at(system, integrator, (point[0], point[1] + np.array([0.5, 0.0, 0.0])), "CPU")
+    integrator.step(10)
+    momentum = integrator.getBodyState().p.sum(axis=1)
+    # The mesh of PME gives the box a net force; a step of it is all that remains.
+    assert np.abs(momentum).max() < 1e-3 * 0.5 * integrator.bodies.masses.sum()
+
+
+#: Times at which `clock_reader` was asked for forces.
+SEEN: list[float] = []
+
+
+def clock_reader(state):
+    """No force; an OpenMM PythonForce has to be a function that can be pickled."""
+    SEEN.append(state.getTime()._value)
+    return 0.0, np.zeros(state.getPositions(asNumpy=True).shape)
+
+
+def test_clock_runs_for_forces_that_read_it(cluster):
+    """A Force that may depend on time, inside a CustomCVForce too, sees the same in one call of step and in many."""
+    times = []
+    for counts in ((4,), (1, 1, 1, 1)):
+        system = openmm.XmlSerializer.clone(cluster[0])
+        colvar = openmm.CustomCVForce("0*pull")
+        colvar.addCollectiveVariable("pull", openmm.PythonForce(clock_reader))
+        system.addForce(colvar)
+        integrator = SIER2Integrator(0.001)
+        _context = context_at(system, integrator, cluster[1])
+        SEEN.clear()
+        for count in counts:
+            integrator.step(count)
+        times.append(sorted(set(SEEN)))
+    # The force at the end of a step serves the start of the next.
+    assert times[0][-1] == times[1][-1] == pytest.approx(0.004)
+    assert len(times[0]) == len(times[1]) == 4
+
+
+def test_velocities_that_are_not_finite(cluster):
+    system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(1)
+    velocities = phase_point(context)[1]
+    velocities[4] = np.nan
+    context.setVelocities(velocities)
+    with pytest.raises(openmm.OpenMMException, match="The velocities of the body of atoms 3, 4, 5 in"):
+        integrator.step(1)
+
+
+every_barostat = pytest.mark.parametrize(
+    "barostat",
+    [
+        openmm.MonteCarloBarostat(1.0, 297.0, 3),
+        openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1, 1, 1), 297.0, True, True, True, 3),
+        openmm.MonteCarloMembraneBarostat(1.0, 0.0, 297.0, 0, 0, 3),
+    ],
+    ids=lambda barostat: type(barostat).__name__,
+)
+
+
+@every_barostat
+def test_barostats_move_the_bodies_rigidly(box, barostat):
+    _, system, point = box
+    system = openmm.XmlSerializer.clone(system)
+    system.addForce(openmm.XmlSerializer.clone(barostat))
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point, "CPU")
+    volume = context.getState().getPeriodicBoxVolume()
+    integrator.step(40)
+    assert context.getState().getPeriodicBoxVolume() != volume
+    positions = phase_point(context)[0]
+    water = positions.reshape(-1, 3, 3)
+    lengths = np.linalg.norm(water[:, 0] - water[:, 1], axis=1)
+    # Positions of a few nm carry a rounding of 1e-15 nm.
+    assert np.ptp(lengths) < 1e-13
+
+
+def test_andersen_thermostat_acts(box):
+    _, system, point = box
+    system = openmm.XmlSerializer.clone(system)
+    thermostat = openmm.AndersenThermostat(297.0, 1000.0)
+    thermostat.setRandomNumberSeed(4)
+    system.addForce(thermostat)
+    integrator = SIER2Integrator(0.001)
+    _context = context_at(system, integrator, (point[0], 0 * point[1]), "CPU")
+    integrator.step(10)
+    assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
+
+
+@pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p", "ions"])
+def test_stock_simulation_with_stock_reporters(tmp_path, model):
+    mdtraj = pytest.importorskip("mdtraj")
+    ions = model == "ions"
+    topology, positions, system = periodic_system("tip3p" if ions else model, 216 if ions else 64, ions)
+    if ions:
+        assert {r.name for r in topology.residues()} == {"HOH", "NA", "CL"}
+    simulation = app.Simulation(topology, system, SIER2Integrator(0.001), platform("CPU"), {"Threads": "1"})
+    simulation.context.setPositions(positions)
+    simulation.minimizeEnergy(maxIterations=50)
+    simulation.context.setVelocitiesToTemperature(297.0, 1)
+    log = tmp_path / "log.csv"
+    simulation.reporters += [
+        app.DCDReporter(str(tmp_path / "t.dcd"), 5),
+        app.XTCReporter(str(tmp_path / "t.xtc"), 5),
+        app.PDBReporter(str(tmp_path / "t.pdb"), 10),
+        app.CheckpointReporter(str(tmp_path / "t.chk"), 10),
+        app.StateDataReporter(str(log), 5, step=True, temperature=True, totalEnergy=True),
+        mdtraj.reporters.HDF5Reporter(str(tmp_path / "t.h5"), 5, velocities=True),
+    ]
+    simulation.step(20)
+    simulation.reporters[-1].close()
+    assert simulation.currentStep == 20
+    simulation.reporters.clear()
+    rows = np.genfromtxt(log, delimiter=",", names=True)
+    assert rows["Step"].tolist() == [5, 10, 15, 20]
+    integrator = simulation.integrator
+    translation, rotation = integrator.bodies.kinetic_energies(integrator.getBodyState())
+    freedoms = integrator.bodies.degrees_of_freedom - 3
+    temperature = 2 * (translation + rotation) / (freedoms * openmm_sier.dynamics.bodies.GAS_CONSTANT)
+    # The reporter counts degrees of freedom from particles and constraints, and writes 16 digits.
+    assert rows["Temperature_K"][-1] == pytest.approx(temperature, rel=1e-9)
+    assert mdtraj.load(str(tmp_path / "t.h5")).n_frames == 4
+    assert mdtraj.load(str(tmp_path / "t.dcd"), top=str(tmp_path / "t.pdb")).n_frames == 4
+
+
+@pytest.mark.parametrize("make", [openmm.VerletIntegrator, SIER2Integrator], ids=["Verlet", "SIER2"])
+def test_one_line_differs(make):
+    topology, positions, field = water_box()
+    system = field.createSystem(topology, nonbondedMethod=app.PME, nonbondedCutoff=0.55 * unit.nanometer)
+    integrator = make(1 * unit.femtosecond)
+    simulation = app.Simulation(topology, system, integrator, platform("CPU"), {"Threads": "1"})
+    simulation.context.setPositions(positions)
+    simulation.minimizeEnergy(maxIterations=50)
+    simulation.context.setVelocitiesToTemperature(300 * unit.kelvin)
+    simulation.step(20)
+    assert np.isfinite(energies(simulation.context)).all()
+
+
+def test_unusable_system_is_refused_when_the_context_is_created():
+    topology, _, field = water_box()
+    system = field.createSystem(topology, nonbondedMethod=app.NoCutoff)
+    system.removeConstraint(0)
+    with pytest.raises(openmm_sier.RigidityError, match=r"atoms 0, 1, 2 is constrained but not rigid"):
+        openmm.Context(system, SIER2Integrator(0.001), platform())
+
+
+def test_steps_without_a_context_are_refused():
+    with pytest.raises(openmm.OpenMMException, match="not bound to a Context"):
+        SIER2Integrator(0.001).step(1)
+
+
+@pytest.mark.parametrize("steps", [-1, 2.5, float("nan"), "3", None])
+def test_impossible_step_counts(cluster, steps):
+    system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    with pytest.raises((ValueError, TypeError), match="steps"):
+        integrator.step(steps)
+    assert context.getStepCount() == 0
+
+
+@pytest.mark.parametrize("size", [0, -0.001, float("nan"), float("inf"), "long", 1 * unit.nanometer])
+def test_impossible_step_sizes(size):
+    with pytest.raises((ValueError, TypeError), match="stepSize"):
+        SIER2Integrator(size)
+    integrator = SIER2Integrator(0.001)
+    with pytest.raises((ValueError, TypeError), match="stepSize"):
+        integrator.setStepSize(size)
+    assert integrator.getStepSize() == 0.001 * unit.picosecond
+
+
+def test_scheme_must_be_a_scheme():
+    with pytest.raises(TypeError, match="scheme"):
+        SIERIntegrator(0.001, "sier2")
+
+
+@every_barostat
+def test_barostats_need_no_velocities(box, barostat):
+    """Where barostats alone act on the Context, it is read back only after they did: to the bit the same trajectory.
+
+    With the general way, which writes everything before and reads everything after each of OpenMM's steps.
+    """
+    _, system, point = box
+    system = openmm.XmlSerializer.clone(system)
+    # A CMMotionRemover's work is rounded differently in the two ways.
+    removers = [i for i, force in enumerate(system.getForces()) if isinstance(force, openmm.CMMotionRemover)]
+    system.removeForce(removers[0])
+    barostat = openmm.XmlSerializer.clone(barostat)
+    barostat.setRandomNumberSeed(7)
+    system.addForce(barostat)
+    ends, volumes = [], []
+    for alone in (True, False):
+        integrator = SIER2Integrator(0.001)
+        # On Reference all random numbers come from one generator, which the integrator's seed starts.
+        integrator.setRandomNumberSeed(7)
+        context = context_at(system, integrator, point)
+        volumes.append(context.getState().getPeriodicBoxVolume()._value)
+        integrator.step(0)
+        assert integrator._engine._barostats_alone
+        integrator._engine._barostats_alone = alone
+        integrator.step(60)
+        ends.append(phase_point(context))
+        volumes.append(context.getState().getPeriodicBoxVolume()._value)
+    assert np.array_equal(*ends)
+    assert volumes[1] == volumes[3] != volumes[0]

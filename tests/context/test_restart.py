@@ -1,0 +1,554 @@
+"""Restarts: a run that was stopped and continued is, to the bit, the run that was not.
+
+On the Reference platform, and on the CPU platform without a cut-off, forces are a function of positions alone, and
+every restart is exact. With a cut-off the CPU platform adds up a neighbour list that depends on the atoms' history, so
+that no integrator of OpenMM restarts to the bit there; `test_cpu_with_a_cutoff` shows that nothing else is lost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERLangevinIntegrator
+from tests.context.test_integrator import constrained_velocity_verlet
+from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
+
+
+def langevin(scheme):
+    integrator = SIERLangevinIntegrator(297.0, 2.0, 0.001, scheme=scheme)
+    integrator.setRandomNumberSeed(3)
+    return integrator
+
+
+MAKERS = {
+    "SIER2": lambda: SIER2Integrator(0.001),
+    "SIER4": lambda: SIER4Integrator(0.002),
+    "SIER2 NVT": lambda: langevin(SIER2),
+    "SIER4 NVT": lambda: langevin(SIER4),
+}
+every_integrator = pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS.keys())
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    topology, positions, system = cluster_system(6, "tip4pew")
+    return topology, system, relaxed(topology, positions, system)
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system()
+    return topology, system, relaxed(topology, positions, system)
+
+
+def simulation_of(topology, system, integrator, name="Reference", point=None):
+    properties = {"Threads": "1", "DeterministicForces": "true"} if name == "CPU" else {}
+    simulation = app.Simulation(topology, system, integrator, platform(name), properties)
+    if point is not None:
+        simulation.context.setPositions(point[0])
+        simulation.context.setVelocities(point[1])
+    return simulation
+
+
+def everything(context):
+    """Positions, velocities, box, time, step count and what the heat bath counts."""
+    integrator = context.getIntegrator()
+    counted = [integrator.getGlobalVariableByName(name) for name in ("sier_heat", "sier_draws")]
+    return (*phase_point(context), *clock_and_box(context), *counted)
+
+
+def assert_same(one, two):
+    for a, b in zip(one, two, strict=True):
+        assert np.array_equal(a, b)
+
+
+def by_checkpoint(simulation, path):
+    simulation.step(10)
+    simulation.saveCheckpoint(str(path))
+    simulation.step(15)
+
+
+def by_state(simulation, path):
+    simulation.step(10)
+    simulation.saveState(str(path))
+    simulation.step(15)
+
+
+def by_reporter(simulation, path):
+    simulation.reporters.append(app.CheckpointReporter(str(path), 5))
+    simulation.step(12)  # The last file is of step 10.
+    simulation.reporters.clear()
+    simulation.step(13)
+
+
+def by_state_reporter(simulation, path):
+    simulation.reporters.append(app.CheckpointReporter(str(path), 5, writeState=True))
+    simulation.step(12)
+    simulation.reporters.clear()
+    simulation.step(13)
+
+
+WAYS = [(by_checkpoint, "loadCheckpoint"), (by_state, "loadState")]
+WAYS += [(by_reporter, "loadCheckpoint"), (by_state_reporter, "loadState")]
+
+
+@every_integrator
+@pytest.mark.parametrize(("save", "load"), WAYS, ids=lambda value: getattr(value, "__name__", value))
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+def test_restart_is_exact(tmp_path, cluster, make, save, load, name):
+    topology, system, point = cluster
+    whole = simulation_of(topology, system, make(), name, point)
+    save(whole, tmp_path / "saved")
+    continued = simulation_of(topology, system, make(), name)
+    getattr(continued, load)(str(tmp_path / "saved"))
+    assert continued.currentStep == 10
+    continued.step(15)
+    assert_same(everything(continued.context), everything(whole.context))
+
+
+def test_restart_needs_the_stored_state(cluster):
+    """Positions and velocities alone lead to another trajectory within rounding: the tests above test something."""
+    _, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(10)
+    bare = context.getState(positions=True, velocities=True)
+    integrator.step(50)
+    other = SIER2Integrator(0.001)
+    fitted = openmm.Context(system, other, platform())
+    fitted.setState(bare)
+    other.step(50)
+    difference = np.abs(phase_point(fitted)[0] - phase_point(context)[0]).max()
+    # Rounding of 1e-16 nm, grown for 0.05 ps.
+    assert 0 < difference < 1e-12
+
+
+@every_integrator
+def test_restart_of_a_periodic_box(tmp_path, box, make):
+    topology, system, point = box
+    whole = simulation_of(topology, system, make(), point=point)
+    whole.step(3)
+    whole.saveCheckpoint(str(tmp_path / "checkpoint"))
+    whole.saveState(str(tmp_path / "state"))
+    whole.step(3)
+    for load in ("Checkpoint", "State"):
+        continued = simulation_of(topology, system, make())
+        getattr(continued, f"load{load}")(str(tmp_path / load.lower()))
+        continued.step(3)
+        assert_same(everything(continued.context), everything(whole.context))
+
+
+@pytest.mark.parametrize("barostat", [False, True], ids=["NVT", "NPT"])
+def test_cpu_with_a_cutoff(box, barostat):
+    """Where the neighbour list of the uninterrupted run is built anew too, the trajectories agree to the bit."""
+    _, system, point = box
+    if barostat:
+        system = with_barostat(system, 5)
+    make = MAKERS["SIER2 NVT"]
+    integrator, other = make(), make()
+    context = context_at(system, integrator, point, "CPU")
+    integrator.step(5)
+    checkpoint = context.createCheckpoint()
+    context.reinitialize(preserveState=True)
+    integrator.step(12)
+    continued = context_at(system, other, point, "CPU")
+    other.step(1)
+    continued.reinitialize()
+    continued.loadCheckpoint(checkpoint)
+    other.step(12)
+    assert_same(everything(continued), everything(context))
+
+
+# --- constant pressure ------------------------------------------------------------------------------------------
+
+
+def with_barostat(system, frequency):
+    system = openmm.XmlSerializer.clone(system)
+    barostat = openmm.MonteCarloBarostat(1.0, 297.0, frequency)
+    barostat.setRandomNumberSeed(5)
+    system.addForce(barostat)
+    return system
+
+
+def stock():
+    integrator = openmm.LangevinMiddleIntegrator(297.0, 2.0, 0.001)
+    integrator.setRandomNumberSeed(3)
+    return integrator
+
+
+NPT = {"OpenMM": stock, **MAKERS}
+
+
+@pytest.mark.parametrize("make", NPT.values(), ids=NPT.keys())
+def test_restart_at_constant_pressure(box, make):
+    """What holds for every integrator of OpenMM holds for ours.
+
+    A checkpoint brings the random numbers of the barostat. It does not bring the count of steps since its last move nor
+    the acceptance ratio of its last ten, so that a restart is exact from a multiple of its frequency on, for ten moves.
+    """
+    _, system, point = box
+    system = with_barostat(system, 2)
+    ends = []
+    integrator, other = make(), make()
+    context = context_at(system, integrator, point)
+    integrator.step(4)
+    checkpoint = context.createCheckpoint()
+    volume = context.getState().getPeriodicBoxVolume()
+    integrator.step(9)
+    ends.append(phase_point(context))
+    assert context.getState().getPeriodicBoxVolume() != volume
+    continued = openmm.Context(system, other, platform())
+    continued.loadCheckpoint(checkpoint)
+    other.step(9)
+    assert continued.getState().getPeriodicBoxVolume() == context.getState().getPeriodicBoxVolume()
+    assert_same(phase_point(continued), ends[0])
+
+
+@every_integrator
+def test_state_at_constant_pressure_is_exact_until_the_next_move(tmp_path, box, make):
+    """A State has no random numbers: the barostat's next move is another one."""
+    topology, system, point = box
+    system = with_barostat(system, 6)
+    whole = simulation_of(topology, system, make(), point=point)
+    whole.step(8)
+    whole.saveState(str(tmp_path / "state"))
+    whole.step(3)
+    continued = simulation_of(topology, system, make())
+    continued.loadState(str(tmp_path / "state"))
+    continued.step(3)
+    assert_same(everything(continued.context), everything(whole.context))
+
+
+# --- what is believed -------------------------------------------------------------------------------------------
+
+
+def test_loaded_state_is_believed_only_where_the_atoms_are(cluster):
+    _, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(10)
+    checkpoint = context.createCheckpoint()
+    saved = integrator.getBodyState()
+
+    other = SIER2Integrator(0.001)
+    changed = openmm.Context(system, other, platform())
+    changed.loadCheckpoint(checkpoint)
+    positions, _ = phase_point(changed)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    molecule = other.bodies.atoms_of(2)
+    centre = saved.q[:, 2] + [0.3, 0.1, -0.2]
+    positions[molecule] = (positions[molecule] - saved.q[:, 2]) @ turn.T + centre
+    changed.setPositions(positions)
+    changed.computeVirtualSites()
+    found = other.getBodyState()
+    # Rounding of coordinates below 1 nm.
+    assert np.abs(found.q[:, 2] - centre).max() < 1e-15
+    assert np.abs(found.A[:, :, 2] - saved.A[:, :, 2] @ turn.T).max() < 1e-13
+    rest = np.arange(other.bodies.n) != 2
+    assert np.abs(found.q[:, rest] - saved.q[:, rest]).max() < 1e-15
+    assert np.abs(found.A[..., rest] - saved.A[..., rest]).max() < 1e-13
+    other.step(5)
+
+    fresh = SIER2Integrator(0.001)
+    reference = context_at(system, fresh, (positions, phase_point_of(system, checkpoint)[1]))
+    fresh.step(5)
+    assert np.abs(phase_point(changed)[0] - phase_point(reference)[0]).max() < 1e-13
+
+
+def phase_point_of(system, checkpoint):
+    context = openmm.Context(system, SIER2Integrator(0.001), platform())
+    context.loadCheckpoint(checkpoint)
+    return phase_point(context)
+
+
+@pytest.mark.parametrize("steps", [0, 3])
+@pytest.mark.parametrize("fresh", [True, False], ids=["fresh", "used"])
+def test_geometry_of_named_bodies_travels(cluster, steps, fresh):
+    """Atoms that a minimizer has moved a little apart before the checkpoint must not make other bodies of it."""
+    topology, system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    named = [[atom.index for atom in residue.atoms()] for residue in topology.residues()]
+    one, two = SIER2Integrator(0.001, bodies=named), SIER2Integrator(0.001, bodies=named)
+    context = context_at(system, one, point)
+    one.step(steps)
+    geometry = one.bodies.species[0].sites.copy()
+    context.setPositions(phase_point(context)[0] + np.random.default_rng(1).uniform(-1e-4, 1e-4, point[0].shape))
+    other = openmm.Context(system, two, platform())
+    if not fresh:
+        other.setPositions(np.random.default_rng(2).normal(point[0], 1e-4))
+        two.step(2)
+    other.loadCheckpoint(context.createCheckpoint())
+    one.step(3)
+    two.step(3)
+    assert np.array_equal(one.bodies.species[0].sites, geometry)
+    assert np.array_equal(two.bodies.species[0].sites, geometry)
+    assert_same(phase_point(other), phase_point(context))
+
+
+def test_velocities_set_after_loading_count(cluster):
+    _, system, point = cluster
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point)
+    integrator.step(10)
+    checkpoint = context.createCheckpoint()
+    other = SIER2Integrator(0.001)
+    changed = openmm.Context(system, other, platform())
+    changed.loadCheckpoint(checkpoint)
+    changed.setVelocities(2 * phase_point(changed)[1])
+    assert np.allclose(other.getBodyState().p, 2 * integrator.getBodyState().p, rtol=1e-12)
+
+
+@every_integrator
+def test_going_back_in_the_same_context(cluster, make):
+    _, system, point = cluster
+    integrator = make()
+    context = context_at(system, integrator, point)
+    integrator.step(10)
+    checkpoint = context.createCheckpoint()
+    integrator.step(15)
+    end = everything(context)
+    context.loadCheckpoint(checkpoint)
+    integrator.step(15)
+    assert_same(everything(context), end)
+    # Positions are those of the checkpoint already, velocities are not.
+    context.loadCheckpoint(checkpoint)
+    integrator.getBodyState()
+    context.setVelocities(0.5 * phase_point(context)[1])
+    integrator.getBodyState()
+    context.loadCheckpoint(checkpoint)
+    integrator.step(15)
+    assert_same(everything(context), end)
+
+
+@every_integrator
+def test_reinitialization_with_its_state_changes_nothing(cluster, make):
+    _, system, point = cluster
+    ends = []
+    for interrupted in (False, True):
+        integrator = make()
+        context = context_at(system, integrator, point)
+        integrator.step(10)
+        if interrupted:
+            context.reinitialize(preserveState=True)
+        integrator.step(10)
+        ends.append(everything(context))
+    assert_same(*ends)
+
+
+def test_noise_is_not_used_again_after_the_state_of_the_start_was_loaded(cluster):
+    """A State of before the first step has no bodies in it, but the Context has used noise since."""
+    _, system, point = cluster
+    integrator = langevin(SIER2)
+    context = context_at(system, integrator, point)
+    start = full_state(context)
+    integrator.step(3)
+    context.setState(start)
+    context.reinitialize(preserveState=True)
+    assert integrator.getBodyState().draws == 3
+
+
+def test_reinitialization_without_its_state_starts_anew(cluster):
+    _, system, point = cluster
+    integrator = langevin(SIER2)
+    context = context_at(system, integrator, point)
+    integrator.step(10)
+    end = everything(context)
+    context.reinitialize()
+    context.setPositions(point[0])
+    context.setVelocities(point[1])
+    assert integrator.getHeat() == 0 * unit.kilojoule_per_mole
+    integrator.step(10)
+    assert_same(everything(context), end)
+
+
+def full_state(context):
+    return context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+
+
+@pytest.mark.parametrize("make", [MAKERS["SIER2"], MAKERS["SIER4"]], ids=["SIER2", "SIER4"])
+def test_exchanged_states_go_on_in_the_other_context(cluster, make):
+    """As OpenMM's replica exchange does with one Context for all replicas."""
+    _, system, point = cluster
+    ends, saved = [], []
+    for start in (point, (point[0], -point[1])):
+        integrator = make()
+        context = context_at(system, integrator, start)
+        integrator.step(5)
+        saved.append(full_state(context))
+        integrator.step(5)
+        ends.append(everything(context))
+    integrator = make()
+    context = openmm.Context(system, integrator, platform())
+    for turn in (1, 0, 1):
+        context.setState(saved[turn])
+        integrator.step(5)
+        assert_same(everything(context), ends[turn])
+
+
+def test_replicas_that_share_a_context_have_noise_of_their_own(cluster):
+    """Trajectories under the same noise grow together (Sindhikara et al., J. Chem. Theory Comput. 5, 1624 (2009))."""
+    _, system, point = cluster
+    integrator = langevin(SIER2)
+    context = context_at(system, integrator, point)
+    integrator.step(5)
+    saved = full_state(context)
+    ends = []
+    for _ in range(3):
+        context.setState(saved)
+        integrator.step(5)
+        ends.append(integrator.getBodyState())
+    assert [end.draws for end in ends] == [10, 15, 20]
+    for one, two in ((0, 1), (1, 2), (0, 2)):
+        assert np.abs(ends[one].p - ends[two].p).max() > 0.1
+
+
+@pytest.mark.parametrize("seeds", [(1, 2), (0, 0), (3, 0)])
+def test_runs_with_other_seeds_from_one_state_differ(cluster, seeds):
+    _, system, point = cluster
+    integrator = langevin(SIER2)
+    context = context_at(system, integrator, point)
+    integrator.step(5)
+    saved = full_state(context)
+    ends = []
+    for seed in seeds:
+        integrator = langevin(SIER2)
+        integrator.setRandomNumberSeed(seed)
+        context = openmm.Context(system, integrator, platform())
+        context.setState(saved)
+        integrator.step(5)
+        ends.append(integrator.getBodyState().p)
+    assert np.abs(ends[0] - ends[1]).max() > 0.1
+
+
+OTHERS = [
+    lambda: openmm.VerletIntegrator(0.001),
+    lambda: openmm.LangevinMiddleIntegrator(297.0, 1.0, 0.001),
+    lambda: openmm.NoseHooverIntegrator(297.0, 1.0, 0.001),
+    lambda: constrained_velocity_verlet(0.001),
+]
+
+
+@pytest.mark.parametrize("make", OTHERS, ids=["Verlet", "LangevinMiddle", "NoseHoover", "Custom"])
+def test_states_of_other_integrators_are_taken_over(tmp_path, box, make):
+    """Equilibrate with one, save, go on with the other: OpenMM alone fails over the first one's parameters."""
+    topology, system, point = box
+    one = simulation_of(topology, with_barostat(system, 25), make(), "CPU", point)
+    one.step(5)
+    one.context.setParameter(openmm.MonteCarloBarostat.Pressure(), 7.0)
+    one.saveState(str(tmp_path / "state"))
+    integrator = SIER2Integrator(0.001)
+    two = simulation_of(topology, with_barostat(system, 25), integrator, "CPU")
+    two.loadState(str(tmp_path / "state"))
+    assert_same(everything(two.context)[:5], (*phase_point(one.context), *clock_and_box(one.context)))
+    assert two.context.getParameter(openmm.MonteCarloBarostat.Pressure()) == 7.0
+    fit = integrator.getBodyState()
+    assert np.allclose(fit.p.sum(axis=1), momentum(system, phase_point(one.context)[1]), atol=1e-9)
+    two.step(5)
+    assert two.currentStep == 10
+
+
+def test_states_of_ours_are_taken_over_by_openmm(tmp_path, cluster):
+    topology, system, point = cluster
+    one = simulation_of(topology, system, SIER2Integrator(0.001), point=point)
+    one.step(5)
+    one.saveState(str(tmp_path / "state"))
+    two = simulation_of(topology, system, openmm.VerletIntegrator(0.001))
+    two.loadState(str(tmp_path / "state"))
+    assert_same(phase_point(two.context), phase_point(one.context))
+    two.step(5)
+    assert two.currentStep == 10
+
+
+def test_states_of_other_systems_are_refused(cluster, box):
+    _, system, point = cluster
+    context = context_at(system, SIER2Integrator(0.001), point)
+    state = context_at(box[1], SIER2Integrator(0.001), box[2]).getState(positions=True)
+    with pytest.raises(openmm.OpenMMException, match="wrong number of positions"):
+        context.setState(state)
+
+
+def clock_and_box(context):
+    state = context.getState()
+    box = np.array(state.getPeriodicBoxVectors(asNumpy=True)._value)
+    return box, state.getTime()._value, state.getStepCount()
+
+
+def momentum(system, velocities):
+    return sum(system.getParticleMass(i)._value * velocity for i, velocity in enumerate(velocities))
+
+
+# --- bodies whose geometry is taken from positions --------------------------------------------------------------
+
+
+def chiral_system(constrained):
+    """A few bodies without symmetry and their mirror images, held together weakly, and positions of all atoms."""
+    geometry = np.array([[0, 0, 0], [0.1, 0, 0.01], [0.02, 0.11, 0], [0, 0.03, 0.12]])
+    masses = [12.0, 1.0, 16.0, 14.0]
+    system = openmm.System()
+    force = openmm.NonbondedForce()
+    spring = openmm.CustomExternalForce("100*(x^2+y^2+z^2)")
+    rng = np.random.default_rng(2)
+    positions = []
+    for body in range(6):
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        turn *= (-1) ** body * np.sign(np.linalg.det(turn))  # Every other one is a mirror image.
+        positions.append(geometry @ turn + rng.uniform(-0.6, 0.6, 3))
+        for k in range(4):
+            atom = system.addParticle(masses[k])
+            force.addParticle((-1) ** k * 0.2, 0.2, 0.1)
+            spring.addParticle(atom)
+        atoms = range(4 * body, 4 * body + 4)
+        for i in atoms:
+            for j in atoms:
+                if i < j:
+                    force.addException(i, j, 0, 1, 0)
+                    if constrained:
+                        system.addConstraint(i, j, np.linalg.norm(geometry[i % 4] - geometry[j % 4]))
+    system.addForce(force)
+    system.addForce(spring)
+    named = None if constrained else [range(4 * body, 4 * body + 4) for body in range(6)]
+    return system, named, np.concatenate(positions)
+
+
+@pytest.mark.parametrize("constrained", [False, True], ids=["named", "constrained"])
+@pytest.mark.parametrize("way", ["checkpoint", "state"])
+def test_geometry_from_positions_is_stored_too(constrained, way):
+    system, named, positions = chiral_system(constrained)
+    velocities = np.random.default_rng(3).normal(size=positions.shape)
+    integrator = SIER2Integrator(0.001, bodies=named)
+    context = context_at(system, integrator, (positions, velocities))
+    integrator.step(30)
+    checkpoint = context.createCheckpoint()
+    state = full_state(context)
+    integrator.step(30)
+    for stepped in (False, True):
+        other = SIER2Integrator(0.001, bodies=named)
+        continued = context_at(system, other, (positions + 0.1, velocities))
+        if stepped:  # Then it has a geometry already, which differs by rounding.
+            other.step(10)
+        if way == "checkpoint":
+            continued.loadCheckpoint(checkpoint)
+        else:
+            continued.setState(openmm.XmlSerializer.clone(state))
+        other.step(30)
+        assert_same(everything(continued), everything(context))
+
+
+def test_stored_geometry_is_not_believed_for_other_masses():
+    """Bodies at rest are reproduced by the stored state whatever they weigh."""
+    system, named, positions = chiral_system(constrained=False)
+    integrator = SIER2Integrator(0.001, bodies=named)
+    context = context_at(system, integrator, (positions, 0 * positions))
+    integrator.step(0)
+    for i in range(0, system.getNumParticles(), 4):
+        system.setParticleMass(i, 40.0)
+    context.reinitialize(preserveState=True)
+    fresh = SIER2Integrator(0.001, bodies=named)
+    _reference = context_at(system, fresh, (positions, 0 * positions))
+    assert np.allclose(np.sort(integrator.bodies.moments, axis=None), np.sort(fresh.bodies.moments, axis=None))
+    assert np.abs(integrator.getBodyState().q - fresh.getBodyState().q).max() < 1e-14

@@ -1,0 +1,381 @@
+"""Rigid bodies: the way between atoms and bodies, and what is derived from either."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from openmm_sier import RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import FIT_TOLERANCE, GAS_CONSTANT, Species
+from tests.support.molecules import GEOMETRIES, scattered, species, thermal_state
+from tests.support.oracles import matmul, orthogonality_error, random_attitudes
+
+ALL = list(GEOMETRIES)
+
+
+def random_state(rng, bodies):
+    return thermal_state(rng, bodies, rng.uniform(-5, 5, (3, bodies.n)))
+
+
+def atoms_of(bodies, state):
+    """Positions and velocities (N, 3); particles of no body are NaN."""
+    x, v = np.full((2, bodies.n_particles, 3), np.nan)
+    return bodies.place(state.q, state.A, x), bodies.move(state, v)
+
+
+def each_body(bodies):
+    """Number, atoms and masses of every body."""
+    for kind, part in zip(bodies.species, bodies.parts, strict=True):
+        for i, atoms in enumerate(kind.atoms):
+            yield part.start + i, atoms, kind.masses
+
+
+@pytest.fixture
+def bodies(executed_by):
+    return scattered(ALL)
+
+
+# --- geometry ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", GEOMETRIES)
+def test_species_from_coordinates(kind):
+    """The frame is principal, right-handed and at the centre of mass, and the shape is kept."""
+    masses, coordinates, freedoms = GEOMETRIES[kind]
+    found = species(kind, [range(len(masses))])
+    sites, masses = found.sites, np.array(masses)
+    tensor = np.einsum("k,ak,bk->ab", masses, sites, sites)
+    inertia = np.trace(tensor) * np.eye(3) - tensor
+    scale = max(found.moments.max(), 1e-300)
+    assert np.abs(sites @ masses).max() < 1e-15 * masses.sum()
+    assert np.abs(inertia - np.diag(found.moments)).max() < 1e-14 * scale
+    assert (np.diff(found.moments) >= -1e-14 * scale).all()
+    assert found.degrees_of_freedom == freedoms
+    assert found.mass == pytest.approx(masses.sum())
+
+    x = np.array(coordinates, dtype=float)
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2)
+    assert np.abs(np.linalg.norm(sites.T[:, None] - sites.T[None], axis=2) - apart).max() < 1e-15
+    if len(masses) > 3:
+        handedness = [np.linalg.det(r[1:4] - r[0]) for r in (x, sites.T)]
+        assert handedness[0] == pytest.approx(handedness[1], abs=1e-16)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-17, 1e-13])
+def test_lines_and_points_have_exact_zeros(rng, noise):
+    """Coordinates carry rounding; a moment 1e-13 of the others would make the body spin about its axis."""
+    for kind, zeros in (("carbon dioxide", 1), ("pair", 1), ("ion", 3), ("water", 0)):
+        masses, coordinates, _ = GEOMETRIES[kind]
+        shaken = np.array(coordinates) + noise * rng.normal(size=(len(masses), 3))
+        found = Species.from_coordinates([range(len(masses))], masses, shaken)
+        assert np.count_nonzero(found.moments == 0) == zeros
+        if zeros == 1:
+            assert found.moments[1] == pytest.approx(found.moments[2], rel=1e-15)
+            assert not found.sites[1:].any()
+
+
+def test_planar_sites_have_no_third_component():
+    for kind in ("water", "ring"):
+        assert not species(kind, [range(len(GEOMETRIES[kind][0]))]).sites[2].any()
+
+
+# --- atoms and bodies -------------------------------------------------------------------------------------------------
+
+
+def test_positions_there_and_back(rng, bodies):
+    state = random_state(rng, bodies)
+    x, _ = atoms_of(bodies, state)
+    q, A = bodies.fit(x)
+    # Positions of 5 nm are rounded to 1e-15 nm, which is 1e-14 of the shortest arm of a body.
+    assert np.abs(q - state.q).max() < 1e-14
+    assert orthogonality_error(A) < 1e-14
+    assert np.linalg.det(A.transpose(2, 0, 1)) == pytest.approx(1)
+    flexible = (bodies.moments > 0).all(axis=0)
+    assert np.abs(A - state.A)[:, :, flexible].max() < 1e-12
+    again = bodies.place(q, A, np.full_like(x, np.nan))
+    used = np.isfinite(x)
+    assert np.array_equal(used, np.isfinite(again))
+    assert np.abs(again - x)[used].max() < 1e-14
+
+
+def test_sites_follow_the_definition(rng, bodies):
+    """r = q + A^T r~, and v = p/m + omega x (r - q), one atom at a time."""
+    state = random_state(rng, bodies)
+    x, v = atoms_of(bodies, state)
+    omega = bodies.angular_velocities(state)
+    sites = np.concatenate([np.repeat(s.sites[None], len(s.atoms), axis=0).reshape(-1) for s in bodies.species])
+    offset = 0
+    for i, atoms, masses in each_body(bodies):
+        k = len(atoms)
+        local = sites[offset : offset + 3 * k].reshape(3, k)
+        offset += 3 * k
+        for j, atom in enumerate(atoms):
+            arm = state.A[:, :, i].T @ local[:, j]
+            assert np.abs(x[atom] - state.q[:, i] - arm).max() < 1e-14
+            assert np.abs(v[atom] - state.p[:, i] / masses.sum() - np.cross(omega[:, i], arm)).max() < 1e-12
+
+
+def test_angular_momentum_is_inertia_times_angular_velocity(rng, bodies):
+    state = random_state(rng, bodies)
+    omega = np.einsum("abn,bn->an", state.A, bodies.angular_velocities(state))
+    again = np.einsum("abn,an->bn", state.A, bodies.moments * omega)
+    assert np.abs(again - state.L).max() < 1e-14
+
+
+def test_particles_of_no_body_are_left_alone(rng, bodies):
+    state = random_state(rng, bodies)
+    x, v = rng.normal(size=(2, bodies.n_particles, 3))
+    before = x.copy(), v.copy()
+    used = np.concatenate([s.atoms.ravel() for s in bodies.species])
+    free = np.setdiff1d(np.arange(bodies.n_particles), used)
+    assert free.size == 3
+    assert bodies.place(state.q, state.A, x) is x
+    assert bodies.move(state, v) is v
+    assert np.array_equal(x[free], before[0][free])
+    assert np.array_equal(v[free], before[1][free])
+
+
+def test_velocities_there_and_back(rng, bodies):
+    state = random_state(rng, bodies)
+    _, v = atoms_of(bodies, state)
+    p, L = bodies.momenta(v, state.A)
+    # Velocities are of 1 nm/ps and masses of 100 dalton at most.
+    assert np.abs(p - state.p).max() < 1e-12
+    assert np.abs(L - state.L).max() < 1e-13
+
+
+def test_momenta_take_the_rigid_part_of_any_velocities(rng, bodies):
+    """Momentum and angular momentum are sums over the atoms, whatever these do; what is left is no rigid motion."""
+    state = random_state(rng, bodies)
+    x, _ = atoms_of(bodies, state)
+    v = rng.normal(size=x.shape)
+    p, L = bodies.momenta(v, state.A)
+    for i, atoms, masses in each_body(bodies):
+        arms = x[atoms] - state.q[:, i]
+        assert np.abs(p[:, i] - masses @ v[atoms]).max() < 1e-12
+        assert np.abs(L[:, i] - np.cross(arms, masses[:, None] * v[atoms]).sum(axis=0)).max() < 1e-12
+    rigid = bodies.move(replace(state, p=p, L=L), np.zeros_like(v))
+    again = bodies.momenta(v - rigid, state.A)
+    assert np.abs(again[0]).max() < 1e-12
+    assert np.abs(again[1]).max() < 1e-12
+
+
+def test_forces_and_torques_are_direct_sums(rng, bodies):
+    state = random_state(rng, bodies)
+    x, _ = atoms_of(bodies, state)
+    forces = rng.normal(size=x.shape) * 1000
+    copy = forces.copy()
+    F, tau = bodies.forces_and_torques(forces, state.A)
+    for i, atoms, _ in each_body(bodies):
+        assert np.abs(F[:, i] - forces[atoms].sum(axis=0)).max() < 1e-11
+        assert np.abs(tau[:, i] - np.cross(x[atoms] - state.q[:, i], forces[atoms]).sum(axis=0)).max() < 1e-10
+    assert np.array_equal(forces, copy)
+
+
+def test_atoms_in_regular_order_give_the_same_as_scattered_ones(rng):
+    """Slices of evenly spaced atoms are a short cut, which must not matter."""
+    order = rng.permutation(30)
+    regular, irregular = (RigidBodies([species("water", i.reshape(10, 3))], 30) for i in (np.arange(30), order))
+    state = random_state(rng, regular)
+    x, v = atoms_of(regular, state)
+    for one, other in zip((x, v), atoms_of(irregular, state), strict=True):
+        assert np.array_equal(one, other[order])
+    forces = rng.normal(size=(30, 3))
+    shuffled = np.empty_like(forces)
+    shuffled[order] = forces
+    for one, other in zip(
+        regular.forces_and_torques(forces, state.A), irregular.forces_and_torques(shuffled, state.A), strict=True
+    ):
+        assert np.array_equal(one, other)
+
+
+# --- observables ------------------------------------------------------------------------------------------------------
+
+
+def test_kinetic_energy_is_that_of_the_atoms(rng, bodies):
+    state = random_state(rng, bodies)
+    _, v = atoms_of(bodies, state)
+    atoms = sum(0.5 * (masses * (v[atoms] ** 2).sum(axis=1)).sum() for _, atoms, masses in each_body(bodies))
+    translation, rotation = bodies.kinetic_energies(state)
+    assert translation + rotation == pytest.approx(atoms, rel=1e-13)
+    assert bodies.kinetic_energies(replace(state, L=0 * state.L)) == (translation, 0.0)
+    assert bodies.kinetic_energies(replace(state, p=0 * state.p)) == (0.0, rotation)
+
+
+def test_total_momenta_are_those_of_the_atoms(rng, bodies):
+    state = random_state(rng, bodies)
+    x, v = atoms_of(bodies, state)
+    P, J = bodies.total_momenta(state)
+    pieces = [(masses[:, None] * v[atoms], x[atoms]) for _, atoms, masses in each_body(bodies)]
+    assert np.abs(P - sum(mv.sum(axis=0) for mv, _ in pieces)).max() < 1e-11
+    assert np.abs(J - sum(np.cross(r, mv).sum(axis=0) for mv, r in pieces)).max() < 1e-10
+
+
+def test_degrees_of_freedom_and_temperatures(rng):
+    bodies = scattered(ALL, each=2000, n_free=0)
+    assert bodies.degrees_of_freedom == 2000 * (4 * 6 + 2 * 5 + 3)
+    state = random_state(rng, bodies)  # RT = 2.5 kJ/mol
+    expected = 2.5 / GAS_CONSTANT
+    # The relative standard error is sqrt(2 / degrees of freedom): 0.7 % and 0.9 %.
+    for found, relative in zip(bodies.temperatures(state), (0.007, 0.009), strict=True):
+        assert found == pytest.approx(expected, rel=4 * relative)
+    held = bodies.temperatures(state, removed=3)
+    assert held[0] == pytest.approx(bodies.temperatures(state)[0] * 42_000 / 41_997, rel=1e-12)
+    assert held[1] == bodies.temperatures(state)[1]
+
+
+def test_there_is_no_rotational_temperature_of_points(rng):
+    ions = scattered(["ion"], each=1)
+    state = random_state(rng, ions)
+    assert np.isnan(ions.temperatures(state)[1])
+    assert np.isnan(ions.temperatures(state, removed=3)[0])
+
+
+# --- fitting ----------------------------------------------------------------------------------------------------------
+
+
+def test_small_deviations_are_mended(rng, bodies):
+    """Atoms a little out of place: centre of mass and the best attitude, and then a rigid body again."""
+    state = random_state(rng, bodies)
+    x, _ = atoms_of(bodies, state)
+    bent = x + rng.uniform(-1, 1, x.shape) * 0.2 * FIT_TOLERANCE
+    q, A = bodies.fit(bent)
+    for i, atoms, masses in each_body(bodies):
+        assert np.abs(q[:, i] - masses @ bent[atoms] / masses.sum()).max() < 1e-14
+    assert orthogonality_error(A) < 1e-14
+    mended = bodies.place(q, A, bent.copy())
+    used = np.isfinite(x)
+    # Within the displacement of the atoms, some of which a body's attitude follows.
+    assert np.abs(mended - bent)[used].max() < 2 * 0.2 * FIT_TOLERANCE * np.sqrt(3)
+    assert np.abs(bodies.fit(mended)[1] - A)[:, :, (bodies.moments > 0).all(axis=0)].max() < 1e-12
+
+
+def test_the_fit_is_the_best_rotation(rng):
+    """No small turn of the fitted attitude lowers the mass-weighted square of the misfit."""
+    bodies = scattered(["water", "handed", "methane", "ring"])
+    state = random_state(rng, bodies)
+    x, _ = atoms_of(bodies, state)
+    x += rng.uniform(-1, 1, x.shape) * 0.2 * FIT_TOLERANCE
+    q, A = bodies.fit(x)
+
+    def squares(attitudes):
+        places = bodies.place(q, attitudes, np.zeros_like(x))
+        return np.array([(m[:, None] * (places[a] - x[a]) ** 2).sum() for _, a, m in each_body(bodies)])
+
+    best = squares(A)
+    for _ in range(20):
+        turn = 1e-4 * rng.normal(size=(3, bodies.n))
+        nearby = A + np.stack([np.cross(A[:, :, i], turn[:, i]) for i in range(bodies.n)], axis=2)
+        # Not orthogonal to 1e-8, which changes the squares by 1e-8 times the misfit.
+        assert (squares(nearby) >= best * (1 - 1e-6)).all()
+
+
+def labelled(bodies):
+    """Residue names in the order of particles: the name of the kind and the number of the body in it."""
+    labels = ["free"] * bodies.n_particles
+    for kind, name in zip(bodies.species, ALL, strict=True):
+        for i, atoms in enumerate(kind.atoms):
+            for atom in atoms:
+                labels[atom] = f"{name} {i}"
+    return RigidBodies(bodies.species, bodies.n_particles, labels)
+
+
+def test_a_misfit_names_the_worst_residue(rng, bodies):
+    bodies = labelled(bodies)
+    state = random_state(rng, bodies)
+    x, _ = atoms_of(bodies, state)
+    ring, pair = bodies.species[3].atoms[2], bodies.species[5].atoms[1]
+    x[ring[0]] += [0.0, 0.0, 2 * FIT_TOLERANCE]
+    x[pair[1]] += 0.3 * (x[pair[1]] - x[pair[0]])
+    with pytest.raises(RigidityError) as error:
+        bodies.fit(x)
+    message = str(error.value)
+    assert f"residue pair 1 (atoms {pair[0]}, {pair[1]})" in message
+    # The pair is 0.03 nm too long; the lighter atom lies 16/30 of that off its place.
+    assert f"is {0.03 * 15.999 / 30.006:.4f} nm from its place" in message
+    assert f"at most {FIT_TOLERANCE} nm" in message
+    assert "(2 bodies fail)" in message
+    assert "periodic boundary" in message
+
+
+def test_the_tolerance_is_what_it_says(rng):
+    """Both atoms of a symmetric pair are as far from their places as the bond is too long, halved."""
+    pair = RigidBodies([Species.from_coordinates([[0, 1]], [1.0, 1.0], [[0, 0, 0], [0.1, 0, 0]])], 2)
+    for excess, fits in ((0.99, True), (1.01, False)):
+        x = np.array([[0, 0, 0], [0, 0.1 + 2 * excess * FIT_TOLERANCE, 0]])
+        if fits:
+            pair.fit(x)
+        else:
+            with pytest.raises(RigidityError, match="atoms 0, 1"):
+                pair.fit(x)
+
+
+def test_a_mirror_image_does_not_fit(rng):
+    handed = scattered(["handed"], each=1)
+    x, _ = atoms_of(handed, random_state(rng, handed))
+    with pytest.raises(RigidityError, match="does not have the shape"):
+        handed.fit(x * [1, 1, -1])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_positions_that_are_not_finite_are_named(rng, bodies, value):
+    bodies = labelled(bodies)
+    x, _ = atoms_of(bodies, random_state(rng, bodies))
+    methane = bodies.species[2].atoms[3]
+    x[methane[4], 1] = value
+    with pytest.raises(RigidityError, match=r"the positions of residue methane 3 \(atoms .*\) are not finite"):
+        bodies.fit(x)
+
+
+def test_attitudes_are_kept_to_the_bit_where_they_fit(rng, bodies):
+    """Bodies that were moved rigidly, as a barostat does, keep the very attitudes that they had."""
+    state = random_state(rng, bodies)
+    x, _ = atoms_of(bodies, state)
+    moved = bodies.place(state.q * 1.01, state.A, x.copy())
+    q, A = bodies.fit(moved, state)
+    assert np.array_equal(A, state.A)
+    assert np.abs(q - 1.01 * state.q).max() < 1e-14
+    turned = matmul(state.A, random_attitudes(rng, bodies.n))
+    x = bodies.place(state.q, turned, x)
+    flexible = (bodies.moments > 0).all(axis=0)
+    assert np.abs(bodies.fit(x, state)[1] - turned)[:, :, flexible].max() < 1e-12
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def test_bodies_that_cannot_be():
+    with pytest.raises(ValueError, match="particle 2 is in more than one body"):
+        RigidBodies([species("water", [[0, 1, 2], [2, 3, 4]])], 5)
+    with pytest.raises(ValueError, match="particle 4 is in more than one body"):
+        RigidBodies([species("water", [[0, 1, 4]]), species("water", [[2, 3, 4]])], 5)
+    with pytest.raises(ValueError, match="bodies name particle 5, the system has 5 particles"):
+        RigidBodies([species("water", [[0, 1, 5]])], 5)
+    with pytest.raises(ValueError, match="bodies name particle -1, the system has 5 particles"):
+        RigidBodies([species("water", [[0, -1, 2]])], 5)
+    with pytest.raises(ValueError, match=r"atoms 0, 1, 2.* has an atom of mass 0\.0"):
+        RigidBodies([Species.from_coordinates([[0, 1, 2]], [16.0, 1.0, 0.0], GEOMETRIES["water"][1])], 3)
+
+
+def test_bodies_are_named(bodies):
+    named = labelled(bodies)
+    atoms = bodies.species[0].atoms[1]
+    assert list(bodies.atoms_of(1)) == list(atoms)
+    assert f"atoms {atoms[0]}, {atoms[1]}, {atoms[2]}" in bodies.describe(1)
+    assert named.describe(1) == f"residue water 1 (atoms {atoms[0]}, {atoms[1]}, {atoms[2]})"
+    ion = bodies.species[6].atoms[0, 0]
+    assert named.describe(24) == f"residue ion 0 (atom {ion})"
+    assert named.describe_atoms([atoms[0], ion]) == f"residue water 1 and ion 0 (atoms {atoms[0]}, {ion})"
+    with pytest.raises(IndexError, match="there is no body 28, only 28"):
+        bodies.atoms_of(28)
+
+
+def test_no_bodies_at_all():
+    nothing = RigidBodies([], 4)
+    assert nothing.n == 0
+    assert nothing.degrees_of_freedom == 0
+    q, A = nothing.fit(np.zeros((4, 3)))
+    assert q.shape == (3, 0)
+    assert A.shape == (3, 3, 0)

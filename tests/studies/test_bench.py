@@ -1,0 +1,207 @@
+"""The benchmark: what it measures is measured rightly; how fast anything is, no test says."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier.context.integrator import SIER2Integrator
+from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.measure import forcefields
+from openmm_sier.studies import bench
+from openmm_sier.studies.bench import accuracy, layer, peers, timing
+from openmm_sier.studies.bench.accuracy import Point
+from tests.cli.test_cli import write_lattice
+from tests.cli.test_commands import run
+from tests.measure.test_systems_data import SYSTEMS
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
+
+
+@pytest.fixture(scope="module")
+def liquid():
+    """512 molecules of TIP3P with velocities: the System, a State, and what peers are told."""
+    found = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
+    context = openmm.Context(found.system, SIER2Integrator(0.001), openmm.Platform.getPlatformByName("Reference"))
+    context.setPositions(found.positions)
+    context.setVelocitiesToTemperature(297, 1)
+    state = context.getState(positions=True, velocities=True)
+    return found.system, state, peers.liquid_of(found.system, state)
+
+
+def test_bench_in_miniature(box, tmp_path, monkeypatch):
+    monkeypatch.setattr(accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)})
+    monkeypatch.setattr(peers, "installed", list)
+    monkeypatch.setattr(layer, "SMALLEST", 20)
+    monkeypatch.setattr(layer, "_least", functools.partial(layer._least, repeats=1))
+    sizes = ("--copies", "1", "--rounds", "1", "--bodies", "20", "40", "--time", "0.1")
+    run("bench", box, *sizes, "--platform", "Reference", "--out", tmp_path)
+    record = json.loads((tmp_path / "bench.json").read_text())
+    assert {row["molecules"] for row in record["steps"]} == {27}
+    assert all(row["median"] > 0 for row in record["steps"])
+    # A step is longer than the calls of forces in it.
+    own = [row["median"] for row in record["steps"] if row["name"].endswith("the force calls in it")]
+    assert len(own) == 2
+    assert min(own) > 1
+    assert [row["bodies"] for row in record["rotations"]] == [20, 40]
+    assert set(record["layer"]["nanoseconds"]) == {"20", "40"}
+    assert [point["method"] for point in record["accuracy"]["points"]] == ["OpenMM Verlet", "SIER4"]
+    assert record["settings"]["box"] == "box.pdb"
+    assert (tmp_path / "bench.png").stat().st_size > 10_000
+
+
+def test_unknown_part_is_refused(tmp_path):
+    known = "known are steps, rotations, layer, accuracy"
+    with pytest.raises(ValueError, match=f"unknown part 'speed' of the benchmark; {known}"):
+        bench.run(timing.Settings(box=Path("none.pdb"), parts=("speed",)), tmp_path)
+
+
+def test_interleaved_timings_discard_the_first_round():
+    calls = []
+    seconds = timing.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
+    assert calls == ["a", "b"] * 3
+    assert [len(values) for values in seconds.values()] == [2, 2]
+
+
+def test_summary_is_the_median_with_its_standard_error(rng):
+    """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
+    found = np.array([timing.summary(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
+    assert math.isnan(timing.summary(np.array([1.0]))[1])
+    assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
+    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)
+
+
+def test_single_thread_is_undone(monkeypatch):
+    monkeypatch.setattr(compiled, "_available_threads", lambda: 5)
+    with compiled.single_threaded():
+        assert compiled.threads() == 1
+    assert compiled.threads() == 5
+
+
+def test_free_water_is_water():
+    system, positions = layer.free_water(3)
+    bodies = RigidBodies.from_system(system)
+    assert bodies.n == 3
+    # Rounding of coordinates up to 10 nm.
+    assert np.abs(bodies.place(*bodies.fit(positions), np.zeros_like(positions)) - positions).max() < 1e-14
+
+
+# --- accuracy at a level ---
+
+
+def power_law(factor, power, steps=(0.25, 0.5, 1.0, 2.0)):
+    return [Point("m", h, factor * h**power, 100 * h) for h in steps]
+
+
+@pytest.mark.parametrize("power", [2, 4])
+def test_step_at_a_level_of_a_power_law(power):
+    level = 1e-3 * 0.7**power
+    assert accuracy.step_at(power_law(1e-3, power), "m", level) == pytest.approx(0.7, rel=1e-12)
+
+
+def test_level_that_no_step_or_every_step_reaches():
+    points = power_law(1e-3, 2)
+    assert math.isnan(accuracy.step_at(points, "m", 1e-7))
+    assert math.isnan(accuracy.step_at(points, "m", 1.0))
+    assert math.isnan(accuracy.step_at([*points[:1], Point("m", 0.5, math.nan, math.nan)], "m", 1e-3))
+
+
+def test_cost_at_a_level():
+    (row,) = accuracy.summary(power_law(1e-3 / 0.64, 2), 1e-3).values()
+    # 0.8 fs per force reach it, and a force takes 10 ms.
+    assert row == pytest.approx({"fs_per_force": 0.8, "forces_per_ps": 1250.0, "fs_per_second": 80.0})
+
+
+# --- peers ---
+
+
+def test_what_gromacs_gets_has_the_same_energy(liquid, tmp_path):
+    """OpenMM's own reader of GROMACS files builds the System again."""
+    system, state, told = liquid
+    (tmp_path / "conf.gro").write_text(peers._gro(told))
+    (tmp_path / "topol.top").write_text(peers._topology(told))
+    gro = app.GromacsGroFile(str(tmp_path / "conf.gro"))
+    top = app.GromacsTopFile(str(tmp_path / "topol.top"), periodicBoxVectors=gro.getPeriodicBoxVectors())
+    again = top.createSystem(nonbondedMethod=app.PME, nonbondedCutoff=told.cutoff * unit.nanometer)
+    for force in again.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setUseSwitchingFunction(True)
+            force.setSwitchingDistance(told.switch)
+            force.setPMEParameters(told.alpha, *told.mesh)
+    energies = []
+    for one, positions in ((system, state.getPositions()), (again, gro.getPositions())):
+        context = openmm.Context(one, openmm.VerletIntegrator(1e-3), openmm.Platform.getPlatformByName("Reference"))
+        context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+        context.setPositions(positions)
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
+    # Coordinates with nine decimals, 1e-9 nm, against forces of up to 1e3 kJ/mol/nm on 1536 atoms.
+    assert energies[1] == pytest.approx(energies[0], abs=1e-3)
+    lines = peers._gro(told).splitlines()[2:-1]
+    written = np.array([[float(line[62 + 14 * k : 76 + 14 * k]) for k in range(3)] for line in lines])
+    assert np.abs(written - state.getVelocities(asNumpy=True)._value).max() < 1e-10
+    assert f"fourier-nx = {told.mesh[0]}" in peers._mdp(told, 1.0, 10, 1)
+
+
+def test_what_lammps_gets(liquid):
+    _, state, told = liquid
+    lines = peers._lammps_data(told).splitlines()
+    first = lines.index("Atoms # full") + 2
+    atoms = np.array([line.split() for line in lines[first : first + 1536]], dtype=float)
+    assert np.abs(0.1 * atoms[:, 4:] - state.getPositions(asNumpy=True)._value).max() < 1e-13
+    assert atoms[:3, 1:4].tolist() == [[1, 1, -0.834], [1, 2, 0.417], [1, 2, 0.417]]
+    first = lines.index("Velocities") + 2
+    velocities = np.array([line.split()[1:] for line in lines[first : first + 1536]], dtype=float)
+    # 1 A/fs is 100 nm/ps.
+    assert np.abs(100 * velocities - state.getVelocities(asNumpy=True)._value).max() < 1e-12
+    assert "pair_coeff 1 1 0.152 3.1507524" in peers._lammps_input(told, 1.0, 10, 1)
+    assert f"gewald {told.alpha / 10:.6f}"[:14] in peers._lammps_input(told, 1.0, 10, 1)
+
+
+def test_other_liquids_are_left_to_openmm():
+    box = forcefields.read_box(SYSTEMS / "tip4p-512.pdb")
+    assert peers.liquid_of(box.system, None) is None
+
+
+FAKE = """#!{python}
+import sys
+assert sys.argv[1:] == ["-in", "in.lmp", "-log", "log"] and "run 4" in open("in.lmp").read()
+if {fails}:
+    sys.exit("ERROR: no such pair style")
+print("   Step         PotEng         KinEng")
+print("         0  -10.0   5.0")
+print("         2  -12.0   6.5")
+print("         4  -11.0   6.0")
+print("Loop time of 0.25 on 1 procs for 4 steps with 1536 atoms")
+"""
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_program_on_the_path_is_found_and_read(liquid, tmp_path, monkeypatch, fails):
+    program = tmp_path / "lmp"
+    program.write_text(FAKE.format(python=sys.executable, fails=fails))
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=None)
+    monkeypatch.setattr(sys, "executable", os.devnull)
+    (peer,) = peers.installed()
+    assert peer.name == "LAMMPS rigid/nve/small"
+    if fails:
+        with pytest.raises(peers.PeerError, match="no such pair style"):
+            peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
+        return
+    energies, seconds = peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
+    assert energies.time == pytest.approx([0, 0.003, 0.006])
+    assert energies.total == pytest.approx([-5 * 4.184, -5.5 * 4.184, -5 * 4.184])
+    assert seconds == 0.25

@@ -1,0 +1,190 @@
+"""The comparison of schemes: published candidates, what it measures, and its files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import RigidBodies
+from openmm_sier.dynamics.schemes import DRIFT, KICK, SIER4P, SIER4V, alternating
+from openmm_sier.measure import sampling
+from openmm_sier.measure.sampling import Series
+from openmm_sier.studies import scheme_comparison
+from openmm_sier.studies.scheme_comparison import OTHERS, Row, Settings
+from tests.context.test_gradient import slope
+from tests.support.molecules import WATER, SoftCluster
+from tests.support.waters import periodic_system, platform, water_box
+
+CANDIDATES = {**OTHERS, "sier4v": SIER4V, "sier4p": SIER4P}
+FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "sier4p": 4, "omf3gg": 5}
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_candidates_are_symmetric_and_of_fourth_order(name):
+    scheme = CANDIDATES[name]
+    assert scheme.order == 4
+    assert scheme.is_palindrome
+    assert scheme.force_evaluations == FORCES[name]
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_candidates_are_of_fourth_order_in_the_dynamics(rng, name):
+    cluster = SoftCluster([WATER] * 3)
+    # SRKN6b has so small a h^4 that h^6 shows unless the steps are short.
+    assert slope(cluster, CANDIDATES[name], cluster.start(rng), steps=(24, 48, 96)) == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_nystroem_scheme_of_sixth_order_needs_kicks_and_drifts():
+    """Blanes and Moan's SRKN11b rests on [B, [B, [B, A]]] = 0: of operators without that rule it is of fourth order."""
+    b = (0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879)
+    a = (0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928)
+    fractions = [x for pair in zip(b, a, strict=True) for x in pair]
+    fractions.append(0.5 - math.fsum(b))
+    assert alternating("SRKN11b", KICK, DRIFT, tuple(fractions)).order == 6
+    assert alternating("free", "B", "A", tuple(fractions)).order == 4
+    # The rule does not hold with the operators exchanged.
+    assert alternating("exchanged", DRIFT, KICK, tuple(fractions)).order == 4
+
+
+# --- measures ---------------------------------------------------------------------------------------------------------
+
+
+def series(time, total, potential=None):
+    potential = np.sin(7.0 * time) if potential is None else potential
+    return Series(time, potential, total - potential, *(np.full_like(time, 300.0) for _ in range(3)))
+
+
+def test_energy_error_is_about_the_drift():
+    time = np.arange(0.01, 10.0, 0.01)
+    wave = 0.01 * np.cos(40 * np.pi * time)
+    exact = np.std(wave) / np.std(np.sin(7.0 * time))
+    assert scheme_comparison.energy_error(series(time, wave)) == pytest.approx(exact, rel=0.01)
+    assert scheme_comparison.energy_error(series(time, 5.0 - 3.0 * time + wave)) == pytest.approx(exact, rel=0.01)
+    # Slow against the windows of 1 ps: a line leaves an rms of (pi/10)^2 / (12 sqrt(5)) / sqrt(2) = 0.0026 of it, which
+    # beside the wave's 0.0071 makes 7 %.
+    slow = np.cos(2 * np.pi * time / 20)
+    assert scheme_comparison.energy_error(series(time, slow + wave)) == pytest.approx(exact, rel=0.1)
+    assert math.isnan(scheme_comparison.energy_error(series(time[:2], wave[:2])))
+
+
+def test_drift_and_its_error(rng):
+    time = np.arange(1, 2001) * 0.01
+    noise = 0.3
+    found = np.array(
+        [scheme_comparison.drift(series(time, 2 - time / 4 + rng.normal(0, noise, 2000))) for _ in range(200)]
+    )
+    # Of a straight line with white noise; block means lose 1 % of the information.
+    exact = noise / np.sqrt(2000 * np.var(time))
+    assert found[:, 0].mean() == pytest.approx(-0.25, abs=4 * exact / np.sqrt(200))
+    # The scatter of 200 values has a relative error of 5 %; the estimate from 8 degrees of freedom is low by 3 %.
+    assert found[:, 0].std() == pytest.approx(exact, rel=0.2)
+    assert found[:, 1].mean() == pytest.approx(exact, rel=0.2)
+    assert math.isnan(scheme_comparison.drift(series(time[:9], time[:9]))[0])
+
+
+def row(scheme, dt, error):
+    return Row(scheme, 4, 3, 3 * dt, dt, 1.0, error, (0.0, 0.1))
+
+
+def test_best_at_every_number_of_forces():
+    rows = [row("A", 1, 0.02), row("B", 1, 0.01), row("A", 2, 0.03), row("B", 2, math.nan), row("A", 4, math.nan)]
+    assert {dt: found.scheme for dt, found in scheme_comparison.best(rows).items()} == {1: "B", 2: "A"}
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory):
+    topology, positions, _ = water_box("tip3p", 64)
+    path = tmp_path_factory.mktemp("survey") / "box.pdb"
+    app.PDBFile.writeFile(topology, positions * unit.nanometer, str(path))
+    return Settings(
+        box=path,
+        forcefield=["tip3p.xml"],
+        dt=(2.0, 12.0),
+        schemes=("verlet", "sier2", "sier4g"),
+        time=0.3,
+        equilibrate=0.2,
+        platform="CPU",
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(settings):
+    out = settings.box.parent / "new" / "out"
+    return out, scheme_comparison.run(settings, out)
+
+
+def test_rows(finished):
+    _, rows = finished
+    assert [(r.scheme, r.fs_per_force, r.force_evaluations) for r in rows] == [
+        (name, dt, forces) for dt in (2.0, 12.0) for name, forces in (("OpenMM Verlet", 1), ("SIER2", 1), ("SIER4G", 3))
+    ]
+    assert [r.step for r in rows] == [2.0, 2.0, 6.0, 12.0, 12.0, 36.0]
+    assert [r.forces_per_ps for r in rows[:3]] == [500.0] * 3
+    verlet, sier2, sier4g = rows[:3]
+    # Second order is second order, and the fourth is several times better, cut-off and all.
+    assert 0.3 < sier2.error / verlet.error < 3
+    assert sier4g.error < 0.5 * sier2.error
+    # A step of a whole period of libration breaks the run, and says so.
+    assert rows[-1].broken
+    assert math.isnan(rows[-1].error)
+
+
+def test_files(finished, settings):
+    out, rows = finished
+    loaded = scheme_comparison.load(out / "schemes.json")
+    for one, other in zip(loaded, rows, strict=True):
+        assert str(one) == str(other)
+    record = json.loads((out / "schemes.json").read_text())
+    assert record["settings"]["box"] == "box.pdb"
+    assert (out / "schemes.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "schemes.png").stat().st_size > 20000
+
+
+def test_table(finished, settings, capsys):
+    scheme_comparison.show(finished[1], settings)
+    shown = capsys.readouterr().out
+    assert "broke down" in shown
+    assert "least energy error at 2 fs per force: SIER4G" in shown
+    assert "nan" not in shown
+
+
+def test_torn_molecules_end_one_run_and_not_the_comparison():
+    """Verlet with SETTLE at a step that is much too long, on Reference, where positions become NaN without an error.
+
+    Of free molecules: at such positions OpenMM's mesh of the Reference platform is written to outside of its memory.
+    """
+    topology, positions, system = periodic_system()
+    system = openmm.XmlSerializer.clone(system)
+    while system.getNumForces():
+        system.removeForce(0)
+    integrator = openmm.VerletIntegrator(0.03)
+    context = openmm.Context(system, integrator, platform())
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(2000, 1)
+    with pytest.raises(sampling.Unstable):
+        sampling.sample(context, RigidBodies.from_system(system, topology), 200, 5)
+
+
+def test_a_motion_that_is_not_finite_ends_one_run(monkeypatch):
+    topology, positions, system = periodic_system()
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform())
+    context.setPositions(positions)
+    bodies = RigidBodies.from_system(system, topology)
+    monkeypatch.setattr(bodies, "momenta", lambda velocities, A: RigidBodies.momenta(bodies, velocities * np.inf, A))
+    with pytest.raises(sampling.Unstable, match="after 1 steps the vectors of body 0 are not finite"):
+        sampling.sample(context, bodies, 2, 1)
+
+
+def test_an_unknown_scheme_is_refused_before_anything_is_read(settings, tmp_path):
+    wrong = dataclasses.replace(settings, box=tmp_path / "none.pdb", schemes=("sier4g", "sier5"))
+    with pytest.raises(ValueError, match=r"unknown scheme 'sier5'; known are verlet, sier2, .*srkn6b"):
+        scheme_comparison.compare(wrong)
