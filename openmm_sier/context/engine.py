@@ -10,6 +10,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.context import checks, stored_state
+from openmm_sier.context.native_program import PART
 from openmm_sier.context.snapshot import Snapshot, read_vectors
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import VolumeMove
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 #: Per-atom and global variables of the CustomIntegrator in which the bodies' state travels.
 STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(stored_state.VARIABLES))
 SITES = "sier_sites"
-HEAT, DRAWS, SEED, ARMED = "sier_heat", "sier_draws", "sier_seed", "sier_armed"
+HEAT, DRAWS, SEED = "sier_heat", "sier_draws", "sier_seed"
 
 
 class _Point(NamedTuple):
@@ -33,7 +34,7 @@ class _Point(NamedTuple):
 
 
 class Engine:
-    """Binding of a `SIERIntegrator` to a Context.
+    """Binding of a `SIERIntegrator` to a Context in which this package moves the bodies.
 
     Between two calls of `run` the Context agrees with `state`, and `_echo` is what it gave back then: whatever differs
     later was changed from outside.
@@ -41,6 +42,9 @@ class Engine:
     Attributes:
         forces: forces and torques on them, computed by the Context.
     """
+
+    #: What `SIERIntegrator.engine` says.
+    name = "exact"
 
     def __init__(self, integrator: SIERIntegrator, context):
         # The Context owns its integrator, so that a strong reference back would keep both alive.
@@ -220,12 +224,16 @@ class Engine:
         return self._context.getState().getPeriodicBoxVectors(asNumpy=True)._value
 
     def _native_step(self) -> None:
-        integrator = self._integrator
+        """Let OpenMM update the Context's state and do nothing else."""
+        integrator, h = self._integrator, self._integrator.getStepSize()
         try:
-            integrator.setGlobalVariableByName(ARMED, 1)
+            integrator.setGlobalVariableByName(PART, -1)
+            # AndersenThermostat must know of the whole step.
+            openmm.CustomIntegrator.setStepSize(integrator, h)
             openmm.CustomIntegrator.step(integrator, 1)
         finally:
-            integrator.setGlobalVariableByName(ARMED, 0)
+            openmm.CustomIntegrator.setStepSize(integrator, h / integrator._native_steps)
+            integrator.setGlobalVariableByName(PART, 0)
 
     def _without_drift(self, state: BodyState) -> BodyState:
         """What a CMMotionRemover does, for bodies."""
@@ -261,6 +269,18 @@ class Engine:
             f"The {what} {self.bodies.describe(error.body)} is not finite in step {step}. Is the step size "
             "too long, or do atoms overlap? The Context is left at the last completed step."
         )
+
+    def set_groups(self) -> None:
+        """Other force groups move the bodies from now on."""
+        self.forces.forget()
+
+    def notice(self) -> None:
+        """Positions or velocities were set from outside; `adopt` finds out by itself."""
+
+    def heat(self) -> float:
+        """Energy that the bath and moves of the volume have given, kJ/mol."""
+        self.adopt()
+        return self.state.heat
 
     def temperature(self) -> float:
         """In K, of all degrees of freedom; NaN where there are none."""

@@ -13,9 +13,11 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.context import stored_settings
-from openmm_sier.context.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
+from openmm_sier.context import native_program, stored_settings
+from openmm_sier.context.engine import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
+from openmm_sier.context.native_engine import TOLERANCE, NativeEngine
+from openmm_sier.context.native_program import FRICTION, PART, THERMAL, VECTORS, WORK, Program
 from openmm_sier.dynamics.barostat import Piston
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import rotor
@@ -23,6 +25,17 @@ from openmm_sier.dynamics.schemes import SIER2, SIER4, Scheme
 
 #: OpenMM's message about an illegal variable of this name tells what happened.
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
+
+#: Global variable: 1 where only the exact engine can do what the integrator was made for.
+EXACT_ONLY = "sier_exact_only"
+
+#: The platforms on which `engine="auto"` takes the exact engine: there its forces are beside the arrays of Python.
+EXACT_PLATFORMS = ("CPU", "Reference")
+
+ENGINES = ("auto", "exact", "native")
+
+#: Steps of RATTLE in the longest drift of a native program, see docs/native.md.
+SUBSTEPS = 4
 
 #: What users may give as bodies.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
@@ -35,10 +48,23 @@ class SIERIntegrator(openmm.CustomIntegrator):
     molecules are found in the System's constraints when the Context is created; a System with constraints that form
     no rigid bodies is refused there. Velocities in the Context are those of the whole step.
 
+    Two engines execute the scheme. The exact one is a layer of Python over the Context and has the exact rotation. The
+    native one is the integrator's own program, which OpenMM executes on any platform, with steps of RATTLE for the
+    rotation; it moves molecules with constraints of any kind. XML carries the program, so that it also runs where this
+    package is not imported: see docs/native.md.
+
     Source: van Zon and Schofield (2007).
     """
 
-    def __init__(self, stepSize, scheme: Scheme = SIER2, bodies: Bodies = None, rotation=rotor.exact):
+    def __init__(
+        self,
+        stepSize,
+        scheme: Scheme = SIER2,
+        bodies: Bodies = None,
+        rotation=rotor.exact,
+        engine: str = "auto",
+        substeps: int = SUBSTEPS,
+    ):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
@@ -46,34 +72,76 @@ class SIERIntegrator(openmm.CustomIntegrator):
             bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices make rigid
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
             rotation: free-rotation map, as `rotor.exact`.
+            engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
+            substeps: of the native engine, the steps of RATTLE in the scheme's longest drift.
 
         Raises:
-            ValueError: the step is not positive and finite.
+            ValueError: the step is not positive and finite, the engine is none of these, or there are no substeps.
             TypeError: the step is no time, or `scheme` is no Scheme.
         """
         if not isinstance(scheme, Scheme):
             raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {scheme!r}")
+        if engine not in ENGINES:
+            raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
+        if (substeps := whole_number("substeps", substeps)) == 0:
+            raise ValueError("substeps must be at least 1, got 0")
         super().__init__(_step_size(stepSize))
-        self._engine: Engine | None = None
+        self._engine: Engine | NativeEngine | None = None
         self._scheme, self._rotation = scheme, rotation
+        self._wanted_engine, self._substeps = engine, substeps
         self._given_bodies = _checked_bodies(bodies)
         self._write_program()
+        self.setConstraintTolerance(TOLERANCE)
+        self.setStepSize(stepSize)
         self._store_settings()
+        self._tell_program()
 
     def _write_program(self) -> None:
-        for name in (*STATE_VARIABLES, SITES):
+        """Give OpenMM the program that the native engine executes, and of which the exact one takes a single line."""
+        for name in (*STATE_VARIABLES, SITES, *VECTORS):
             self.addPerDofVariable(name, 0)
-        for name in (HEAT, DRAWS, SEED, ARMED):
+        for name in (HEAT, DRAWS, SEED, EXACT_ONLY, PART, FRICTION, THERMAL):
             self.addGlobalVariable(name, 0)
-        # Where this package is not imported, XML gives a plain CustomIntegrator that would advance the clock and move
-        # nothing. It fails instead: Reference and CPU name the variable that does not exist, other platforms stop at
+        # Where this package is not imported, XML gives a plain CustomIntegrator. It fails if its program is not all
+        # that was asked for: Reference and CPU name the variable that does not exist, other platforms stop at
         # positions that are NaN.
-        self.beginIfBlock(f"{ARMED} < 0.5")
+        self.beginIfBlock(f"{EXACT_ONLY}*step({PART}) > 0.5")
         self.addComputePerDof(LOST, "0")
-        self.addComputePerDof("x", f"x + sqrt({ARMED} - 1)")
-        self.addComputeGlobal(ARMED, "energy")
+        self.addComputePerDof("x", f"x + sqrt(-{EXACT_ONLY})")
+        self.addComputeGlobal(EXACT_ONLY, "energy")
         self.endBlock()
+        self.beginIfBlock(f"{PART} < 0")
         self.addUpdateContextState()
+        self.endBlock()
+        self._program = _written(self._scheme, self._substeps)
+        if isinstance(self._program, Program):
+            native_program.add(self._program, self)
+
+    @property
+    def _native_steps(self) -> int:
+        """Steps of OpenMM in one step of the scheme."""
+        return len(self._program.parts) if isinstance(self._program, Program) else 1
+
+    def _tell_program(self) -> None:
+        """Give the program's variables the values that they must have, whatever was loaded."""
+        held = isinstance(self._engine, NativeEngine)
+        lost = not held and (self._only_exact() is not None or self._given_bodies is not None)
+        friction, thermal = self._coupling()
+        for name, value in ((EXACT_ONLY, float(lost)), (PART, 0), (FRICTION, friction), (THERMAL, thermal)):
+            if self.getGlobalVariableByName(name) != value:
+                self.setGlobalVariableByName(name, value)
+
+    def _coupling(self) -> tuple[float, float]:
+        """Friction in 1/ps and thermal energy in kJ/mol of the program's bath."""
+        return 0.0, 0.0
+
+    def _only_exact(self) -> str | None:
+        """What the native engine cannot do of what this integrator was made for, and the remedy."""
+        if isinstance(self._program, str):
+            return f"does not know this scheme, since {self._program}: take another scheme"
+        if self._rotation is not rotor.exact:
+            return "has no other free-rotation maps: leave out `rotation`"
+        return None
 
     def _store_settings(self) -> None:
         """Put all settings that OpenMM does not know of into what it serializes."""
@@ -81,6 +149,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         stored_settings.store(self, "rotation", text=stored_settings.place_of(self._rotation))
         stored_settings.store_scheme(self, self._scheme)
         stored_settings.store_bodies(self, self._given_bodies)
+        stored_settings.store(self, "engine", [self._substeps], self._wanted_engine)
 
     def _take_settings(self, rotation=None) -> None:
         """Take over all settings from what OpenMM serialized; the free-rotation map, if it is known, as it is."""
@@ -89,8 +158,37 @@ class SIERIntegrator(openmm.CustomIntegrator):
         place = stored_settings.required(self, "rotation")[0]
         self._rotation = rotation or stored_settings.from_place(place, "free-rotation map")
         self._given_bodies = stored_settings.stored_bodies(self)
+        self._wanted_engine, (substeps,) = stored_settings.required(self, "engine")
+        self._substeps = int(substeps)
+        self._program = _written(self._scheme, self._substeps)
+        (self._step,) = stored_settings.required(self, "step")[1].tolist()
+        step = super().getStepSize()._value * self._native_steps
+        if not math.isclose(step, self._step, rel_tol=1e-12):
+            # It was set where this package was not imported.
+            self._step = step
 
     # --- what users ask ---
+
+    @property
+    def engine(self) -> str:
+        """The engine of the Context that this integrator is bound to; before that, the one that was asked for."""
+        return self._wanted_engine if self._engine is None else self._engine.name
+
+    @property
+    def substeps(self) -> int:
+        """Steps of RATTLE in the longest drift of the native engine."""
+        return self._substeps
+
+    @property
+    def program(self) -> Program:
+        """What the native engine executes, to be printed.
+
+        Raises:
+            ValueError: the scheme has an operator that cannot be written out.
+        """
+        if isinstance(self._program, str):
+            raise ValueError(self._program)
+        return self._program
 
     @property
     def scheme(self) -> Scheme:
@@ -117,9 +215,15 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Whether the System has a CMMotionRemover."""
         return self._bound().removes_motion
 
+    def getStepSize(self):
+        """The step of the scheme, a quantity in ps. A step of OpenMM's program is a part of it."""
+        return self._step * unit.picosecond
+
     def setStepSize(self, size) -> None:
         """Set the step, a time quantity or a number in ps."""
-        super().setStepSize(_step_size(size))
+        self._step = _step_size(size)
+        super().setStepSize(self._step / self._native_steps)
+        stored_settings.store(self, "step", [self._step])
 
     def getBodyState(self) -> BodyState:
         """The rigid bodies' state, in agreement with the Context.
@@ -162,7 +266,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
         super().setIntegrationForceGroups(groups)
         if self._engine is not None:
-            self._engine.forces.forget()
+            self._engine.set_groups()
 
     # --- copies ---
 
@@ -183,9 +287,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _prepare_for(self, system) -> None:
         """Forget, before a Context is created, what a copy of a bound integrator has of its original's Context."""
-        for name in (HEAT, DRAWS, SEED, ARMED):
+        for name in (HEAT, DRAWS, SEED, PART):
             self.setGlobalVariableByName(name, 0)
-        for name in (*STATE_VARIABLES, SITES):
+        for name in (*STATE_VARIABLES, SITES, *VECTORS):
             # OpenMM does not check that their number fits the System.
             if len(self.getPerDofVariableByName(name)) > 1:
                 self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
@@ -193,9 +297,20 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def _bind(self, context) -> None:
         # A System that is refused when a Context is reinitialized must not leave the bodies of the old one.
         self._engine = None
-        self._engine = Engine(self, context)
+        exact = self._wanted_engine == "exact"
+        if self._wanted_engine == "auto":
+            exact = context.getPlatform().getName() in EXACT_PLATFORMS
+        self._engine = Engine(self, context) if exact else NativeEngine(self, context)
+        self._tell_program()
 
-    def _bound(self) -> Engine:
+    def _fold_heat(self) -> None:
+        """Bring the heat that the program counts for each degree of freedom to the sum that both engines know."""
+        work = np.array(self.getPerDofVariableByName(WORK))
+        if work.any():
+            self.setGlobalVariableByName(HEAT, self.getGlobalVariableByName(HEAT) + float(work.sum()))
+            self.setPerDofVariableByName(WORK, np.zeros(work.shape))
+
+    def _bound(self) -> Engine | NativeEngine:
         if self._engine is None:
             raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
         return self._engine
@@ -245,13 +360,13 @@ class SIER2Integrator(SIERIntegrator):
     Source: van Zon and Schofield (2007), Eq. Verlet.
     """
 
-    def __init__(self, stepSize, bodies: Bodies = None):
+    def __init__(self, stepSize, bodies: Bodies = None, engine: str = "auto", substeps: int = SUBSTEPS):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
-            bodies: see `SIERIntegrator`.
+            bodies, engine, substeps: see `SIERIntegrator`.
         """
-        super().__init__(stepSize, SIER2, bodies)
+        super().__init__(stepSize, SIER2, bodies, engine=engine, substeps=substeps)
 
 
 class SIER4Integrator(SIERIntegrator):
@@ -260,13 +375,13 @@ class SIER4Integrator(SIERIntegrator):
     Source: van Zon and Schofield (2007), Eq. EFRL.
     """
 
-    def __init__(self, stepSize, bodies: Bodies = None):
+    def __init__(self, stepSize, bodies: Bodies = None, engine: str = "auto", substeps: int = SUBSTEPS):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
-            bodies: see `SIERIntegrator`.
+            bodies, engine, substeps: see `SIERIntegrator`.
         """
-        super().__init__(stepSize, SIER4, bodies)
+        super().__init__(stepSize, SIER4, bodies, engine=engine, substeps=substeps)
 
 
 def revived(integrator):
@@ -300,6 +415,14 @@ def _restored(plain, cls, attributes: dict):
 
 def _unpickled(xml: str, cls, attributes: dict):
     return _restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
+
+
+def _written(scheme: Scheme, substeps: int) -> Program | str:
+    """The program of a scheme, or why there is none."""
+    try:
+        return native_program.write(scheme, substeps)
+    except ValueError as error:
+        return str(error)
 
 
 def _checked_bodies(bodies: Bodies) -> Bodies:
