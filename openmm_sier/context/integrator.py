@@ -48,7 +48,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             rotation: free-rotation map, as `rotor.exact`.
 
         Raises:
-            ValueError: the step is not positive and finite.
+            ValueError: the step is negative or not finite. With a step of 0, as OpenMM users give it to Contexts that only
+                evaluate forces, steps are counted and nothing moves.
             TypeError: the step is no time, or `scheme` is no Scheme.
         """
         if not isinstance(scheme, Scheme):
@@ -318,8 +319,8 @@ def _checked_bodies(bodies: Bodies) -> Bodies:
 
 def _step_size(size) -> float:
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
-    if size <= 0:
-        raise ValueError(f"stepSize must be positive, got {size} ps; to run backwards reverse the velocities")
+    if size < 0:
+        raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")
     return size
 
 
