@@ -48,8 +48,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             rotation: free-rotation map, as `rotor.exact`.
 
         Raises:
-            ValueError: the step is negative or not finite. With a step of 0, as OpenMM users give it to Contexts that only
-                evaluate forces, steps are counted and nothing moves.
+            ValueError: the step is negative or not finite. A step of 0 is for Contexts that only evaluate forces: steps
+                are counted and nothing moves.
             TypeError: the step is no time, or `scheme` is no Scheme.
         """
         if not isinstance(scheme, Scheme):
