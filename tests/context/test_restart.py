@@ -123,6 +123,22 @@ def test_going_back_on_the_cpu_platform(box):
     assert_same(everything(context), end)
 
 
+def test_positions_from_outside_end_the_past(box):
+    """What follows depends on nothing but what the Context holds."""
+    _, system, point = box
+    ends = []
+    for past in (0, 0.03):
+        integrator = MAKERS["SIER4"]()
+        # Nearer than the distance that makes OpenMM build another list.
+        context = context_at(system, integrator, (point[0] + past, point[1]), "CPU")
+        context.getState(energy=True)
+        context.setPositions(point[0])
+        context.setVelocities(point[1])
+        integrator.step(20)
+        ends.append(phase_point(context))
+    assert_same(*ends)
+
+
 def test_a_checkpoint_costs_nothing_where_forces_have_no_past(box, cluster):
     """The force of the last step is used again, but on the CPU platform with a cut-off."""
     for system, point, name, extra in (
