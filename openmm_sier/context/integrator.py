@@ -19,7 +19,7 @@ from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
 from openmm_sier.dynamics.barostat import Piston
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import rotor
-from openmm_sier.dynamics.schemes import SIER2, SIER4, Scheme
+from openmm_sier.dynamics.schemes import SIER4G, Scheme
 
 #: OpenMM's message about an illegal variable of this name tells what happened.
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
@@ -38,7 +38,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     Source: van Zon and Schofield (2007).
     """
 
-    def __init__(self, stepSize, scheme: Scheme = SIER2, bodies: Bodies = None, rotation=rotor.exact):
+    def __init__(self, stepSize, scheme: Scheme = SIER4G, bodies: Bodies = None, rotation=rotor.exact):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
@@ -238,36 +238,6 @@ class _Settled:
 
     def bodies(self, positions, sites=None) -> RigidBodies:
         return self._bodies
-
-
-class SIER2Integrator(SIERIntegrator):
-    """Second-order integrator for rigid bodies with one force evaluation a step.
-
-    Source: van Zon and Schofield (2007), Eq. Verlet.
-    """
-
-    def __init__(self, stepSize, bodies: Bodies = None):
-        """
-        Args:
-            stepSize: step, a time quantity or a number in ps.
-            bodies: see `SIERIntegrator`.
-        """
-        super().__init__(stepSize, SIER2, bodies)
-
-
-class SIER4Integrator(SIERIntegrator):
-    """Fourth-order integrator for rigid bodies with four force evaluations a step.
-
-    Source: van Zon and Schofield (2007), Eq. EFRL.
-    """
-
-    def __init__(self, stepSize, bodies: Bodies = None):
-        """
-        Args:
-            stepSize: step, a time quantity or a number in ps.
-            bodies: see `SIERIntegrator`.
-        """
-        super().__init__(stepSize, SIER4, bodies)
 
 
 def revived(integrator):

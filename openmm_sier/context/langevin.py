@@ -12,7 +12,7 @@ from openmm_sier.context.integrator import Bodies, SIERIntegrator, quantity_to_f
 from openmm_sier.dynamics.barostat import BAR, Piston
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import rotor
-from openmm_sier.dynamics.schemes import BATH, SIER4, Scheme
+from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 from openmm_sier.dynamics.thermostat import Bath
 
 
@@ -36,7 +36,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
         temperature,
         frictionCoeff,
         stepSize,
-        scheme: Scheme = SIER4,
+        scheme: Scheme = SIER4G,
         bodies: Bodies = None,
         rotation=rotor.exact,
         rotationalFriction=None,
