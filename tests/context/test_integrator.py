@@ -16,6 +16,7 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
+from tests.support.integrators import constrained_velocity_verlet
 from tests.support.waters import (
     cluster_system,
     context_at,
@@ -82,21 +83,6 @@ def test_force_evaluations_a_step(box, make, evaluations):
         integrator.step(count)
     # One more at the very start; no more where `step` is called again.
     assert integrator.forceEvaluations == 5 * evaluations + 1
-
-
-def constrained_velocity_verlet(h):
-    """The peer that starts from the same phase point: RATTLE as a CustomIntegrator (OpenMM's documentation)."""
-    verlet = openmm.CustomIntegrator(h)
-    verlet.addPerDofVariable("x1", 0)
-    verlet.addUpdateContextState()
-    verlet.addComputePerDof("v", "v+0.5*dt*f/m")
-    verlet.addComputePerDof("x", "x+dt*v")
-    verlet.addComputePerDof("x1", "x")
-    verlet.addConstrainPositions()
-    verlet.addComputePerDof("v", "v+0.5*dt*f/m+(x-x1)/dt")
-    verlet.addConstrainVelocities()
-    verlet.setConstraintTolerance(1e-10)
-    return verlet
 
 
 def test_agrees_with_constrained_velocity_verlet_as_the_step_shrinks(cluster):
