@@ -13,9 +13,9 @@ from openmm import unit
 
 from openmm_sier.context.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
-from openmm_sier.dynamics.barostat import Piston
+from openmm_sier.dynamics import rotation as rotations
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.rotation import rotor
 from openmm_sier.dynamics.schemes import SIER2, SIER4, Scheme
 
 #: OpenMM's message about an illegal variable of this name tells what happened.
@@ -35,14 +35,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
     Source: van Zon and Schofield (2007).
     """
 
-    def __init__(self, stepSize, scheme: Scheme = SIER2, bodies: Bodies = None, rotation=rotor.exact):
+    def __init__(self, stepSize, scheme: Scheme = SIER2, bodies: Bodies = None, rotation=rotations.exact):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme, see `openmm_sier.dynamics.schemes`.
             bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices make rigid
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
-            rotation: free-rotation map, as `rotor.exact`.
+            rotation: free-rotation map, as `rotation.exact`.
 
         Raises:
             ValueError: the step is not positive and finite.
@@ -200,7 +200,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return {}
 
     #: What changes the volume between steps.
-    _piston: Piston | None = None
+    _piston: MonteCarloVolumeMove | None = None
 
 
 class _Settled:

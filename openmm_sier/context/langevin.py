@@ -8,11 +8,12 @@ from openmm import unit
 
 from openmm_sier.context.engine import SEED
 from openmm_sier.context.integrator import Bodies, SIERIntegrator, quantity_to_float, whole_number
-from openmm_sier.dynamics.barostat import BAR, Piston
+from openmm_sier.dynamics import rotation as rotations
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics.constants import BAR
 from openmm_sier.dynamics.schemes import BATH, SIER4, Scheme
-from openmm_sier.dynamics.thermostat import Bath
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 
 class SIERLangevinIntegrator(SIERIntegrator):
@@ -36,7 +37,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
         stepSize,
         scheme: Scheme = SIER4,
         bodies: Bodies = None,
-        rotation=rotor.exact,
+        rotation=rotations.exact,
         rotationalFriction=None,
         pressure=None,
         barostatInterval=25,
@@ -48,7 +49,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
             bodies: see `SIERIntegrator`.
-            rotation: free-rotation map, as `rotor.exact`.
+            rotation: free-rotation map, as `rotation.exact`.
             rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
             pressure: if it is to be constant, a quantity or a number in bar. All edges of the box change by one factor,
                 and ln V by up to 0.5/sqrt(number of molecules) in one move.
@@ -61,11 +62,11 @@ class SIERLangevinIntegrator(SIERIntegrator):
         super().__init__(stepSize, scheme.with_bath() if isinstance(scheme, Scheme) else scheme, bodies, rotation)
         friction = _friction("frictionCoeff", frictionCoeff)
         turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
-        self._bath = Bath(_temperature(temperature), friction, turning, seed=0)
+        self._bath = OrnsteinUhlenbeck(_temperature(temperature), friction, turning, seed=0)
         self._same_friction = rotationalFriction is None
         if (interval := whole_number("barostatInterval", barostatInterval)) == 0:
             raise ValueError("barostatInterval must be at least 1, got 0")
-        self._piston = None if pressure is None else Piston(_pressure(pressure), interval, self._bath)
+        self._piston = None if pressure is None else MonteCarloVolumeMove(_pressure(pressure), interval, self._bath)
         self._cold_scheme = self._scheme.without(BATH)
 
     def getTemperature(self):

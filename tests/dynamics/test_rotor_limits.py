@@ -5,10 +5,10 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
 from openmm_sier.dynamics.backend.elliptic import SERIES_LIMIT, SHORT_SERIES_LIMIT
 from openmm_sier.dynamics.backend.kernels import SMALL_ANGLE, small_sine_cosine
+from scipy.spatial.transform import Rotation
+
 from openmm_sier.dynamics.rotation import rotor
 from tests.support import oracles
 from tests.support.families import FAMILIES, asymmetric, linear, point, sample, spherical

@@ -1,8 +1,10 @@
-"""Elliptic functions and integrals of the free top, elementwise on scalars or NumPy arrays."""
+"""Elliptic functions and integrals of the free top, elementwise, and the quadratures that go with their series."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,6 +59,48 @@ def sn_increment(coefficients, p, q, t):
     S = t * (1 + u * total)
     S2 = S * S
     return S, S2, np.sqrt(1 - p * S2), np.sqrt(1 - q * S2)
+
+
+class Quadrature(NamedTuple):
+    """A Gauss-Lobatto rule for means over a step, and the series that reach from the middle of the step to its ends.
+
+    The node in the middle is left out, since the deviation of the integrand from its leading term vanishes there.
+
+    Attributes:
+        limit: largest max(p, q) over the step. The truncation error is below 1e-17 of a turn there.
+        series: gives the coefficients of S.
+        times: of the nodes from the middle, in steps; the first is the end.
+        weights: of the nodes.
+    """
+
+    limit: float
+    series: Callable
+    times: tuple[float, ...]
+    weights: tuple[float, ...]
+
+
+SHORT = Quadrature(4 * SHORT_SERIES_LIMIT, short_sn_coefficients, (0.5, 0.5 * math.sqrt(3 / 7)), (0.1, 49 / 90))
+
+#: The largest max(p, q), nodes and weights of the longer rule, apart since compiled code takes plain numbers.
+LONGEST = 4 * SERIES_LIMIT
+TIMES = (
+    0.5,
+    0.5 * math.sqrt(5 / 11 - 2 / 11 * math.sqrt(5 / 3)),
+    0.5 * math.sqrt(5 / 11 + 2 / 11 * math.sqrt(5 / 3)),
+)
+WEIGHTS = (1 / 21, (124 + 7 * math.sqrt(15)) / 350, (124 - 7 * math.sqrt(15)) / 350)
+LONG = Quadrature(LONGEST, sn_coefficients, TIMES, WEIGHTS)
+
+
+def long_series(p, q):
+    """Coefficients of S, and nodes and weights, for all steps that the series reach."""
+    return sn_coefficients(p, q), TIMES, WEIGHTS
+
+
+def shortest_series(p, q):
+    """The same for arrays of p and q, by the rule that suffices for all of them."""
+    rule = SHORT if max(p.max(), q.max()) <= SHORT.limit else LONG
+    return rule.series(p, q), rule.times, rule.weights
 
 
 def complete_integrals(kc, nu):
