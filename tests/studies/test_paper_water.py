@@ -14,7 +14,7 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend
 from openmm_sier.studies.paper import liquids, molecular_cutoff, start, tip4p, water
 from openmm_sier.studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from openmm_sier.studies.paper.molecular_cutoff import MolecularCutoff
@@ -75,10 +75,10 @@ def reference_energy_and_forces(positions):
 def either(request):
     """Both ways in which the sum over pairs is executed."""
     if request.param == "NumPy":
-        with compiled.disabled():
+        with backend.using(backend.NUMPY):
             yield
         return
-    if compiled.executor() is None:
+    if backend.active() is backend.NUMPY:
         pytest.fail("Numba, of the extra 'test', is not installed")
     yield
 

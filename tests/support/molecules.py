@@ -6,8 +6,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from openmm_sier import BodyState, RigidBodies
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, Species
-from openmm_sier.dynamics.rotation.rotor import body_frame
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.bodies import Species
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.oracles import random_attitudes, skew
 
 TETRAHEDRON = 0.0629 * np.array([[0, 0, 0], [1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
@@ -49,6 +50,16 @@ def scattered(kinds, each=4, n_free=3) -> RigidBodies:
         found.append(species(kind, shuffled[start : start + each * k].reshape(each, k)))
         start += each * k
     return RigidBodies(found, shuffled.size)
+
+
+def ensemble(kind, n) -> tuple[RigidBodies, BodyState]:
+    """n bodies of one kind, far from equilibrium: at rest but for a large common momentum and angular momentum."""
+    k = len(GEOMETRIES[kind][0])
+    found = species(kind, np.arange(n * k).reshape(n, k))
+    A = random_attitudes(np.random.default_rng(3), n)
+    body_L = np.where(found.moments > 0, 1.0, 0.0)[:, None] * np.ones((3, n))
+    L = np.einsum("abn,an->bn", A, body_L)
+    return RigidBodies([found], n * k), BodyState(np.zeros((3, n)), np.full((3, n), 20.0), A, L)
 
 
 def thermal_state(rng, bodies, q, temperature=300.0) -> BodyState:

@@ -150,8 +150,8 @@ class NumpyBackend:
 
 def _rotated(rotor: Rotor, top: Top, A, L, h: float, numbers):
     """Rows of the new attitudes, each (3, n)."""
-    body_L = top.sort(body_frame(A, L))
     with np.errstate(all="ignore"):
+        body_L = top.sort(body_frame(A, L))
         turn, reached = rotor.of_arrays(body_L, top.rates, h)
     if not reached.all():
         far = np.flatnonzero(~reached)

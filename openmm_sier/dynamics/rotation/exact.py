@@ -6,7 +6,7 @@ Rows of A are the principal axes in the lab frame, L~ = A L. The paper writes (E
 
 where R1 takes a fixed pole, a principal axis, to the direction of L~, and psi is an integral along the path of L~,
 ill-behaved where the path comes near the pole. The decomposition holds for any pole. Here the pole is the direction m
-of L~ in the middle of the step, R1 is the smallest rotation between two directions, and with u and v those of L~ and L~*
+of L~ in the middle of the step, R1 is the smallest rotation between two directions, and with u, v those of L~ and L~*
 
     P(h) = R1(m -> v) R2(m, -theta) R1(u -> m),     theta = Int g dt,    g = omega . (m + v(t)) / (1 + m . v(t)).
 
