@@ -11,8 +11,8 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER2, SIERLangevinIntegrator
-from openmm_sier.dynamics.barostat import BAR
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, RigidBodies
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from tests.context.test_restart import WAYS, assert_same, everything, simulation_of
 from tests.support.waters import cluster_system, context_at, periodic_system, platform, relaxed
 
