@@ -116,8 +116,8 @@ class Species:
         return float(self.masses.sum())
 
     @property
-    def degrees_of_freedom(self) -> int:
-        """Of one body: 3 for a point, 5 for a line, 6 otherwise."""
+    def dof(self) -> int:
+        """Degrees of freedom of one body: 3 for a point, 5 for a line, 6 otherwise."""
         return 3 + int(np.count_nonzero(self.moments))
 
 
@@ -145,6 +145,7 @@ class RigidBodies:
         parts: for each species the slice of its bodies.
         masses: (n,), dalton.
         moments: (3, n), dalton nm^2.
+        dof: degrees of freedom of all bodies.
     """
 
     def __init__(self, species: Sequence[Species], n_particles: int, labels: Sequence[str] | None = None):
@@ -168,7 +169,7 @@ class RigidBodies:
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self._sites = [backend.Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
-        self.degrees_of_freedom = sum(s.degrees_of_freedom * s.atoms.shape[0] for s in self.species)
+        self.dof = sum(s.dof * s.atoms.shape[0] for s in self.species)
 
     @classmethod
     def from_system(cls, system, topology=None, rigid=None, positions=None) -> RigidBodies:
@@ -329,10 +330,10 @@ class RigidBodies:
             removed: translational degrees of freedom that are held at zero (3 where the centre of mass is at rest).
         """
         translation, rotation = self.kinetic_energies(state)
-        freedoms = 3 * self.n - removed, self.degrees_of_freedom - 3 * self.n
+        dof = 3 * self.n - removed, self.dof - 3 * self.n
         return (
-            2 * translation / (freedoms[0] * GAS_CONSTANT) if freedoms[0] > 0 else float("nan"),
-            2 * rotation / (freedoms[1] * GAS_CONSTANT) if freedoms[1] > 0 else float("nan"),
+            2 * translation / (dof[0] * GAS_CONSTANT) if dof[0] > 0 else float("nan"),
+            2 * rotation / (dof[1] * GAS_CONSTANT) if dof[1] > 0 else float("nan"),
         )
 
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:

@@ -44,16 +44,16 @@ class CachedForces:
     def __init__(self, compute: ForceFunction):
         self._compute = compute
         self.evaluations = 0
-        self.forget()
+        self.invalidate()
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Compute anew next time: the potential has changed."""
         self._where: tuple = (None, None)
         self._value: tuple = ()
 
     def __call__(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         if self._where[0] is not state.q or self._where[1] is not state.A:
-            self.forget()
+            self.invalidate()
             self._value = self.at(state.q, state.A)
             self._where = (state.q, state.A)
         return self._value

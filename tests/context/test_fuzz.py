@@ -135,7 +135,7 @@ class Replay:
 
     def set_strength(self, value):
         self._context.setParameter("strength", value)
-        self._forces.forget()
+        self._forces.invalidate()
 
     def step(self, count):
         for _ in range(count):

@@ -170,7 +170,7 @@ def test_systems_are_water(rng, kind):
     massive = np.arange(4 * n) % 4 != 3
     # PME interpolates charges on a mesh, and does not conserve momentum better than its tolerance.
     assert np.abs(F[massive].sum(axis=0)).max() < (1e-9 if kind == MOLECULAR else 1e-2) * np.abs(F).max()
-    assert context.getIntegrator().bodies.degrees_of_freedom == 6 * n
+    assert context.getIntegrator().bodies.dof == 6 * n
     assert context.getIntegrator().bodies.species[0].moments == pytest.approx(
         tip4p.molecules(1).species[0].moments, rel=1e-9
     )
