@@ -11,9 +11,9 @@ from openmm_sier import SIER4, RigidBodies, Scheme, SIERIntegrator, SIERLangevin
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.operators import CachedForces, drift, gradient_kick, kick, stepper
 from openmm_sier.dynamics.schemes import BATH, CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, Stage
-from tests.dynamics.test_dynamics import distance, reversed_momenta, symplectic_defect, turned
 from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
 from tests.support.oracles import orthogonality_error
+from tests.support.phase_space import distance, reversed_momenta, symplectic_defect, turned
 from tests.support.waters import cluster_system, context_at, energies, phase_point, relaxed
 
 
