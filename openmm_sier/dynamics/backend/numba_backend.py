@@ -29,7 +29,7 @@ class NumbaBackend(NumpyBackend):
     name = "Numba"
 
     def rotate(self, rotor, top, A, L, h):
-        if not (top.shared and top.rates.any()):
+        if not (top.shared and top.turns):
             return super().rotate(rotor, top, A, L, h)
         new, far = np.empty(A.shape), np.empty(A.shape[2], dtype=bool)
         if _loop("rotate", rotor)(_all(L), A, L, h, top.frame, new, far):

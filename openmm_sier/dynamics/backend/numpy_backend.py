@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,7 +30,8 @@ ROTATED = 4096
 PLACED = 2048
 
 
-class Rotor(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Rotor:
     """A free-rotation map as backends execute it.
 
     Each function takes L~ in the frame of descending rates (inverse moments), these rates, and a time. It gives the
@@ -81,7 +82,7 @@ class NumpyBackend:
 
     def _rotate(self, rotor: Rotor, top: Top, A, L, h: float, new, numbers: Sequence[int]) -> None:
         """Write new attitudes; the numbers of the bodies are for messages."""
-        if not top.rates.any():
+        if not top.turns:
             new[:] = A
             return
         for start in range(0, A.shape[2], ROTATED):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -11,7 +11,8 @@ import numpy as np
 EQUAL_MOMENTS = 1e-9
 
 
-class Top(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Top:
     """Inverse moments in descending order, and the way from principal axes in the user's order to that order.
 
     Attributes:
@@ -24,12 +25,17 @@ class Top(NamedTuple):
     order: np.ndarray
     parity: np.ndarray
 
-    @property
+    @cached_property
     def shared(self) -> bool:
         """Whether all bodies have the same moments."""
         return self.rates.ndim == 1
 
-    @property
+    @cached_property
+    def turns(self) -> bool:
+        """Whether a body can turn: not all are points."""
+        return bool(self.rates.any())
+
+    @cached_property
     def frame(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Equal moments for compiled loops."""
         return self.rates, self.order, float(self.parity)

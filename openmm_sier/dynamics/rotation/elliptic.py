@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -61,27 +59,9 @@ def sn_increment(coefficients, p, q, t):
     return S, S2, np.sqrt(1 - p * S2), np.sqrt(1 - q * S2)
 
 
-class Quadrature(NamedTuple):
-    """A Gauss-Lobatto rule for means over a step, and the series that reach from the middle of the step to its ends.
-
-    The node in the middle is left out, since the deviation of the integrand from its leading term vanishes there.
-
-    Attributes:
-        limit: largest max(p, q) over the step. The truncation error is below 1e-17 of a turn there.
-        series: gives the coefficients of S.
-        times: of the nodes from the middle, in steps; the first is the end.
-        weights: of the nodes.
-    """
-
-    limit: float
-    series: Callable
-    times: tuple[float, ...]
-    weights: tuple[float, ...]
-
-
-SHORT = Quadrature(4 * SHORT_SERIES_LIMIT, short_sn_coefficients, (0.5, 0.5 * math.sqrt(3 / 7)), (0.1, 49 / 90))
-
-#: The largest max(p, q), nodes and weights of the longer rule, apart since compiled code takes plain numbers.
+#: Largest max(p, q) over a step that the series reach from its middle, and a Gauss-Lobatto quadrature that truncates
+#: below 1e-17 of a turn there: times from the middle, in steps, the first one the end, and weights. The node in the
+#: middle is left out, since the deviation of the integrand from its leading term vanishes there.
 LONGEST = 4 * SERIES_LIMIT
 TIMES = (
     0.5,
@@ -89,18 +69,22 @@ TIMES = (
     0.5 * math.sqrt(5 / 11 + 2 / 11 * math.sqrt(5 / 3)),
 )
 WEIGHTS = (1 / 21, (124 + 7 * math.sqrt(15)) / 350, (124 - 7 * math.sqrt(15)) / 350)
-LONG = Quadrature(LONGEST, sn_coefficients, TIMES, WEIGHTS)
+
+#: The same for the shorter series.
+SHORT = 4 * SHORT_SERIES_LIMIT
+SHORT_TIMES, SHORT_WEIGHTS = (0.5, 0.5 * math.sqrt(3 / 7)), (0.1, 49 / 90)
 
 
 def long_series(p, q):
-    """Coefficients of S, and nodes and weights, for all steps that the series reach."""
+    """Coefficients of S, and the quadrature, for all steps that a series reaches."""
     return sn_coefficients(p, q), TIMES, WEIGHTS
 
 
 def shortest_series(p, q):
-    """The same for arrays of p and q, by the rule that suffices for all of them."""
-    rule = SHORT if max(p.max(), q.max()) <= SHORT.limit else LONG
-    return rule.series(p, q), rule.times, rule.weights
+    """The same for arrays of p and q, as short as all of them allow."""
+    if max(p.max(), q.max()) <= SHORT:
+        return short_sn_coefficients(p, q), SHORT_TIMES, SHORT_WEIGHTS
+    return long_series(p, q)
 
 
 def complete_integrals(kc, nu):

@@ -19,18 +19,8 @@ def mrdl(A, L, moments, h):
     angle h L~_k / I_k. The order of the factors makes a difference: here the axis of the smallest moment is outermost
     and that of the largest in the middle, which is the order whose errors are nearest to those in the paper.
 
-    Args:
-        A: attitude matrices, shape (3, 3, n); rows are the principal axes in the lab frame.
-        L: angular momenta in the lab frame, shape (3, n), dalton nm^2/ps.
-        moments: principal moments, shape (3,) or (3, n), dalton nm^2, in any order. Linear bodies have only one moment
-            and nothing to split: they turn exactly, and so do bodies at rest and points.
-        h: time in ps, a float of either sign.
-
-    Returns:
-        (A, L) after the time h, new arrays; L is conserved.
-
-    Raises:
-        ValueError: as `exact`.
+    Arguments, result and errors are those of `exact`. Linear bodies have only one moment and nothing to split: they
+    turn exactly, and so do bodies at rest and points.
 
     Source: A. Dullweber, B. Leimkuhler and R. McLachlan, J. Chem. Phys. 107, 5840 (1997); S. Reich, Fields Inst.
     Commun. 10, 181 (1996).

@@ -31,18 +31,8 @@ def sej4(A, L, moments, h):
     The sign of the commutator belongs to dA/dt = -[w]x A. L~* is exact and A* is not, so that the energy is conserved
     but the angular momentum in the lab frame is not. The map is not symplectic.
 
-    Args:
-        A: attitude matrices, shape (3, 3, n); rows are the principal axes in the lab frame.
-        L: angular momenta in the lab frame, shape (3, n), dalton nm^2/ps.
-        moments: principal moments, shape (3,) or (3, n), dalton nm^2, in any order. Where L~ keeps its direction
-            (linear bodies, spherical tops, rotation about a principal axis) the map is exact.
-        h: time in ps, a float of either sign.
-
-    Returns:
-        (A, L) after the time h, new arrays.
-
-    Raises:
-        ValueError: as `exact`.
+    Arguments, result and errors are those of `exact`. Where L~ keeps its direction (linear bodies, spherical tops,
+    rotation about a principal axis) the map is exact.
 
     Source: E. Celledoni and N. Säfström, J. Phys. A 39, 5463 (2006); van Zon and Schofield (2007), Sec. IV A.
 

@@ -9,7 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
-from openmm_sier.dynamics.rotation.elliptic import LONG, SERIES_LIMIT, SHORT, SHORT_SERIES_LIMIT
+from openmm_sier.dynamics.rotation.elliptic import (
+    LONGEST,
+    SERIES_LIMIT,
+    SHORT,
+    SHORT_SERIES_LIMIT,
+    SHORT_TIMES,
+    SHORT_WEIGHTS,
+    TIMES,
+    WEIGHTS,
+)
 from tests.support import oracles
 from tests.support.families import FAMILIES, asymmetric, linear, point, sample, spherical
 from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
@@ -32,7 +41,7 @@ def bodies_at(rng, n, phase, decades, dtype=float):
 
 
 @pytest.mark.parametrize("factor", [1 - 1e-9, 1 + 1e-9, 4.0])
-@pytest.mark.parametrize("limit", [SHORT.limit, LONG.limit])
+@pytest.mark.parametrize("limit", [SHORT, LONGEST])
 def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
     """Just below a limit, where truncation is worst, and above, where the next rule or composition takes over."""
     rates, u, k = bodies_at(rng, 250, limit * factor, decades=1)
@@ -54,10 +63,14 @@ def series_of_directions(middle, difference, order=24):
     return series
 
 
-@pytest.mark.parametrize("rule", [SHORT, LONG], ids=["short", "long"])
-def test_quadrature_truncates_below_rounding(rng, rule):
-    """The claim of `elliptic.Quadrature`: the rule, in extended precision, against Gauss-Legendre with 24 nodes."""
-    rates, middle, k = bodies_at(rng, 20_000, rule.limit, 4, np.longdouble)
+@pytest.mark.parametrize(
+    ("limit", "times", "weights"),
+    [(SHORT, SHORT_TIMES, SHORT_WEIGHTS), (LONGEST, TIMES, WEIGHTS)],
+    ids=["short", "long"],
+)
+def test_quadrature_truncates_below_rounding(rng, limit, times, weights):
+    """The claim at `elliptic.LONGEST`: the rule, in extended precision, against Gauss-Legendre with 24 nodes."""
+    rates, middle, k = bodies_at(rng, 20_000, limit, 4, np.longdouble)
     a, b, c = rates
     series = series_of_directions(middle, k * np.stack([c - b, a - c, b - a]))
 
@@ -68,7 +81,7 @@ def test_quadrature_truncates_below_rounding(rng, rule):
 
     leading = (k * rates * middle * middle).sum(axis=0)
     by_rule = leading
-    for time, weight in zip(rule.times, rule.weights, strict=True):
+    for time, weight in zip(times, weights, strict=True):
         by_rule = by_rule + weight * ((g(2 * time) + g(-2 * time)) / 2 - leading)
     gauss = mpmath.calculus.quadrature.GaussLegendre(mpmath.mp).calc_nodes(4, 100)
     exact = sum(np.longdouble(str(w)) * g(str(x)) for x, w in gauss) / 2
@@ -79,8 +92,8 @@ def test_quadrature_truncates_below_rounding(rng, rule):
 
 def test_quadrature_limits_follow_from_the_series():
     """The series is used over half a step at most."""
-    assert SHORT.limit / 4 <= SHORT_SERIES_LIMIT
-    assert LONG.limit / 4 <= SERIES_LIMIT
+    assert SHORT / 4 <= SHORT_SERIES_LIMIT
+    assert LONGEST / 4 <= SERIES_LIMIT
 
 
 def test_sine_and_cosine_of_small_angles():
