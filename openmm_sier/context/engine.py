@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.context import checks, stored_state
+from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.native_program import PART
 from openmm_sier.context.snapshot import Snapshot, read_vectors
 from openmm_sier.dynamics import operators
@@ -61,6 +61,8 @@ class Engine:
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self._positions, self._velocities, self._atom_forces = np.zeros((3, n, 3))
         self._placed: tuple = (None, None)
+        self._remembers_list = neighbour_list.is_remembered(context)
+        self._starts_anew = False
         self._groups: int
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
@@ -137,6 +139,8 @@ class Engine:
         step = operators.stepper(integrator._active_scheme(), self.operators, h)
         alone = not self._has_actors and integrator._piston is None
         try:
+            if count and self._starts_anew:
+                self._forget_past()
             for _ in range(count):
                 if alone or not (self._has_actors or self._moves_volume_now()):
                     # The Context learns of the step when the last one is published.
@@ -148,6 +152,15 @@ class Engine:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
             _whatever_interrupts(self._recover)
             raise
+
+    def start_anew(self) -> None:
+        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it to the bit."""
+        self._starts_anew = self._remembers_list
+
+    def _forget_past(self) -> None:
+        neighbour_list.forget(self._context)
+        self.forces.invalidate()
+        self._starts_anew = False
 
     def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
         """One step, after all that acts besides the scheme: barostats and thermostats of the System, our own piston."""
@@ -217,7 +230,7 @@ class Engine:
         now = Snapshot(self._context)
         q, A = self.bodies.fit(now.positions, state)
         self._take_positions(now)
-        self.forces.forget()
+        self.forces.invalidate()
         return replace(state, q=q, A=A)
 
     def _box(self) -> np.ndarray:
@@ -248,7 +261,7 @@ class Engine:
 
     def _recover(self) -> None:
         """Write the last completed step to the Context, whatever was cut short."""
-        self.forces.forget()
+        self.forces.invalidate()
         self._placed = (None, None)
         self._publish()
 
@@ -272,7 +285,7 @@ class Engine:
 
     def set_groups(self) -> None:
         """Other force groups move the bodies from now on."""
-        self.forces.forget()
+        self.forces.invalidate()
 
     def notice(self) -> None:
         """Positions or velocities were set from outside; `adopt` finds out by itself."""
@@ -285,7 +298,7 @@ class Engine:
     def temperature(self) -> float:
         """In K, of all degrees of freedom; NaN where there are none."""
         self.adopt()
-        freedoms = self.bodies.degrees_of_freedom - (3 if self.removes_motion else 0)
+        freedoms = self.bodies.dof - (3 if self.removes_motion else 0)
         kinetic = sum(self.bodies.kinetic_energies(self.state))
         return 2 * kinetic / (freedoms * GAS_CONSTANT) if freedoms > 0 else float("nan")
 
@@ -303,6 +316,8 @@ class Engine:
         if self._point is None and len(now.positions) > 1 and not now.positions.any():
             raise openmm.OpenMMException("Particle positions have not been set")
         moved = self._point is None or not now.same_positions(self._echo)
+        if moved:
+            self.start_anew()
         if moved and self._plan is not None:
             self._settle_by(now.positions)
         if moved or not now.same_velocities(self._echo):
@@ -336,7 +351,7 @@ class Engine:
 
     def _notice_environment(self, before: Snapshot | None, now: Snapshot) -> None:
         if not now.same_environment(before):
-            self.forces.forget()
+            self.forces.invalidate()
 
     def _momenta(self, velocities, A):
         try:
@@ -363,7 +378,7 @@ class Engine:
         reproduced = np.array_equal(positions, now.positions)
         if not reproduced or not (moved or np.array_equal(velocities, now.velocities)):
             return None
-        self.forces.forget()
+        self.forces.invalidate()
         self._take_positions(now)
         if not np.array_equal(velocities, now.velocities):
             p, L = self._momenta(now.velocities, state.A)

@@ -17,17 +17,11 @@ from openmm_sier.context import native_program, stored_settings
 from openmm_sier.context.engine import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
 from openmm_sier.context.native_engine import TOLERANCE, NativeEngine
-from openmm_sier.context.native_program import FRICTION, PART, THERMAL, VECTORS, WORK, Program
-from openmm_sier.dynamics.barostat import Piston
+from openmm_sier.context.native_program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.rotation import rotor
-from openmm_sier.dynamics.schemes import SIER2, SIER4, Scheme
-
-#: OpenMM's message about an illegal variable of this name tells what happened.
-LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
-
-#: Global variable: 1 where only the exact engine can do what the integrator was made for.
-EXACT_ONLY = "sier_exact_only"
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.schemes import SIER4G, Scheme
 
 #: The platforms on which `engine="auto"` takes the exact engine: there its forces are beside the arrays of Python.
 EXACT_PLATFORMS = ("CPU", "Reference")
@@ -59,9 +53,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def __init__(
         self,
         stepSize,
-        scheme: Scheme = SIER2,
+        scheme: Scheme = SIER4G,
         bodies: Bodies = None,
-        rotation=rotor.exact,
+        rotation=exact,
         engine: str = "auto",
         substeps: int = SUBSTEPS,
     ):
@@ -71,12 +65,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
             scheme: splitting scheme, see `openmm_sier.dynamics.schemes`.
             bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices make rigid
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
-            rotation: free-rotation map, as `rotor.exact`.
+            rotation: free-rotation map, as `rotation.exact`.
             engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
             substeps: of the native engine, the steps of RATTLE in the scheme's longest drift.
 
         Raises:
-            ValueError: the step is not positive and finite, the engine is none of these, or there are no substeps.
+            ValueError: the step is negative or not finite, the engine is none of these, or there are no substeps. A
+                step of 0 is for Contexts that only evaluate forces: steps are counted and nothing moves.
             TypeError: the step is no time, or `scheme` is no Scheme.
         """
         if not isinstance(scheme, Scheme):
@@ -90,32 +85,16 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._scheme, self._rotation = scheme, rotation
         self._wanted_engine, self._substeps = engine, substeps
         self._given_bodies = _checked_bodies(bodies)
-        self._write_program()
+        for name in (*STATE_VARIABLES, SITES):
+            self.addPerDofVariable(name, 0)
+        for name in (HEAT, DRAWS, SEED):
+            self.addGlobalVariable(name, 0)
+        self._program = _written(scheme, substeps)
+        native_program.install(self._program if isinstance(self._program, Program) else None, self)
         self.setConstraintTolerance(TOLERANCE)
         self.setStepSize(stepSize)
         self._store_settings()
         self._tell_program()
-
-    def _write_program(self) -> None:
-        """Give OpenMM the program that the native engine executes, and of which the exact one takes a single line."""
-        for name in (*STATE_VARIABLES, SITES, *VECTORS):
-            self.addPerDofVariable(name, 0)
-        for name in (HEAT, DRAWS, SEED, EXACT_ONLY, PART, FRICTION, THERMAL):
-            self.addGlobalVariable(name, 0)
-        # Where this package is not imported, XML gives a plain CustomIntegrator. It fails if its program is not all
-        # that was asked for: Reference and CPU name the variable that does not exist, other platforms stop at
-        # positions that are NaN.
-        self.beginIfBlock(f"{EXACT_ONLY}*step({PART}) > 0.5")
-        self.addComputePerDof(LOST, "0")
-        self.addComputePerDof("x", f"x + sqrt(-{EXACT_ONLY})")
-        self.addComputeGlobal(EXACT_ONLY, "energy")
-        self.endBlock()
-        self.beginIfBlock(f"{PART} < 0")
-        self.addUpdateContextState()
-        self.endBlock()
-        self._program = _written(self._scheme, self._substeps)
-        if isinstance(self._program, Program):
-            native_program.add(self._program, self)
 
     @property
     def _native_steps(self) -> int:
@@ -139,7 +118,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """What the native engine cannot do of what this integrator was made for, and the remedy."""
         if isinstance(self._program, str):
             return f"does not know this scheme, since {self._program}: take another scheme"
-        if self._rotation is not rotor.exact:
+        if self._rotation is not exact:
             return "has no other free-rotation maps: leave out `rotation`"
         return None
 
@@ -260,7 +239,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Changes of positions, velocities, box and Context parameters, and those by `updateParametersInContext`, are
         noticed without this.
         """
-        self._bound().forces.forget()
+        self._bound().forces.invalidate()
 
     def setIntegrationForceGroups(self, groups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
@@ -339,7 +318,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return {}
 
     #: What changes the volume between steps.
-    _piston: Piston | None = None
+    _piston: MonteCarloVolumeMove | None = None
 
 
 class _Settled:
@@ -352,36 +331,6 @@ class _Settled:
 
     def bodies(self, positions, sites=None) -> RigidBodies:
         return self._bodies
-
-
-class SIER2Integrator(SIERIntegrator):
-    """Second-order integrator for rigid bodies with one force evaluation a step.
-
-    Source: van Zon and Schofield (2007), Eq. Verlet.
-    """
-
-    def __init__(self, stepSize, bodies: Bodies = None, engine: str = "auto", substeps: int = SUBSTEPS):
-        """
-        Args:
-            stepSize: step, a time quantity or a number in ps.
-            bodies, engine, substeps: see `SIERIntegrator`.
-        """
-        super().__init__(stepSize, SIER2, bodies, engine=engine, substeps=substeps)
-
-
-class SIER4Integrator(SIERIntegrator):
-    """Fourth-order integrator for rigid bodies with four force evaluations a step.
-
-    Source: van Zon and Schofield (2007), Eq. EFRL.
-    """
-
-    def __init__(self, stepSize, bodies: Bodies = None, engine: str = "auto", substeps: int = SUBSTEPS):
-        """
-        Args:
-            stepSize: step, a time quantity or a number in ps.
-            bodies, engine, substeps: see `SIERIntegrator`.
-        """
-        super().__init__(stepSize, SIER4, bodies, engine=engine, substeps=substeps)
 
 
 def revived(integrator):
@@ -441,8 +390,8 @@ def _checked_bodies(bodies: Bodies) -> Bodies:
 
 def _step_size(size) -> float:
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
-    if size <= 0:
-        raise ValueError(f"stepSize must be positive, got {size} ps; to run backwards reverse the velocities")
+    if size < 0:
+        raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")
     return size
 
 

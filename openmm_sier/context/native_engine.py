@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import openmm
 
-from openmm_sier.context import checks
+from openmm_sier.context import checks, neighbour_list
 from openmm_sier.context.engine import HEAT
 from openmm_sier.context.native_program import WORK
 from openmm_sier.context.snapshot import Snapshot
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 
 if TYPE_CHECKING:
     from openmm_sier.context.integrator import SIERIntegrator
@@ -44,7 +45,7 @@ class _Forces:
         self.evaluations = 0
         self._engine = weakref.ref(engine)
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Compute anew next time: the potential has changed."""
         if (engine := self._engine()) is not None:
             context = engine.context
@@ -80,7 +81,7 @@ class NativeEngine:
         self.forces = _Forces(self)
         self._bodies: RigidBodies | None = None
         self._state: BodyState | None = None
-        self._set_from_outside = True
+        self._is_fresh = True
         _loosen_for_single_precision(integrator, context)
 
     @property
@@ -103,10 +104,16 @@ class NativeEngine:
     def run(self, count: int) -> None:
         """Advance by `count` steps. As with OpenMM's integrators, an error leaves the Context where it happened."""
         integrator, context = self._integrator, self.context
+        if not count:
+            return
         integrator._tell_program()
-        if self._set_from_outside:
-            self._constrain()
+        if self._is_fresh:
+            self._start_anew()
         parts, h = integrator._native_steps, integrator.getStepSize()._value
+        if h == 0:
+            # Steps of no length are counted; the program would divide by them.
+            context.setStepCount(context.getStepCount() + count)
+            return
         evaluations = integrator.scheme.force_evaluations
         native_step = openmm.CustomIntegrator.step
         for _ in range(count):
@@ -122,7 +129,17 @@ class NativeEngine:
 
     def notice(self) -> None:
         """Positions or velocities were set from outside."""
-        self._set_from_outside = True
+        self._is_fresh = True
+
+    def start_anew(self) -> None:
+        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it to the bit."""
+        self._is_fresh = True
+
+    def _start_anew(self) -> None:
+        if neighbour_list.is_remembered(self.context):
+            neighbour_list.forget(self.context)
+        self._constrain()
+        self._is_fresh = False
 
     def set_groups(self) -> None:
         """Other force groups move the atoms from now on: OpenMM fixes them when it reads the program."""
@@ -143,7 +160,6 @@ class NativeEngine:
             off = self._off_constraints(now)
         if off[1] > OFF_CONSTRAINTS:
             context.applyVelocityConstraints(tolerance)
-        self._set_from_outside = False
 
     def _off_constraints(self, now: Snapshot) -> tuple[float, float]:
         """Largest error of a length, nm, and largest velocity along a constraint, nm/ps."""
@@ -198,7 +214,7 @@ class NativeEngine:
         Raises:
             RigidityError: the System has constraints that form no rigid bodies, or positions do not form them.
         """
-        if self._set_from_outside:
+        if self._is_fresh:
             self._constrain()
         now = Snapshot(self.context)
         bodies = self._bodies or self._settle(now.positions)

@@ -1,7 +1,7 @@
 """A splitting scheme written out as the program of an OpenMM CustomIntegrator.
 
 The program runs where the forces run, and XML carries it to interpreters without this package. `write` makes it from a
-`Scheme` alone and `add` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
+`Scheme` alone and `install` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
 
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it
 (docs/virtual-sites-report.md). A step of the scheme is therefore divided into several steps of OpenMM, here called
@@ -31,6 +31,12 @@ VECTORS = (MOVED, V0, KEPT, WORK)
 
 #: Global variables: the native step to come, and the bath's friction (1/ps) and thermal energy (kJ/mol).
 PART, FRICTION, THERMAL = (PREFIX + name for name in ("part", "friction", "kT"))
+
+#: Global variable: 1 where only the exact engine can do what the integrator was made for.
+EXACT_ONLY = PREFIX + "exact_only"
+
+#: OpenMM's message about an illegal variable of this name tells what happened.
+LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 #: OpenMM looks at every path through the if-blocks of a program, of which there are 2^parts.
 MOST_PARTS = 12
@@ -203,11 +209,26 @@ def _in_steps(stage: Stage) -> list[str]:
     return [f"{factor!r}*{unit}" for factor, unit in zip(stage.times(1.0), ("h", "h*h"), strict=False)]
 
 
-def add(program: Program, integrator) -> None:
-    """Add a program to an openmm.CustomIntegrator, which has the variables of this module.
+def install(program: Program | None, integrator) -> None:
+    """Give an openmm.CustomIntegrator a program and the variables of this module.
 
-    `PART` says which native step is next. Where it is negative nothing of the program is executed.
+    `PART` says which native step is next. Where it is negative OpenMM updates the Context's state and does nothing
+    else: the exact engine has this done.
+
+    Args:
+        program: None for an integrator that only the exact engine can execute.
+        integrator: openmm.CustomIntegrator.
     """
+    for name in VECTORS:
+        integrator.addPerDofVariable(name, 0)
+    for name in (EXACT_ONLY, PART, FRICTION, THERMAL):
+        integrator.addGlobalVariable(name, 0)
+    _add_guard(integrator)
+    integrator.beginIfBlock(f"{PART} < 0")
+    integrator.addUpdateContextState()
+    integrator.endBlock()
+    if program is None:
+        return
     n = len(program.parts)
     for k, part in enumerate(program.parts):
         integrator.beginIfBlock(f"{PART} = {k}")
@@ -216,6 +237,19 @@ def add(program: Program, integrator) -> None:
                 _add_statement(statement, integrator, n)
         integrator.endBlock()
     integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
+
+
+def _add_guard(integrator) -> None:
+    """Have the program fail where it is not all that was asked for, and this package is not there to do it.
+
+    XML gives a plain CustomIntegrator there. Reference and CPU name the variable that does not exist, other platforms
+    stop at positions that are NaN.
+    """
+    integrator.beginIfBlock(f"{EXACT_ONLY}*step({PART}) > 0.5")
+    integrator.addComputePerDof(LOST, "0")
+    integrator.addComputePerDof("x", f"x + sqrt(-{EXACT_ONLY})")
+    integrator.addComputeGlobal(EXACT_ONLY, "energy")
+    integrator.endBlock()
 
 
 def _add_statement(statement: Statement, integrator, n: int) -> None:
