@@ -155,7 +155,7 @@ class Engine:
 
     def _forget_past(self) -> None:
         neighbour_list.forget(self._context)
-        self.forces.forget()
+        self.forces.invalidate()
         self._starts_anew = False
 
     def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
@@ -226,7 +226,7 @@ class Engine:
         now = Snapshot(self._context)
         q, A = self.bodies.fit(now.positions, state)
         self._take_positions(now)
-        self.forces.forget()
+        self.forces.invalidate()
         return replace(state, q=q, A=A)
 
     def _box(self) -> np.ndarray:
@@ -253,7 +253,7 @@ class Engine:
 
     def _recover(self) -> None:
         """Write the last completed step to the Context, whatever was cut short."""
-        self.forces.forget()
+        self.forces.invalidate()
         self._placed = (None, None)
         self._publish()
 
@@ -278,7 +278,7 @@ class Engine:
     def temperature(self) -> float:
         """In K, of all degrees of freedom; NaN where there are none."""
         self.adopt()
-        freedoms = self.bodies.degrees_of_freedom - (3 if self.removes_motion else 0)
+        freedoms = self.bodies.dof - (3 if self.removes_motion else 0)
         kinetic = sum(self.bodies.kinetic_energies(self.state))
         return 2 * kinetic / (freedoms * GAS_CONSTANT) if freedoms > 0 else float("nan")
 
@@ -331,7 +331,7 @@ class Engine:
 
     def _notice_environment(self, before: Snapshot | None, now: Snapshot) -> None:
         if not now.same_environment(before):
-            self.forces.forget()
+            self.forces.invalidate()
 
     def _momenta(self, velocities, A):
         try:
@@ -358,7 +358,7 @@ class Engine:
         reproduced = np.array_equal(positions, now.positions)
         if not reproduced or not (moved or np.array_equal(velocities, now.velocities)):
             return None
-        self.forces.forget()
+        self.forces.invalidate()
         self._take_positions(now)
         if not np.array_equal(velocities, now.velocities):
             p, L = self._momenta(now.velocities, state.A)
