@@ -5,9 +5,12 @@ And Systems in which the volume cannot be changed without harm to rigid bodies, 
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import openmm
 
+from openmm_sier.context.geometries import RESOLUTION
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 
 #: These are known to do nothing; with any other kind in the System the Context is told and read each step.
@@ -106,3 +109,26 @@ def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
                 f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
                 "strength)"
             )
+
+
+def tell_of_misfit(bodies: RigidBodies, misfit) -> bool:
+    """Warn of atoms that are moved by more than the rounding of a PDB file when bodies are fitted to them.
+
+    Args:
+        bodies: the rigid bodies.
+        misfit: for each body the largest distance of an atom from its place, (n,), nm.
+
+    Returns:
+        Whether there were any.
+    """
+    off = int(np.count_nonzero(misfit > RESOLUTION))
+    if not off:
+        return False
+    worst = int(misfit.argmax())
+    warnings.warn(
+        f"{off} of {bodies.n} bodies are not quite in the shape of their constraints, or of the geometry that they were "
+        f"given, and are moved onto it: an atom by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. Is it the "
+        "force field that the positions were made with?",
+        stacklevel=7,
+    )
+    return True

@@ -16,10 +16,9 @@ import numpy as np
 
 from openmm_sier.dynamics.backend import arrays, kernels
 from openmm_sier.dynamics.backend.compiled import executor
+from openmm_sier.dynamics.fitting import RigidityError as RigidityError
+from openmm_sier.dynamics.fitting import fit_bodies, mirror_distance, recognition_limit
 from openmm_sier.dynamics.rotation.rotor import body_frame
-
-#: Largest distance in nm between an atom and its place in the reference geometry that `RigidBodies.fit` accepts.
-FIT_TOLERANCE = 0.005
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
 LINEAR_MOMENT = 1e-10
@@ -27,10 +26,6 @@ ON_AXIS = 1e-9
 
 #: Gas constant, kJ/mol/K (CODATA 2018).
 GAS_CONSTANT = 8.31446261815324e-3
-
-
-class RigidityError(ValueError):
-    """Atoms do not form the rigid body that they are meant to form."""
 
 
 class NotFiniteError(ValueError):
@@ -118,6 +113,16 @@ class Species:
     def mass(self) -> float:
         return float(self.masses.sum())
 
+    @cached_property
+    def tolerance(self) -> float:
+        """Largest distance in nm of an atom from its place at which the body is still recognized."""
+        return recognition_limit(self.sites)
+
+    @cached_property
+    def mirror_distance(self) -> float:
+        """Largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
+        return mirror_distance(self)
+
     @property
     def degrees_of_freedom(self) -> int:
         """Of one body: 3 for a point, 5 for a line, 6 otherwise."""
@@ -197,13 +202,6 @@ class RigidBodies:
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self.degrees_of_freedom = sum(s.degrees_of_freedom * s.atoms.shape[0] for s in self.species)
 
-    @classmethod
-    def from_system(cls, system, topology=None, rigid=None, positions=None) -> RigidBodies:
-        """The bodies of an OpenMM System; see `openmm_sier.context.find_bodies.find_bodies`, which this calls."""
-        from openmm_sier.context.find_bodies import find_bodies
-
-        return find_bodies(system, topology, rigid, positions)
-
     def _check(self):
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
         outside = used[(used < 0) | (used >= self.n_particles)]
@@ -248,28 +246,14 @@ class RigidBodies:
             (q, A), shapes (3, n) and (3, 3, n).
 
         Raises:
-            RigidityError: an atom is further than `FIT_TOLERANCE` from its place, or a position is not finite.
+            RigidityError: an atom is further than `Species.tolerance` from its place, positions are those of a mirror
+                image, or a position is not finite.
         """
-        q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
-        misfit = np.zeros(self.n)
-        for s, part in zip(self.species, self.parts, strict=True):
-            x = positions[s.atoms]
-            centre = np.einsum("k,mkx->mx", s.masses / s.mass, x)
-            q[:, part] = centre.T
-            if not np.isfinite(centre).all():
-                body = part.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
-                raise RigidityError(f"the positions of {self.describe(body)} are not finite")
-            kept = None if previous is None else previous.A[:, :, part]
-            A[:, :, part], misfit[part] = fit_attitudes(s, x - centre[:, None, :], kept)
-        if self.n and misfit.max() > FIT_TOLERANCE:
-            worst = int(misfit.argmax())
-            raise RigidityError(
-                f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm "
-                f"from its place, at most {FIT_TOLERANCE} nm can be mended ({np.count_nonzero(misfit > FIT_TOLERANCE)} "
-                "bodies fail). Are the molecules whole (not cut by the periodic boundary), and do their "
-                "distances match the constraints? context.applyConstraints(1e-6) mends small deviations."
-            )
-        return q, A
+        return self.fit_with_misfit(positions, previous)[:2]
+
+    def fit_with_misfit(self, positions, previous: BodyState | None = None):
+        """`fit`, and for each body the largest distance in nm of an atom from its place: (q, A, misfit)."""
+        return fit_bodies(self, positions, previous)
 
     def momenta(self, velocities, A) -> tuple[np.ndarray, np.ndarray]:
         """Momenta and angular momenta that atom velocities carry: the rigid part of their motion.
@@ -388,38 +372,3 @@ class RigidBodies:
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
-
-
-def fit_attitudes(species: Species, arms, kept=None):
-    """Attitudes that turn the sites of a species onto atoms, and the largest distance left for each body.
-
-    The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
-    Acta Cryst. A 34, 827 (1978)).
-
-    Args:
-        species: what to turn.
-        arms: atom positions from the centres of mass, (m, k, 3), nm.
-        kept: attitudes (3, 3, m) that are returned as they are if they fit to rounding.
-
-    Returns:
-        (A, misfit), shapes (3, 3, m) and (m,).
-    """
-    m = arms.shape[0]
-    if not species.sites.any():
-        attitudes = np.repeat(np.eye(3)[:, :, None], m, axis=2) if kept is None else kept
-        return attitudes, np.linalg.norm(arms, axis=2).max(axis=1)
-    if kept is not None:
-        misfit = _misfit(species, arms, kept)
-        # Atom positions carry the rounding of coordinates of some nm.
-        if misfit.max() < 1e-13 * (1 + np.abs(arms).max()):
-            return kept, misfit
-    correlation = np.einsum("k,ak,mkx->max", species.masses, species.sites, arms)
-    u, _, vt = np.linalg.svd(correlation)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    attitudes = np.ascontiguousarray((u @ vt).transpose(1, 2, 0))
-    return attitudes, _misfit(species, arms, attitudes)
-
-
-def _misfit(species: Species, arms, A):
-    places = np.einsum("ak,axm->mkx", species.sites, A)
-    return np.linalg.norm(arms - places, axis=2).max(axis=1)

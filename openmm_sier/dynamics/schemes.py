@@ -10,12 +10,9 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
-KICK = "kick"
-GRADIENT_KICK = "gradient kick"
-DRIFT = "drift"
-BATH = "bath"
+from openmm_sier.dynamics import stability
+from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
 
 #: Coefficients are taken to satisfy an order condition when it holds to this; published ones have 16 digits.
 CONDITION_TOLERANCE = 1e-12
@@ -25,34 +22,6 @@ HIGHEST_ORDER = 6
 HIGHEST_GRADIENT_ORDER = 4
 
 Word = tuple[str, ...]
-
-
-#: What flow of the exact motion an operator is a part of: the letters of the free algebra in `Scheme.order`.
-FLOWS = {GRADIENT_KICK: KICK}
-
-
-class Stage(NamedTuple):
-    """One operator of a step.
-
-    Attributes:
-        operator: its name.
-        fraction: of the step that it advances.
-        shift: of a gradient kick, the displacement of its force over (step)^2 times the acceleration.
-    """
-
-    operator: str
-    fraction: float
-    shift: float = 0.0
-
-    def times(self, h: float) -> tuple[float, ...]:
-        """What the operator takes in a step of length h: its time, and of a gradient kick its displacement."""
-        own = (self.fraction * h,)
-        return (*own, self.shift * h * h) if self.operator == GRADIENT_KICK else own
-
-    @property
-    def flow(self) -> str:
-        """Name of the operator whose exact flow this stage is a part of."""
-        return FLOWS.get(self.operator, self.operator)
 
 
 @dataclass(frozen=True)
@@ -145,6 +114,16 @@ class Scheme:
         else:
             stages = (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5))
         return Scheme(self.name, stages, self.source)
+
+    @cached_property
+    def stability_limit(self) -> float:
+        """Product of angular frequency and step below which a harmonic mode stays bounded: 2 for SIER2."""
+        return stability.stability_limit(self.stages)
+
+    @cached_property
+    def accuracy_limit(self) -> float:
+        """Product of angular frequency and step up to which the energies of a harmonic mode are right within 10 %."""
+        return stability.accuracy_limit(self.stages)
 
     @cached_property
     def order(self) -> int:

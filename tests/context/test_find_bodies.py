@@ -8,7 +8,6 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import RigidBodies, RigidityError
-from openmm_sier.context.find_bodies import find_bodies
 
 OH, HH = 0.09572, 0.15139
 WATER = ((15.999, 1.008, 1.008), {(0, 1): OH, (0, 2): OH, (1, 2): HH})
@@ -18,11 +17,11 @@ def system_of(*molecules):
     """A System of molecules (masses, {pair: constraint length}), with indices from the molecule's first particle."""
     system = openmm.System()
     for masses, constraints in molecules:
-        start = find_bodies.getNumParticles()
+        start = system.getNumParticles()
         for mass in masses:
-            find_bodies.addParticle(mass)
+            system.addParticle(mass)
         for (a, b), length in constraints.items():
-            find_bodies.addConstraint(start + a, start + b, length)
+            system.addConstraint(start + a, start + b, length)
     return system
 
 
@@ -52,7 +51,7 @@ def lengths_in(species):
 
 
 def test_water_takes_its_geometry_from_the_constraints():
-    bodies = find_bodies(system_of(WATER, WATER))
+    bodies = RigidBodies.from_system(system_of(WATER, WATER))
     assert lists(bodies) == [[0, 1, 2], [3, 4, 5]]
     (species,) = bodies.species
     found = lengths_in(species)
@@ -95,7 +94,7 @@ def test_water_models_of_openmm(field, model, sites):
 
 
 def test_two_atoms_are_a_line():
-    bodies = find_bodies(system_of(((14.0, 16.0), {(0, 1): 0.115})))
+    bodies = RigidBodies.from_system(system_of(((14.0, 16.0), {(0, 1): 0.115})))
     (species,) = bodies.species
     reduced = 14.0 * 16.0 / 30.0
     assert species.moments[0] == 0
@@ -104,7 +103,7 @@ def test_two_atoms_are_a_line():
 
 
 def test_three_atoms_in_a_row_are_a_line():
-    bodies = find_bodies(system_of(((16.0, 12.0, 16.0), {(0, 1): 0.116, (1, 2): 0.116, (0, 2): 0.232})))
+    bodies = RigidBodies.from_system(system_of(((16.0, 12.0, 16.0), {(0, 1): 0.116, (1, 2): 0.116, (0, 2): 0.232})))
     (species,) = bodies.species
     assert species.moments[0] == 0
     assert species.moments[1:] == pytest.approx([2 * 16.0 * 0.116**2] * 2, rel=1e-12)
@@ -113,14 +112,14 @@ def test_three_atoms_in_a_row_are_a_line():
 
 def test_particles_in_a_row_to_the_digits_of_a_force_field():
     """Lengths rounded to 1e-6 nm that can be no triangle are a line."""
-    bodies = find_bodies(system_of(((16.0, 12.0, 16.0), {(0, 1): 0.115997, (1, 2): 0.115997, (0, 2): 0.231995})))
+    bodies = RigidBodies.from_system(system_of(((16.0, 12.0, 16.0), {(0, 1): 0.115997, (1, 2): 0.115997, (0, 2): 0.231995})))
     assert bodies.degrees_of_freedom == 5
 
 
 def test_ions_unconstrained_atoms_and_fixed_particles():
     """Atoms of no constraint are points; a massless particle is of no body."""
     ion, fixed, free = ((22.99,), {}), ((0.0,), {}), ((12.0, 1.0), {})
-    bodies = find_bodies(system_of(ion, WATER, fixed, free, WATER, ion))
+    bodies = RigidBodies.from_system(system_of(ion, WATER, fixed, free, WATER, ion))
     assert sorted(lists(bodies)) == [[0], [1, 2, 3], [5], [6], [7, 8, 9], [10]]
     assert len(bodies.species) == 4
     assert bodies.degrees_of_freedom == 2 * 6 + 4 * 3
@@ -130,14 +129,14 @@ def test_ions_unconstrained_atoms_and_fixed_particles():
 
 def test_virtual_sites_outside_bodies():
     system = system_of(((12.0, 1.0, 0.0), {}))
-    find_bodies.setVirtualSite(2, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
-    assert sorted(lists(find_bodies(system))) == [[0], [1]]
+    system.setVirtualSite(2, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
+    assert sorted(lists(RigidBodies.from_system(system))) == [[0], [1]]
 
 
 def test_molecules_of_other_masses_or_lengths_are_other_species():
     heavy = ((15.999, 2.014, 2.014), WATER[1])
     wide = (WATER[0], {**WATER[1], (1, 2): 0.16})
-    bodies = find_bodies(system_of(WATER, heavy, wide, WATER))
+    bodies = RigidBodies.from_system(system_of(WATER, heavy, wide, WATER))
     assert sorted(len(species.atoms) for species in bodies.species) == [1, 1, 2]
 
 
@@ -145,12 +144,12 @@ def test_order_of_atoms_and_constraints_does_not_matter():
     """Hydrogens first, pairs in either direction, molecules interleaved."""
     system = openmm.System()
     for mass in (1.008, 1.008, 1.008, 15.999, 15.999, 1.008):
-        find_bodies.addParticle(mass)
+        system.addParticle(mass)
     for a, b, length in ((3, 0, OH), (2, 0, HH), (2, 3, OH), (1, 4, OH), (5, 4, OH), (5, 1, HH)):
-        find_bodies.addConstraint(a, b, length)
-    bodies = find_bodies(system)
+        system.addConstraint(a, b, length)
+    bodies = RigidBodies.from_system(system)
     assert sorted(lists(bodies)) == [[0, 2, 3], [1, 4, 5]]
-    reference = find_bodies(system_of(WATER)).species[0].moments
+    reference = RigidBodies.from_system(system_of(WATER)).species[0].moments
     for species in bodies.species:
         assert np.allclose(species.moments, reference, rtol=1e-13)
 
@@ -161,7 +160,7 @@ def test_a_larger_rigid_molecule(rng):
     apart = np.linalg.norm(x[:, None] - x[None], axis=2)
     pairs = {(i, j): apart[i, j] for i in range(12) for j in range(i)}
     system = system_of((rng.uniform(1, 30, 12), pairs))
-    bodies = find_bodies(system, positions=x)
+    bodies = RigidBodies.from_system(system, positions=x)
     q, A = bodies.fit(x)
     assert np.abs(bodies.place(q, A, np.zeros((12, 3))) - x).max() < 1e-13
 
@@ -173,16 +172,16 @@ def test_either_hand_of_a_molecule(rng):
     molecule = ((12.0, 1.0, 35.0, 80.0), {(i, j): apart[i, j] for i in range(4) for j in range(i)})
     system = system_of(molecule, molecule, molecule)
     both = np.concatenate([x, x * [1, 1, -1] + 1, x - 1])
-    bodies = find_bodies(system, positions=both * unit.nanometer)
+    bodies = RigidBodies.from_system(system, positions=both * unit.nanometer)
     q, A = bodies.fit(both)
     assert np.linalg.det(A.transpose(2, 0, 1)) == pytest.approx(1)
     assert np.abs(bodies.place(q, A, np.zeros((12, 3))) - both).max() < 1e-13
     with pytest.raises(RigidityError, match="give positions"):
-        find_bodies(system)
+        RigidBodies.from_system(system)
 
 
 def test_an_empty_system():
-    assert find_bodies(openmm.System()).n == 0
+    assert RigidBodies.from_system(openmm.System()).n == 0
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
@@ -192,7 +191,7 @@ def test_constrained_but_not_rigid():
     """As with constraints=HBonds: hydrogens on one heavy atom."""
     methyl = ((12.011, 1.008, 1.008, 1.008), {(0, 1): 0.109, (0, 2): 0.109, (0, 3): 0.109})
     with pytest.raises(RigidityError) as error:
-        find_bodies(system_of(WATER, methyl), topology_of(("HOH", 3), ("CH3", 4)))
+        RigidBodies.from_system(system_of(WATER, methyl), topology_of(("HOH", 3), ("CH3", 4)))
     message = str(error.value)
     assert message.startswith("residue CH3 2 (atoms 3, 4, 5, 6) is constrained but not rigid")
     assert "3 of its 6 distances are free, the first between atoms 4 and 5" in message
@@ -201,9 +200,9 @@ def test_constrained_but_not_rigid():
 
 def test_a_constraint_between_two_molecules():
     system = system_of(WATER, WATER)
-    find_bodies.addConstraint(0, 3, 0.3)
+    system.addConstraint(0, 3, 0.3)
     with pytest.raises(RigidityError) as error:
-        find_bodies(system, topology_of(("HOH", 3), ("HOH", 3)))
+        RigidBodies.from_system(system, topology_of(("HOH", 3), ("HOH", 3)))
     message = str(error.value)
     assert message.startswith("residue HOH 1 and HOH 2 (atoms 0, 1, 2, 3, 4, 5) is constrained but not rigid")
     assert "8 of its 15 distances are free" in message
@@ -212,13 +211,13 @@ def test_a_constraint_between_two_molecules():
 
 def test_a_massless_particle_that_is_constrained():
     with pytest.raises(RigidityError, match=r"atoms 0, 1, 2.*: atom 1 is constrained but has no mass.*virtual site"):
-        find_bodies(system_of(((15.999, 0.0, 1.008), WATER[1])))
+        RigidBodies.from_system(system_of(((15.999, 0.0, 1.008), WATER[1])))
 
 
 def test_contradictory_lengths():
     impossible = (WATER[0], {(0, 1): 0.1, (0, 2): 0.1, (1, 2): 0.25})
     with pytest.raises(RigidityError) as error:
-        find_bodies(system_of(WATER, impossible), topology_of(("HOH", 3), ("BAD", 3)))
+        RigidBodies.from_system(system_of(WATER, impossible), topology_of(("HOH", 3), ("BAD", 3)))
     message = str(error.value)
     assert "the constraints of residue BAD 2 (atoms 3, 4, 5) contradict each other" in message
     assert "0.1000, 0.1000, 0.2500 nm" in message
@@ -229,22 +228,22 @@ def test_lengths_that_need_a_fourth_dimension():
     """Six distances of which every triangle closes and the tetrahedron does not."""
     pairs = {(0, 1): 0.1, (0, 2): 0.1, (1, 2): 0.1, (0, 3): 0.055, (1, 3): 0.055, (2, 3): 0.055}
     with pytest.raises(RigidityError, match="contradict each other"):
-        find_bodies(system_of((4 * (12.0,), pairs)))
+        RigidBodies.from_system(system_of((4 * (12.0,), pairs)))
 
 
 def test_without_a_topology_atoms_are_named():
     with pytest.raises(RigidityError, match="atoms 3, 4, 5, 6"):
-        find_bodies(system_of(WATER, (4 * (1.0,), {(0, 1): 0.1, (1, 2): 0.1, (2, 3): 0.1})))
+        RigidBodies.from_system(system_of(WATER, (4 * (1.0,), {(0, 1): 0.1, (1, 2): 0.1, (2, 3): 0.1})))
 
 
 def test_a_topology_of_another_system():
     with pytest.raises(ValueError, match="the topology has 4 atoms, the System 3 particles"):
-        find_bodies(system_of(WATER), topology_of(("HOH", 4)))
+        RigidBodies.from_system(system_of(WATER), topology_of(("HOH", 4)))
 
 
 def test_contradictions_between_repeated_constraints():
     """The same pair constrained twice, to other lengths."""
     system = system_of(WATER)
-    find_bodies.addConstraint(1, 0, OH + 0.01)
+    system.addConstraint(1, 0, OH + 0.01)
     with pytest.raises(RigidityError, match="atoms 0 and 1"):
-        find_bodies(system)
+        RigidBodies.from_system(system)
