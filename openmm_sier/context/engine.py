@@ -153,7 +153,7 @@ class Engine:
             self._publish()
         except BaseException:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
-            _whatever_interrupts(self._recover)
+            self.restore()
             raise
 
     def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
@@ -249,8 +249,11 @@ class Engine:
         # A barostat moves what belongs to no body too.
         self._positions[:] = mark.getPositions(asNumpy=True)._value
 
+    def restore(self) -> None:
+        """Write the last completed step to the Context, whatever was cut short and even if Ctrl-C comes meanwhile."""
+        _whatever_interrupts(self._recover)
+
     def _recover(self) -> None:
-        """Write the last completed step to the Context, whatever was cut short."""
         self.forces.forget()
         self._placed = (None, None)
         self._publish()

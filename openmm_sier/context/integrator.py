@@ -13,6 +13,7 @@ from openmm import unit
 
 from openmm_sier.context.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
+from openmm_sier.context.minimization import constraints_hold, minimize_bodies
 from openmm_sier.dynamics.barostat import Piston
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import rotor
@@ -364,6 +365,20 @@ def _accepting(method):
     return wrapper
 
 
+def _keeping_bodies(method):
+    """`LocalEnergyMinimizer.minimize`, which knows constraints and would tear bodies that are rigid without them."""
+
+    @functools.wraps(method)
+    def wrapper(context, tolerance=10.0, maxIterations=0, reporter=None):
+        integrator = getattr(context, "_integrator", None)
+        engine = integrator._bound() if isinstance(integrator, SIERIntegrator) else None
+        if engine is None or constraints_hold(context.getSystem(), engine.bodies):
+            return method(context, tolerance, maxIterations, reporter)
+        return minimize_bodies(context, engine, tolerance, maxIterations, reporter)
+
+    return staticmethod(wrapper)
+
+
 def _refuse_lost(integrator) -> None:
     """Refuse what the package's Python part cannot reach."""
     parts = [integrator]
@@ -392,5 +407,6 @@ _replace(openmm.Context, "__init__", _binding)
 _replace(openmm.Context, "reinitialize", _forgetting)
 _replace(openmm.Context, "reinitialize", _binding)
 _replace(openmm.Context, "setState", _accepting)
+_replace(openmm.LocalEnergyMinimizer, "minimize", _keeping_bodies)
 for _class in [member for member in vars(openmm).values() if isinstance(member, type)]:
     _replace(_class, "updateParametersInContext", _updating)

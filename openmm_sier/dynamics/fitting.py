@@ -45,7 +45,7 @@ def fit_bodies(bodies: RigidBodies, positions, previous: BodyState | None):
         kept = None if previous is None else previous.A[:, :, part]
         A[:, :, part], misfit[part] = fit_attitudes(species, arms, kept)
         _refuse_mirrored(bodies, species, part, misfit[part], arms)
-        _refuse_torn(bodies, species, part, misfit[part])
+    _refuse_torn(bodies, misfit)
     return q, A, misfit
 
 
@@ -63,18 +63,18 @@ def _refuse_mirrored(bodies: RigidBodies, species: Species, part: slice, misfit,
         )
 
 
-def _refuse_torn(bodies: RigidBodies, species: Species, part: slice, misfit) -> None:
-    torn = misfit > species.tolerance
+def _refuse_torn(bodies: RigidBodies, misfit) -> None:
+    tolerances = np.repeat([s.tolerance for s in bodies.species], [len(s.atoms) for s in bodies.species])
+    torn = misfit > tolerances
     if not torn.any():
         return
-    worst = int(misfit.argmax())
+    worst = int(np.where(torn, misfit, 0.0).argmax())
     raise RigidityError(
-        f"{bodies.describe(part.start + worst)} does not have the shape of its rigid body: an atom is "
-        f"{misfit[worst]:.4f} nm from its place, at most {species.tolerance:.4g} nm can be mended "
-        f"({np.count_nonzero(torn)} bodies of this kind fail). Is the molecule whole (not cut by the periodic boundary)? "
-        "If constraints hold it, context.applyConstraints(1e-6) may mend it. If it was named as a rigid body, no "
-        "constraint holds it, and its atoms must not be moved one by one: minimize the energy in a Context with this "
-        "integrator, or start from the positions that the bodies were made of"
+        f"{bodies.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm from its "
+        f"place, at most {tolerances[worst]:.4g} nm can be mended ({np.count_nonzero(torn)} bodies fail). Is the molecule "
+        "whole (not cut by the periodic boundary)? If constraints hold it, context.applyConstraints(1e-6) may mend it. If "
+        "it was named as a rigid body, no constraint holds it, and its atoms must not be moved one by one: minimize the "
+        "energy in a Context with this integrator, or start from the positions that the bodies were made of"
     )
 
 
