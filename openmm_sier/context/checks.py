@@ -5,12 +5,11 @@ And Systems in which the volume cannot be changed without harm to rigid bodies, 
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import openmm
 
 from openmm_sier.context.geometries import RESOLUTION
+from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 
 #: These are known to do nothing; with any other kind in the System the Context is told and read each step.
@@ -125,10 +124,9 @@ def tell_of_misfit(bodies: RigidBodies, misfit) -> bool:
     if not off:
         return False
     worst = int(misfit.argmax())
-    warnings.warn(
-        f"{off} of {bodies.n} bodies are not quite in the shape of their constraints, or of the geometry that they were "
-        f"given, and are moved onto it: an atom by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. Is it the "
-        "force field that the positions were made with?",
-        stacklevel=7,
+    tell(
+        f"{off} of {bodies.n} bodies are not quite in the shape of their constraints, or of the geometry that they "
+        f"were given, and are moved onto it: an atom by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. "
+        "Is it the force field that the positions were made with?"
     )
     return True

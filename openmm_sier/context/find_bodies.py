@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
@@ -12,6 +11,7 @@ from openmm import unit
 
 from openmm_sier.context import geometries
 from openmm_sier.context.geometries import EMBEDDING_TOLERANCE, Cluster, Kind, KindCollector, Sharing
+from openmm_sier.context.notices import tell
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError, Species
 
@@ -124,10 +124,9 @@ class BodyPlan:
         first = max(shared, key=lambda some: some.deviation)
         others = sum(len(some.clusters) for some in shared) - len(first.clusters)
         more = f"; {others} bodies of {len(shared) - 1} more kinds do alike, with less deviation" if others else ""
-        warnings.warn(
+        tell(
             f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} share one geometry, the average of "
-            f"theirs, from which they differ by up to {first.deviation:.1g} nm ({self._describe(first.worst)}){more}",
-            stacklevel=3,
+            f"theirs, from which they differ by up to {first.deviation:.1g} nm ({self._describe(first.worst)}){more}"
         )
 
     # --- which particles ---
@@ -198,9 +197,9 @@ class BodyPlan:
                 f"are free, the first between atoms {a} and {b}. A body needs a constraint between every two of its "
                 "atoms and none to other atoms. Either make each heavy atom and its hydrogens one rigid body, which "
                 "fixes H-X-H angles: bodies=RigidBodies.from_system(system, topology, "
-                f'rigid="{HYDROGEN_GROUPS}", positions=positions). Or name the atoms in `bodies` to make them one rigid body. Or build the System '
-                "with rigidWater=True and constraints=None, so that only water is constrained; bonds of hydrogen bear "
-                "steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2"
+                f'rigid="{HYDROGEN_GROUPS}", positions=positions). Or name the atoms in `bodies` to make them one rigid body. '
+                "Or build the System with rigidWater=True and constraints=None, so that only water is constrained; "
+                "bonds of hydrogen bear steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2"
             )
 
     def _demand_extent(self, kind: Kind, positions) -> None:

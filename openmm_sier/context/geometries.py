@@ -25,9 +25,9 @@ RESOLUTION = 5e-4
 #: field differ by 1e-3 nm.
 LENGTH_TOLERANCE = 3.5e-4
 
-#: Named bodies with the same masses share a geometry from which none of their atoms is further away, in nm. Minimized or
-#: thermal molecules of one conformation are within it: a bond angle that is off by 4 degrees moves a hydrogen by 0.007
-#: nm. Torsions that differ by 10 degrees move one by 0.017 nm and make another geometry.
+#: Named bodies with the same masses share a geometry from which none of their atoms is further away, in nm. Minimized
+#: or thermal molecules of one conformation are within it: a bond angle that is off by 4 degrees moves a hydrogen by
+#: 0.007 nm. Torsions that differ by 10 degrees move one by 0.017 nm and make another geometry.
 SHARING_TOLERANCE = 0.01
 
 #: Rounding of positions and lengths in nm, of which nobody needs to hear.

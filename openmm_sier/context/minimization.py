@@ -65,5 +65,10 @@ def _report(context, reporter, number: int) -> bool:
     state = context.getState(positions=True, forces=True, energy=True, groups=groups)
     x, forces = state.getPositions(asNumpy=True)._value, state.getForces(asNumpy=True)._value
     energy = state.getPotentialEnergy()._value
-    arguments = {"system energy": energy, "restraint energy": 0.0, "restraint strength": 0.0, "max constraint error": 0.0}
+    arguments = {
+        "system energy": energy,
+        "restraint energy": 0.0,
+        "restraint strength": 0.0,
+        "max constraint error": 0.0,
+    }
     return bool(reporter.report(number, x.ravel().tolist(), (-forces).ravel().tolist(), arguments))

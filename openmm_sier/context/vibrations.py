@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from typing import NamedTuple
 
 import numpy as np
 import openmm
 
+from openmm_sier.context.find_bodies import HYDROGEN_GROUPS
+from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import Scheme
 
@@ -71,16 +72,16 @@ class Vibrations:
             raise openmm.OpenMMException(f"A step of {_fs(h)} is too long: {self._describe(bond, scheme)}")
         if h > accurate and not self._warned:
             self._warned = True
-            warnings.warn(f"A step of {_fs(h)} is long: {self._describe(bond, scheme)}", stacklevel=4)
+            tell(f"A step of {_fs(h)} is long: {self._describe(bond, scheme)}")
 
     def _describe(self, bond: Bond, scheme: Scheme) -> str:
         stable, accurate = (_fs(limit * bond.period / (2 * math.pi)) for limit in _limits(scheme))
         return (
-            f"the bond between {self._bodies.describe_atoms(bond.atoms)} is not constrained and has a period of "
+            f"the bond of {self._bodies.describe_atoms(bond.atoms)} is not constrained and has a period of "
             f"{_fs(bond.period)}, which {scheme.name} follows with steps of up to {accurate} and bears with less than "
-            f"{stable}. Take a shorter step, or hold the bond in a rigid body: water by rigidWater=True in createSystem, "
-            'other hydrogens by bodies=RigidBodies.from_system(system, topology, rigid="heavy atoms with hydrogens", '
-            "positions=positions)"
+            f"{stable}. Take a shorter step, or hold the bond in a rigid body: water by rigidWater=True in "
+            "createSystem, other hydrogens by bodies=RigidBodies.from_system(system, topology, "
+            f'rigid="{HYDROGEN_GROUPS}", positions=positions)'
         )
 
 

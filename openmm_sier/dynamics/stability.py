@@ -1,7 +1,7 @@
 """The step that a splitting scheme bears in a harmonic mode, from the matrix by which it propagates one.
 
-In x = (omega h)^2 all entries of that matrix are polynomials: with (q, h p/m) as coordinates a kick of the fraction t is
-[[1, 0], [-t x, 1]], a gradient kick of the shift s is [[1, 0], [-t x (1 - s x), 1]], and a drift is [[1, t], [0, 1]].
+In x = (omega h)^2 all entries of that matrix are polynomials: with (q, h p/m) as coordinates a kick of the fraction t
+is [[1, 0], [-t x, 1]], a gradient kick of the shift s is [[1, 0], [-t x (1 - s x), 1]], and a drift [[1, t], [0, 1]].
 """
 
 from __future__ import annotations

@@ -112,7 +112,9 @@ def test_three_atoms_in_a_row_are_a_line():
 
 def test_particles_in_a_row_to_the_digits_of_a_force_field():
     """Lengths rounded to 1e-6 nm that can be no triangle are a line."""
-    bodies = RigidBodies.from_system(system_of(((16.0, 12.0, 16.0), {(0, 1): 0.115997, (1, 2): 0.115997, (0, 2): 0.231995})))
+    bodies = RigidBodies.from_system(
+        system_of(((16.0, 12.0, 16.0), {(0, 1): 0.115997, (1, 2): 0.115997, (0, 2): 0.231995}))
+    )
     assert bodies.degrees_of_freedom == 5
 
 
