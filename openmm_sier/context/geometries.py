@@ -200,10 +200,14 @@ def from_positions(kind: Kind, positions, describe: Callable) -> tuple[list[Spec
         near = fit_attitudes(model, arms)[1] <= SHARING_TOLERANCE
         # Constraints may take the model further away from the very first, which is alike to itself.
         near[0] = True
-        if near.sum() > 1:
+        misfit = np.zeros(len(arms))
+        # The first one is as far from the mean as any other: some are near the mean that are not near the first.
+        for _ in range(2 if near.sum() > 1 else 0):
             model = _model(kind, _mean_shape(model, arms[near]), describe)
             misfit = fit_attitudes(model, arms)[1]
-            near &= misfit <= max(SHARING_TOLERANCE, misfit[0])
+            near = misfit <= SHARING_TOLERANCE
+            near[0] = True
+        if near.sum() > 1:
             worst = int(np.where(near, misfit, -1.0).argmax())
             sharing.append(Sharing(clusters[near], float(misfit[worst]), clusters[worst]))
         species.append(model.of_atoms(clusters[near]))

@@ -77,7 +77,7 @@ class Vibrations:
     def _describe(self, bond: Bond, scheme: Scheme) -> str:
         stable, accurate = (_fs(limit * bond.period / (2 * math.pi)) for limit in _limits(scheme))
         return (
-            f"the bond of {self._bodies.describe_atoms(bond.atoms)} is not constrained and has a period of "
+            f"the bond between {_names(bond.atoms, self._bodies.labels)} is not constrained and has a period of "
             f"{_fs(bond.period)}, which {scheme.name} follows with steps of up to {accurate} and bears with less than "
             f"{stable}. Take a shorter step, or hold the bond in a rigid body: water by rigidWater=True in "
             "createSystem, other hydrogens by bodies=RigidBodies.from_system(system, topology, "
@@ -87,6 +87,11 @@ class Vibrations:
 
 def _limits(scheme: Scheme) -> tuple[float, float]:
     return scheme.stability_limit, scheme.accuracy_limit
+
+
+def _names(atoms: tuple[int, int], labels) -> str:
+    residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in atoms))})"
+    return f"atoms {atoms[0]} and {atoms[1]}{residues}"
 
 
 def _fs(time: float) -> str:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
+import warnings
+from itertools import combinations
+
 import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
+from scipy.spatial.transform import Rotation
 
-from openmm_sier import RigidBodies, RigidityError
+from openmm_sier import SIER4G, RigidBodies, RigidityError, SIER2Integrator, SIERIntegrator
+from tests.support import methanols
+from tests.support.waters import cluster_system, context_at, energies, platform
 
 OH, HH = 0.09572, 0.15139
 WATER = ((15.999, 1.008, 1.008), {(0, 1): OH, (0, 2): OH, (1, 2): HH})
@@ -249,3 +256,180 @@ def test_contradictions_between_repeated_constraints():
     system.addConstraint(1, 0, OH + 0.01)
     with pytest.raises(RigidityError, match="atoms 0 and 1"):
         RigidBodies.from_system(system)
+
+
+# --- one geometry for each kind ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("constrained", [True, False], ids=["constrained", "named"])
+def test_molecules_of_a_pdb_file_are_of_one_species(constrained):
+    """Rounded coordinates give 124 sets of constraint lengths; their mean is that of no rounding."""
+    positions, topology = methanols.positions_of(125), methanols.topology_of(125)
+    pairs = list(combinations(range(6), 2)) if constrained else []
+    system = methanols.system_of(125, pairs, positions)
+    rigid = None if constrained else {"MOH": "rigid"}
+    with pytest.warns(UserWarning, match="share one geometry") as said:
+        bodies = RigidBodies.from_system(system, topology, rigid, positions)
+    assert len(said) == 1
+    assert said[0].filename == __file__
+    message = str(said[0].message)
+    assert message.startswith("125 bodies like residue MOH 1 (atoms 0, 1, 2, 3, 4, 5) share one geometry")
+    deviation = float(re.search(r"differ by up to (\S+) nm", message)[1])
+    # Each coordinate is off by up to half a digit.
+    assert 0.5 * methanols.DIGIT < deviation < np.sqrt(3) * methanols.DIGIT
+    (species,) = bodies.species
+    exact = np.linalg.norm(methanols.GEOMETRY[:, None] - methanols.GEOMETRY[None], axis=2)
+    # Rounding has a standard deviation of DIGIT/sqrt(12) a coordinate, so a mean of 125 lengths one of 4e-6 nm.
+    assert np.abs(lengths_in(species) - exact).max() < 2e-5
+    _, _, misfit = bodies.fit_with_misfit(positions)
+    assert misfit.max() < np.sqrt(3) * methanols.DIGIT
+
+
+def test_equal_molecules_share_a_geometry_in_silence():
+    """Rounding of lengths that are computed from double precision, and lengths that are the same."""
+    positions = methanols.positions_of(8, digit=None)
+    system = methanols.system_of(8, list(combinations(range(6), 2)), positions)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(RigidBodies.from_system(system, positions=positions).species) == 1
+        assert len(RigidBodies.from_system(system_of(WATER, WATER)).species) == 1
+        named = RigidBodies.from_system(methanols.system_of(8), rigid=np.arange(48).reshape(8, 6), positions=positions)
+    assert len(named.species) == 1
+
+
+def test_constraint_lengths_of_two_types_are_two_species():
+    """Force fields tell bonds apart by 1e-3 nm, which no rounding in a PDB file does."""
+    pairs = [((12.0, 1.0), {(0, 1): length}) for length in (0.109, 0.108, 0.1091, 0.109)]
+    with pytest.warns(UserWarning, match="3 bodies like the body of atoms 0, 1 share") as said:
+        bodies = RigidBodies.from_system(system_of(*pairs))
+    assert "7e-05 nm (the body of atoms 4, 5)" in str(said[0].message)
+    assert sorted(len(species.atoms) for species in bodies.species) == [1, 3]
+    (three,) = [species for species in bodies.species if len(species.atoms) == 3]
+    assert lengths_in(three)[0, 1] == pytest.approx((2 * 0.109 + 0.1091) / 3, abs=1e-15)
+
+
+def test_conformations_are_species_of_their_own(rng):
+    """A hydroxyl group turned by a right angle makes another body, whatever the order of the molecules."""
+    axis = methanols.GEOMETRY[4]
+    turned = methanols.GEOMETRY.copy()
+    turned[5] = axis + Rotation.from_rotvec([np.pi / 2, 0, 0]).apply(turned[5] - axis)
+    kinds = rng.integers(0, 2, 30)
+    parts = [methanols.positions_of(1, turned if kind else methanols.GEOMETRY, seed) for seed, kind in enumerate(kinds)]
+    positions = np.concatenate([x + np.array([0.5 * i, 0, 0]) for i, x in enumerate(parts)])
+    with pytest.warns(UserWarning, match="share one geometry"):
+        bodies = RigidBodies.from_system(
+            methanols.system_of(30), rigid=np.arange(180).reshape(30, 6), positions=positions
+        )
+    found = {tuple(sorted(species.atoms[:, 0] // 6)) for species in bodies.species}
+    assert found == {tuple(np.flatnonzero(kinds == kind)) for kind in (0, 1)}
+
+
+def test_the_shared_geometry_is_the_mean_and_not_the_first(rng):
+    """Atoms that scatter by 0.003 nm: the mean of 50 is sqrt(50) times nearer to the truth than any one of them."""
+    exact = methanols.positions_of(50, digit=None)
+    positions = exact + rng.uniform(-0.003, 0.003, exact.shape)
+    with pytest.warns(UserWarning, match="50 bodies"):
+        bodies = RigidBodies.from_system(
+            methanols.system_of(50), rigid=np.arange(300).reshape(50, 6), positions=positions
+        )
+    (species,) = bodies.species
+    exact = np.linalg.norm(methanols.GEOMETRY[:, None] - methanols.GEOMETRY[None], axis=2)
+    # A uniform scatter of 0.003 has a standard deviation of 0.0017; sqrt(2) times that in a length, over sqrt(50).
+    assert np.abs(lengths_in(species) - exact).max() < 4 * 2.4e-4
+
+
+# --- heavy atoms with hydrogens ---------------------------------------------------------------------------------------
+
+GROUPS = "heavy atoms with hydrogens"
+X_H = [(0, 1), (0, 2), (0, 3), (4, 5)]
+
+
+@pytest.mark.parametrize("pairs", [[], X_H], ids=["no constraints", "HBonds"])
+def test_each_heavy_atom_with_its_hydrogens_is_a_body(pairs):
+    positions, topology = methanols.positions_of(20), methanols.topology_of(20)
+    system = methanols.system_of(20, pairs, positions)
+    with pytest.warns(UserWarning, match="share one geometry"):
+        bodies = RigidBodies.from_system(system, topology, GROUPS, positions * unit.nanometer)
+    found = sorted(lists(bodies))
+    assert found == sorted([[6 * i + a for a in group] for i in range(20) for group in ([0, 1, 2, 3], [4, 5])])
+    assert len(bodies.species) == 2
+    assert bodies.degrees_of_freedom == 20 * (6 + 5)
+    _, _, misfit = bodies.fit_with_misfit(positions)
+    assert misfit.max() < np.sqrt(3) * methanols.DIGIT
+
+
+def test_groups_satisfy_the_constraints_inside_them():
+    """From positions of a force field with C-H of 0.109 nm, constraints of one with 0.111 nm."""
+    longer = methanols.GEOMETRY * 0.111 / np.linalg.norm(methanols.GEOMETRY[1])
+    constraints = methanols.positions_of(4, longer, digit=None)
+    positions, topology = methanols.positions_of(4), methanols.topology_of(4)
+    with pytest.warns(UserWarning, match="share one geometry"):
+        bodies = RigidBodies.from_system(methanols.system_of(4, X_H, constraints), topology, GROUPS, positions)
+    methyl = next(species for species in bodies.species if len(species.masses) == 4)
+    assert np.abs(lengths_in(methyl)[0, 1:] - 0.111).max() < 1e-12
+    # H-H is free: the projection moves hydrogens along their bonds by 0.002 nm, and H-H by sqrt(8/3) of that.
+    assert lengths_in(methyl)[1, 2] == pytest.approx(np.sqrt(8 / 3) * 0.111, abs=1e-3)
+
+
+def test_water_keeps_the_geometry_of_its_constraints():
+    topology, positions, system = cluster_system(3)
+    bodies = RigidBodies.from_system(system, topology, GROUPS)
+    assert len(bodies.species) == 1
+    assert lengths_in(bodies.species[0])[0, 1] == pytest.approx(OH, abs=1e-15)
+    topology, positions, system = cluster_system(3, rigidWater=False)
+    with pytest.warns(UserWarning, match="3 bodies"):
+        flexible = RigidBodies.from_system(system, topology, GROUPS, positions)
+    assert sorted(lists(flexible)) == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
+
+
+def test_constraints_between_groups_are_refused():
+    positions, topology = methanols.positions_of(2), methanols.topology_of(2)
+    system = methanols.system_of(2, [*X_H, (0, 4)], positions)
+    with pytest.raises(RigidityError, match=r"between atoms 0 and 4 joins .*constraints=None or HBonds"):
+        RigidBodies.from_system(system, topology, GROUPS, positions)
+    # A molecule all of whose distances are constrained is one body, as without groups.
+    system = methanols.system_of(2, list(combinations(range(6), 2)), positions)
+    with pytest.warns(UserWarning, match="2 bodies"):
+        assert RigidBodies.from_system(system, topology, GROUPS, positions).n == 2
+
+
+def test_groups_that_cannot_be_found():
+    positions, topology = methanols.positions_of(1), methanols.topology_of(1)
+    system = methanols.system_of(1)
+    with pytest.raises(ValueError, match="need the topology"):
+        RigidBodies.from_system(system, None, GROUPS, positions)
+    with pytest.raises(ValueError, match='mapping or "heavy atoms with hydrogens", got "hydrogens"'):
+        RigidBodies.from_system(system, topology, "hydrogens", positions)
+    with pytest.raises(RigidityError, match="give positions"):
+        RigidBodies.from_system(system, topology, GROUPS)
+    with pytest.raises(ValueError, match="topology, which has 0 bonds"):
+        RigidBodies.from_system(system, topology_of(("MOH", 6)), GROUPS, positions)
+
+
+def test_the_remedies_that_a_refusal_names_work():
+    """A molecule with constraints=HBonds: groups at 6 fs, no constraints at 3 fs with SIER4G and 0.8 fs with SIER2."""
+    positions, topology = methanols.positions_of(8), methanols.topology_of(8)
+    held, free = methanols.system_of(8, X_H, positions), methanols.system_of(8)
+    with pytest.raises(RigidityError) as caught:
+        openmm.Context(held, SIERIntegrator(0.006, SIER4G), platform())
+    message = str(caught.value)
+    assert f'rigid="{GROUPS}"' in message
+    assert "fixes H-X-H angles" in message
+    assert "steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2" in message
+    with pytest.warns(UserWarning, match="share one geometry"):
+        groups = RigidBodies.from_system(held, topology, GROUPS, positions)
+    runs = [(held, SIERIntegrator(0.006, SIER4G, bodies=groups)), (free, SIERIntegrator(0.003, SIER4G))]
+    for system, integrator in [*runs, (free, SIER2Integrator(0.0008))]:
+        with warnings.catch_warnings():
+            # Neither the step nor the positions call for a remark.
+            warnings.simplefilter("error")
+            context = context_at(system, integrator, (positions, 0 * positions))
+            openmm.LocalEnergyMinimizer.minimize(context, 10, 200)
+            context.setVelocitiesToTemperature(300, 1)
+            integrator.step(0)
+            totals = []
+            for _ in range(round(0.3 / integrator.getStepSize()._value)):
+                integrator.step(1)
+                totals.append(sum(energies(context)))
+        # Of a kinetic energy of 2.5 kJ/mol for two freedoms, 110 to 180 kJ/mol, a half goes to and fro.
+        assert np.std(totals) < 1.0
