@@ -45,12 +45,12 @@ def test_it_ends_at_a_minimum(cluster):
     rng = np.random.default_rng(3)
     for _ in range(3):
         again = minimize(energy, rng.normal(scale=1e-3, size=6 * n), method="BFGS")
-        # Forces of 1 kJ/mol/nm on 27 freedoms, the softest of some 10 kJ/mol/nm^2: 27/20 kJ/mol above the minimum at most.
+        # Forces of 1 kJ/mol/nm on 27 freedoms, the softest of some 10 kJ/mol/nm^2, are 27/20 kJ/mol above a minimum.
         assert lowest - 1.35 < again.fun < lowest
 
 
 def test_dipoles_in_a_field_turn_to_it(rng):
-    """Each in a harmonic trap: the centres go to the origin, and the principal axis that is the dipole along the field."""
+    """Each in a harmonic trap: the centres go to the origin, and the principal axis of the dipole along the field."""
     bodies = scattered([WATER, METHANE], each=3, n_free=0)
     field = np.array([30.0, -20.0, 10.0])
 
