@@ -177,8 +177,9 @@ class BodyPlan:
             self._check(cluster, lengths)
             collector.add(cluster, self._masses[list(cluster)], {p: lengths[p] for p in combinations(cluster, 2)})
             free[list(cluster)] = False
+        masses = self._masses.tolist()
         for atom in np.flatnonzero(free).tolist():
-            collector.add((atom,), self._masses[[atom]], {})
+            collector.add((atom,), (masses[atom],), {})
         return collector.kinds(self._describe)
 
     def _check(self, cluster: Cluster, lengths: Lengths) -> None:

@@ -89,8 +89,10 @@ class KindCollector:
             masses: dalton.
             lengths: constraint lengths in nm by pairs of particles.
         """
-        number = {particle: i for i, particle in enumerate(cluster)}
-        numbered = sorted((*sorted((number[a], number[b])), length) for (a, b), length in lengths.items())
+        numbered: list = []
+        if lengths:
+            number = {particle: i for i, particle in enumerate(cluster)}
+            numbered = sorted((*sorted((number[a], number[b])), length) for (a, b), length in lengths.items())
         pairs = tuple((i, j) for i, j, _ in numbered)
         clusters, rows = self._members.setdefault((tuple(masses), pairs), ([], []))
         clusters.append(cluster)
