@@ -42,7 +42,7 @@ def row(context, integrator) -> tuple[float, ...]:
     bodies, state = integrator.bodies, integrator.getBodyState()
     potential = observed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     kinetic = sum(bodies.kinetic_energies(state))
-    freedoms = bodies.degrees_of_freedom - removed
+    freedoms = bodies.dof - removed
     return (
         observed.getStepCount(),
         observed.getTime().value_in_unit(unit.picosecond),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.context import checks, stored_state
+from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.snapshot import Snapshot, read_vectors
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics import operators
@@ -58,6 +58,8 @@ class Engine:
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self._positions, self._velocities, self._atom_forces = np.zeros((3, n, 3))
         self._placed: tuple = (None, None)
+        self._remembers_list = neighbour_list.is_remembered(context)
+        self._starts_anew = False
         self._groups: int
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
@@ -144,6 +146,8 @@ class Engine:
         step = operators.stepper(integrator._active_scheme(), self.operators, h)
         alone = not self._has_actors and integrator._piston is None
         try:
+            if count and self._starts_anew:
+                self._forget_past()
             for _ in range(count):
                 if alone or not (self._has_actors or self._moves_volume_now()):
                     # The Context learns of the step when the last one is published.
@@ -155,6 +159,15 @@ class Engine:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
             self.restore()
             raise
+
+    def start_anew(self) -> None:
+        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it to the bit."""
+        self._starts_anew = self._remembers_list
+
+    def _forget_past(self) -> None:
+        neighbour_list.forget(self._context)
+        self.forces.invalidate()
+        self._starts_anew = False
 
     def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
         """One step, after all that acts besides the scheme: barostats and thermostats of the System, our own piston."""
@@ -224,7 +237,7 @@ class Engine:
         now = Snapshot(self._context)
         q, A = self._fit(now, state)
         self._take_positions(now)
-        self.forces.forget()
+        self.forces.invalidate()
         return replace(state, q=q, A=A)
 
     def _box(self) -> np.ndarray:
@@ -254,7 +267,7 @@ class Engine:
         _whatever_interrupts(self._recover)
 
     def _recover(self) -> None:
-        self.forces.forget()
+        self.forces.invalidate()
         self._placed = (None, None)
         self._publish()
 
@@ -279,7 +292,7 @@ class Engine:
     def temperature(self) -> float:
         """In K, of all degrees of freedom; NaN where there are none."""
         self.adopt()
-        freedoms = self.bodies.degrees_of_freedom - (3 if self.removes_motion else 0)
+        freedoms = self.bodies.dof - (3 if self.removes_motion else 0)
         kinetic = sum(self.bodies.kinetic_energies(self.state))
         return 2 * kinetic / (freedoms * GAS_CONSTANT) if freedoms > 0 else float("nan")
 
@@ -298,6 +311,8 @@ class Engine:
             # All particles may be at the origin. OpenMM knows, and says so before it computes anything.
             self._context.getState(energy=True, groups=0)
         moved = self._point is None or not now.same_positions(self._echo)
+        if moved:
+            self.start_anew()
         if moved and self._plan is not None:
             self._settle_by(now.positions)
         if moved or not now.same_velocities(self._echo):
@@ -308,7 +323,7 @@ class Engine:
         self._velocities[:] = now.velocities
         integrator = self._integrator
         self._groups = integrator.getIntegrationForceGroups()
-        heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
+        heat, draws = integrator._counters(None if self._point is None else self._point.state)
         self._point, self._echo = _Point(replace(state, heat=heat, draws=draws), now.time, now.steps), now
 
     def _reconcile(self, before: Snapshot | None, now: Snapshot) -> BodyState:
@@ -338,7 +353,7 @@ class Engine:
 
     def _notice_environment(self, before: Snapshot | None, now: Snapshot) -> None:
         if not now.same_environment(before):
-            self.forces.forget()
+            self.forces.invalidate()
 
     def _momenta(self, velocities, A):
         try:
@@ -365,7 +380,7 @@ class Engine:
         reproduced = np.array_equal(positions, now.positions)
         if not reproduced or not (moved or np.array_equal(velocities, now.velocities)):
             return None
-        self.forces.forget()
+        self.forces.invalidate()
         self._take_positions(now)
         if not np.array_equal(velocities, now.velocities):
             p, L = self._momenta(now.velocities, state.A)

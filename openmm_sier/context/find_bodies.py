@@ -198,9 +198,9 @@ class BodyPlan:
                 f"are free, the first between atoms {a} and {b}. A body needs a constraint between every two of its "
                 "atoms and none to other atoms. Either make each heavy atom and its hydrogens one rigid body, which "
                 "fixes H-X-H angles: bodies=RigidBodies.from_system(system, topology, "
-                f'rigid="{HYDROGEN_GROUPS}", positions=positions). Or name the atoms in `bodies` to make them one rigid '
-                "body. Or build the System with rigidWater=True and constraints=None, so that only water is constrained; "
-                "bonds of hydrogen bear steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2"
+                f'rigid="{HYDROGEN_GROUPS}", positions=positions). Or name the atoms in `bodies` to make them one '
+                "rigid body. Or build the System with rigidWater=True and constraints=None, so that only water is "
+                "constrained; bonds of hydrogen bear steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2"
             )
 
     def _demand_extent(self, kind: Kind, positions) -> None:

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from openmm_sier.dynamics.bodies import LINEAR_MOMENT, RigidityError, Species
-from openmm_sier.dynamics.fitting import fit_attitudes
 
 #: Largest error in nm of a constraint in the geometry that all constraints of a cluster define.
 EMBEDDING_TOLERANCE = 1e-4
@@ -178,7 +177,7 @@ def by_handedness(model: Species, positions) -> list[Species]:
     """The bodies of a species apart from those that are its mirror images."""
     mirror = model.mirrored()
     arms = _arms(model.masses, positions[model.atoms])
-    mirrored = fit_attitudes(mirror, arms)[1] < fit_attitudes(model, arms)[1]
+    mirrored = mirror.fit(arms)[1] < model.fit(arms)[1]
     halves = [(model, model.atoms[~mirrored]), (mirror, model.atoms[mirrored])]
     return [species.of_atoms(atoms) for species, atoms in halves if len(atoms)]
 
@@ -199,14 +198,14 @@ def from_positions(kind: Kind, positions, describe: Callable) -> tuple[list[Spec
     while len(clusters):
         arms = _arms(masses, positions[clusters])
         model = _model(kind, arms[0], describe)
-        near = fit_attitudes(model, arms)[1] <= SHARING_TOLERANCE
+        near = model.fit(arms)[1] <= SHARING_TOLERANCE
         # Constraints may take the model further away from the very first, which is alike to itself.
         near[0] = True
         misfit = np.zeros(len(arms))
         # The first one is as far from the mean as any other: some are near the mean that are not near the first.
         for _ in range(2 if near.sum() > 1 else 0):
             model = _model(kind, _mean_shape(model, arms[near]), describe)
-            misfit = fit_attitudes(model, arms)[1]
+            misfit = model.fit(arms)[1]
             near = misfit <= SHARING_TOLERANCE
             near[0] = True
         if near.sum() > 1:
@@ -222,7 +221,7 @@ def _mean_shape(model: Species, arms):
 
     Turning them onto the mean instead, and so on, would change it in second order of their deviations.
     """
-    attitudes = fit_attitudes(model, arms)[0]
+    attitudes = model.fit(arms)[0]
     return np.einsum("axm,mkx->ka", attitudes, arms) / len(arms)
 
 

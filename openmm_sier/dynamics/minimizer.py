@@ -53,7 +53,7 @@ def descent(bodies: RigidBodies, forces: Forces, q, A) -> Iterator[Point]:
     """
     radii = np.sqrt(bodies.moments.sum(axis=0) / (2 * bodies.masses))
     inverse = np.divide(1.0, radii, out=np.zeros_like(radii), where=radii > 0)
-    freedoms = max(bodies.degrees_of_freedom, 1)
+    freedoms = max(bodies.dof, 1)
     v, step, mixing, downhill = np.zeros((6, bodies.n)), 0.0, SLOWEST_MIXING, 0
     while True:
         F, tau = forces(q, A)

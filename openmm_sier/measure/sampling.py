@@ -13,8 +13,8 @@ from openmm import unit
 
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, NotFiniteError, RigidBodies, RigidityError
-from openmm_sier.dynamics.rotation.rotor import body_frame
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 
 #: Tolerance of constraints for OpenMM's own integrators; SETTLE is not better than 1e-8.
@@ -195,7 +195,7 @@ def steepness(context, bodies: RigidBodies, samples: int, every: int) -> tuple[f
         A = context.getIntegrator().getBodyState().A
         F, tau = bodies.forces_and_torques(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer), A)
         sums += (F * F / bodies.masses).sum(), (body_frame(A, tau) ** 2 * bodies.inverse_moments).sum()
-    freedoms = np.array([3 * bodies.n, bodies.degrees_of_freedom - 3 * bodies.n])
+    freedoms = np.array([3 * bodies.n, bodies.dof - 3 * bodies.n])
     translation, rotation = np.divide(sums / (samples * GAS_CONSTANT), freedoms, out=np.zeros(2), where=freedoms > 0)
     return float(translation), float(rotation)
 

@@ -14,6 +14,7 @@ from openmm import unit
 
 from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
+from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
@@ -32,7 +33,6 @@ FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 
 #: What the numbers are written to.
 FILE = "equipartition.json"
-DALTON_PER_NM3 = 1.66053906660e-3  # in g/cm^3
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def _measure(method, dt, system, bodies, start, settings: Settings) -> Row:
     except (sampling.Unstable, openmm.OpenMMException) as error:
         none = (float("nan"), float("nan"))
         return Row(method.name, step, dt, settings.time, none, none, none, none, none, float("nan"), str(error))
-    density = bodies.masses.sum() / series.volume * DALTON_PER_NM3
+    density = bodies.masses.sum() / series.volume / GRAM_PER_CM3
     return Row(
         method.name,
         step,

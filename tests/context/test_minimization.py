@@ -40,7 +40,7 @@ def rms_force(context, bodies):
     _, A = bodies.fit(phase_point(context)[0])
     F, tau = bodies.forces_and_torques(forces, A)
     gyration = bodies.moments.sum(axis=0) / (2 * bodies.masses)
-    return np.sqrt(((F**2).sum() + (tau**2 / gyration).sum()) / bodies.degrees_of_freedom)
+    return np.sqrt(((F**2).sum() + (tau**2 / gyration).sum()) / bodies.dof)
 
 
 def test_a_simulation_minimizes_named_bodies_whole(gas, rigid):

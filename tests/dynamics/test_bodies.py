@@ -53,7 +53,7 @@ def test_species_from_coordinates(kind):
     assert np.abs(sites @ masses).max() < 1e-15 * masses.sum()
     assert np.abs(inertia - np.diag(found.moments)).max() < 1e-14 * scale
     assert (np.diff(found.moments) >= -1e-14 * scale).all()
-    assert found.degrees_of_freedom == freedoms
+    assert found.dof == freedoms
     assert found.mass == pytest.approx(masses.sum())
 
     x = np.array(coordinates, dtype=float)
@@ -216,7 +216,7 @@ def test_total_momenta_are_those_of_the_atoms(rng, bodies):
 
 def test_degrees_of_freedom_and_temperatures(rng):
     bodies = scattered(ALL, each=2000, n_free=0)
-    assert bodies.degrees_of_freedom == 2000 * (4 * 6 + 2 * 5 + 3)
+    assert bodies.dof == 2000 * (4 * 6 + 2 * 5 + 3)
     state = random_state(rng, bodies)  # RT = 2.5 kJ/mol
     expected = 2.5 / GAS_CONSTANT
     # The relative standard error is sqrt(2 / degrees of freedom): 0.7 % and 0.9 %.
@@ -376,7 +376,7 @@ def test_bodies_are_named(bodies):
 def test_no_bodies_at_all():
     nothing = RigidBodies([], 4)
     assert nothing.n == 0
-    assert nothing.degrees_of_freedom == 0
+    assert nothing.dof == 0
     q, A = nothing.fit(np.zeros((4, 3)))
     assert q.shape == (3, 0)
     assert A.shape == (3, 3, 0)

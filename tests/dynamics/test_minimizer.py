@@ -76,7 +76,7 @@ def test_forces_are_measured_as_those_on_the_degrees_of_freedom(cluster):
             gyration = (species.masses * (species.sites**2).sum(axis=0)).sum() / species.mass
             squares += (tau[:, part] ** 2).sum() / gyration
     assert first.q is state.q
-    assert first.rms == pytest.approx(np.sqrt(squares / found.bodies.degrees_of_freedom), rel=1e-12)
+    assert first.rms == pytest.approx(np.sqrt(squares / found.bodies.dof), rel=1e-12)
 
 
 def test_no_body_is_thrown(cluster):

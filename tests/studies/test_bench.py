@@ -15,15 +15,12 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import RigidBodies
-from openmm_sier.context.integrator import SIER2Integrator
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.context.named_integrators import SIER2Integrator
 from openmm_sier.measure import forcefields
 from openmm_sier.studies import bench
 from openmm_sier.studies.bench import accuracy, layer, peers, timing
 from openmm_sier.studies.bench.accuracy import Point
-from tests.cli.test_cli import write_lattice
-from tests.cli.test_commands import run
-from tests.measure.test_systems_data import SYSTEMS
+from tests.support.commands import SYSTEMS, run, write_lattice
 
 
 @pytest.fixture(scope="module")
@@ -82,13 +79,6 @@ def test_summary_is_the_median_with_its_standard_error(rng):
     assert math.isnan(timing.summary(np.array([1.0]))[1])
     assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
     assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)
-
-
-def test_single_thread_is_undone(monkeypatch):
-    monkeypatch.setattr(compiled, "_available_threads", lambda: 5)
-    with compiled.single_threaded():
-        assert compiled.threads() == 1
-    assert compiled.threads() == 5
 
 
 def test_free_water_is_water():
