@@ -272,9 +272,9 @@ class RigidBodies:
             f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm from "
             f"its place, at most {tolerances[worst]:.4g} nm can be mended ({np.count_nonzero(torn)} bodies fail). Is "
             "the molecule whole (not cut by the periodic boundary)? If constraints hold it, "
-            "context.applyConstraints(1e-6) may mend it. If it was named as a rigid body, no constraint holds it, and its atoms must not be moved one "
-            "by one: minimize the energy in a Context with this integrator, or start from the positions that it was "
-            "made of"
+            "context.applyConstraints(1e-6) may mend it. If it was named as a rigid body, no constraint holds it, and "
+            "its atoms must not be moved one by one: minimize the energy in a Context with this integrator, or start "
+            "from the positions that it was made of"
         )
 
     def momenta(self, velocities, A) -> tuple[np.ndarray, np.ndarray]:
