@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.context.find_bodies import RigidBodies
+from openmm_sier.dynamics.bodies import Species
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.studies.console import table
 

@@ -12,8 +12,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.measure import sampling
