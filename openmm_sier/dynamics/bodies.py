@@ -371,20 +371,6 @@ class RigidBodies:
         rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
         return translation, rotation
 
-    def temperatures(self, state: BodyState, removed: int = 0) -> tuple[float, float]:
-        """Temperatures in K of translation and rotation; NaN where there is nothing that moves so.
-
-        Args:
-            state: the phase point.
-            removed: translational degrees of freedom that are held at zero (3 where the centre of mass is at rest).
-        """
-        translation, rotation = self.kinetic_energies(state)
-        freedoms = 3 * self.n - removed, self.degrees_of_freedom - 3 * self.n
-        return (
-            2 * translation / (freedoms[0] * GAS_CONSTANT) if freedoms[0] > 0 else float("nan"),
-            2 * rotation / (freedoms[1] * GAS_CONSTANT) if freedoms[1] > 0 else float("nan"),
-        )
-
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)

@@ -9,11 +9,11 @@ from dataclasses import replace
 import mpmath
 import numpy as np
 import pytest
+from openmm_sier.studies.paper.statistics import jackknife
 
 from openmm_sier.dynamics.rotation import rotor
 from openmm_sier.studies.paper import free_rotation, published, reference, tip4p
 from openmm_sier.studies.paper.free_rotation import Settings
-from openmm_sier.studies.paper.statistics import jackknife
 from tests.support.oracles import rotation_by_dop853
 
 WATER = tip4p.molecules(1).species[0].moments
