@@ -164,8 +164,8 @@ def equilibrate(
       that is more) of the temperature. With a friction of 5/ps the mean over 2 ps scatters by a third of that, so that
       one in a hundred windows is taken for unsettled by chance;
     - the mean potential energy of the second differs from that of the first by less than 2 kT sqrt(dof/2), two
-      canonical standard deviations of the kinetic energy. What a start from a lattice still gives up is many times that, while
-      the bath may already hold the temperature.
+      canonical standard deviations of the kinetic energy. What a start from a lattice still gives up is many times
+      that, while the bath may already hold the temperature.
 
     The first window counts for nothing. An equal seed gives an equal result where the platform's forces are
     deterministic.

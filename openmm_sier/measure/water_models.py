@@ -130,9 +130,9 @@ def _fits(measured: np.ndarray, model: WaterModel) -> bool:
     """Whether distances (n, 2 or 3) are those of a model but for the rounding of a PDB file.
 
     A coordinate rounded to d has a variance of d^2/12, so that a distance has the standard deviation d/sqrt(6), 4e-5
-    nm, and at most an error of sqrt(3) d. The mean over n molecules is known to 4e-5/sqrt(n) nm, 2e-6 nm for 512, where the
-    closest models, TIP4P and TIP4P/2005, are 5e-4 nm apart. Four such errors are allowed. What rounding across the bond
-    adds to a distance r on average, d^2/6r, is 2e-7 nm at most.
+    nm, and at most an error of sqrt(3) d. The mean over n molecules is known to 4e-5/sqrt(n) nm, 2e-6 nm for 512, and
+    the closest models, TIP4P and TIP4P/2005, are 5e-4 nm apart. Four such errors are allowed. What rounding across the
+    bond adds to a distance r on average, d^2/6r, is 2e-7 nm at most.
     """
     errors = measured - np.array(model.distances[: measured.shape[1]])
     of_mean = 4 * PDB_RESOLUTION / math.sqrt(6 * len(measured)) + CONSTRAINT_ERROR
