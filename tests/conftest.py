@@ -1,3 +1,4 @@
+import signal
 from importlib import util
 
 import numpy as np
@@ -5,6 +6,21 @@ import pytest
 
 from openmm_sier.dynamics import bodies
 from openmm_sier.dynamics.rotation import rotor
+
+
+@pytest.fixture(scope="session", autouse=True)
+def signals_reach_children():
+    """Commands that tests start obey signals, also where the suite itself was started with them ignored.
+
+    Scripts start background jobs with SIGINT ignored, `nohup` ignores SIGHUP, and children inherit that. They do not
+    inherit handlers: a signal that is handled here has its default effect there.
+    """
+    ignored = [s for s in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM) if signal.getsignal(s) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else lambda *_: None)
+    yield
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @pytest.fixture

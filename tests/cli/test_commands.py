@@ -11,10 +11,9 @@ import openmm
 import pytest
 
 from openmm_sier import SIER2Integrator
-from openmm_sier.cli import main
 from openmm_sier.measure import forcefields, sampling, starts
 from openmm_sier.studies import equipartition
-from tests.cli.test_cli import SMALL, complaint, log, write_lattice
+from tests.support.commands import SMALL, complaint, log, run, write_lattice
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +24,6 @@ def box(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-
-def run(*arguments):
-    assert main.main([str(argument) for argument in arguments]) == 0
 
 
 @pytest.mark.parametrize("ensemble", [["nvt"], ["npt", "--pressure", "-500"]], ids=["NVT", "NPT"])

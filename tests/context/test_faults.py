@@ -14,7 +14,6 @@ import openmm
 import pytest
 from openmm import app, unit
 
-import openmm_sier
 from openmm_sier import (
     SIER2,
     SIER4,
@@ -27,9 +26,8 @@ from openmm_sier import (
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics.backend import compiled
+from tests.support.faults import Fault, lines_run
 from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
-
-PACKAGE = str(pathlib.Path(openmm_sier.__file__).parent)
 
 
 @pytest.fixture(scope="module")
@@ -45,36 +43,6 @@ def langevin(scheme=SIER2):
 
 
 # --- a fault at every line --------------------------------------------------------------------------------------
-
-
-class Fault(Exception):
-    """Like Ctrl-C, or an error of the machine, it may come at any line."""
-
-
-def lines_run(action, fault_at=None, error=Fault):
-    """Number of lines of the package that an action runs; an error is raised at one of them, counted from 1."""
-    count = 0
-
-    def trace(frame, event, _argument):
-        nonlocal count
-        if not frame.f_code.co_filename.startswith(PACKAGE):
-            return None
-        if event == "line":
-            count += 1
-            if count == fault_at:
-                raise error
-        return trace
-
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        action()
-    except error:
-        if fault_at is None or count < fault_at:
-            raise
-    finally:
-        sys.settrace(before)
-    return count
 
 
 def clock(context):

@@ -30,7 +30,7 @@ from openmm_sier.context import stored_state
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.schemes import BATH, DRIFT, KICK
 from openmm_sier.dynamics.thermostat import Bath
-from tests.context.test_faults import Fault, lines_run
+from tests.support.faults import Fault, lines_run
 from tests.support.waters import phase_point, platform
 
 TEMPERATURE, FRICTION, SEED = 300.0, 3.0, 17

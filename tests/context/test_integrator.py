@@ -9,6 +9,7 @@ from openmm import app, unit
 
 import openmm_sier
 from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERIntegrator
+from tests.support.integrators import constrained_velocity_verlet
 from tests.support.waters import (
     cluster_system,
     context_at,
@@ -75,21 +76,6 @@ def test_force_evaluations_a_step(box, make, evaluations):
         integrator.step(count)
     # One more at the very start; no more where `step` is called again.
     assert integrator.forceEvaluations == 5 * evaluations + 1
-
-
-def constrained_velocity_verlet(h):
-    """The peer that starts from the same phase point: RATTLE as a CustomIntegrator (OpenMM's documentation)."""
-    verlet = openmm.CustomIntegrator(h)
-    verlet.addPerDofVariable("x1", 0)
-    verlet.addUpdateContextState()
-    verlet.addComputePerDof("v", "v+0.5*dt*f/m")
-    verlet.addComputePerDof("x", "x+dt*v")
-    verlet.addComputePerDof("x1", "x")
-    verlet.addConstrainPositions()
-    verlet.addComputePerDof("v", "v+0.5*dt*f/m+(x-x1)/dt")
-    verlet.addConstrainVelocities()
-    verlet.setConstraintTolerance(1e-10)
-    return verlet
 
 
 def test_agrees_with_constrained_velocity_verlet_as_the_step_shrinks(cluster):

@@ -8,39 +8,18 @@ import pytest
 from openmm import unit
 from scipy import stats
 
-from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, Species, body_frame
+from openmm_sier import SIER2, SIER4, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.bodies import GAS_CONSTANT, body_frame
 from openmm_sier.dynamics.schemes import BATH, DRIFT, KICK
 from openmm_sier.dynamics.thermostat import Bath
+from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, ensemble
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 TEMPERATURE = 297.0
 THERMAL = GAS_CONSTANT * TEMPERATURE
 
-GEOMETRIES = {
-    "asymmetric": ([16.0, 1.0, 1.0], [[0, 0, 0], [0.1, 0, 0], [-0.03, 0.09, 0]]),
-    "linear": ([16.0, 12.0, 16.0], [[0, 0, -0.116], [0, 0, 0], [0, 0, 0.116]]),
-    "spherical": (
-        [12.0, 1.0, 1.0, 1.0, 1.0],
-        0.06 * np.array([[0, 0, 0], [1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]),
-    ),
-    "point": ([23.0], [[0, 0, 0]]),
-}
 
-
-def ensemble(kind, n):
-    """n bodies of one kind, far from equilibrium: at rest but for a large common momentum and angular momentum."""
-    masses, coordinates = GEOMETRIES[kind]
-    k = len(masses)
-    species = Species.from_coordinates(np.arange(n * k).reshape(n, k), masses, coordinates)
-    bodies = RigidBodies([species], n * k)
-    rotations = stats.special_ortho_group.rvs(3, size=n, random_state=3).transpose(1, 2, 0)
-    tilde = np.where(species.moments > 0, 1.0, 0.0)[:, None] * np.ones((3, n))
-    L = np.einsum("abn,an->bn", rotations, tilde)
-    return bodies, BodyState(np.zeros((3, n)), np.full((3, n), 20.0), np.ascontiguousarray(rotations), L)
-
-
-@pytest.mark.parametrize("kind", GEOMETRIES)
+@pytest.mark.parametrize("kind", [WATER, CARBON_DIOXIDE, METHANE, ION])
 def test_canonical_distribution_is_reached_from_any_start(kind):
     n = 20000
     bodies, state = ensemble(kind, n)
@@ -53,15 +32,15 @@ def test_canonical_distribution_is_reached_from_any_start(kind):
     for values, inertia in samples:
         # One in 10^4 true normal samples fails. A moment of a wrong axis is off by 30 % or more, 45 standard errors.
         assert stats.kstest(values / np.sqrt(THERMAL * inertia), "norm").pvalue > 1e-4
-    if kind == "linear":
+    if kind == CARBON_DIOXIDE:
         assert np.abs(body_frame(state.A, state.L)[0]).max() < 1e-12
-    if kind == "point":
+    if kind == ION:
         assert not state.L.any()
 
 
 def test_bath_forgets_at_the_friction():
     n = 20000
-    bodies, state = ensemble("asymmetric", n)
+    bodies, state = ensemble(WATER, n)
     after = Bath(TEMPERATURE, 2.0, 7.0, seed=2).operator(bodies)(state, 0.1)
     error = np.sqrt(THERMAL * bodies.species[0].mass / n)
     assert np.abs(after.p.mean(axis=1) - 20.0 * np.exp(-0.2)).max() < 4.5 * error
@@ -73,7 +52,7 @@ def test_bath_forgets_at_the_friction():
 def test_bath_composes():
     """Two half times have the distribution of one whole: variances agree."""
     n = 20000
-    bodies, state = ensemble("asymmetric", n)
+    bodies, state = ensemble(WATER, n)
     bath = Bath(TEMPERATURE, 3.0, 3.0, seed=3).operator(bodies)
     once, twice = bath(state, 0.2), bath(bath(state, 0.1), 0.1)
     # The variance of n normal numbers has the relative error sqrt(2/n) = 1 %.
@@ -82,7 +61,7 @@ def test_bath_composes():
 
 
 def test_noise_depends_on_seed_and_draw_alone():
-    bodies, state = ensemble("asymmetric", 10)
+    bodies, state = ensemble(WATER, 10)
     one, two = (Bath(TEMPERATURE, 1.0, 1.0, seed).operator(bodies) for seed in (1, 2))
     assert np.array_equal(one(state, 0.1).p, one(state, 0.1).p)
     assert not np.allclose(one(state, 0.1).p, two(state, 0.1).p)
@@ -93,7 +72,7 @@ def test_noise_depends_on_seed_and_draw_alone():
 
 
 def test_heat_is_the_change_of_kinetic_energy():
-    bodies, state = ensemble("asymmetric", 100)
+    bodies, state = ensemble(WATER, 100)
     after = Bath(TEMPERATURE, 1.0, 1.0, seed=1).operator(bodies)(state, 0.1)
     gained = sum(bodies.kinetic_energies(after)) - sum(bodies.kinetic_energies(state))
     assert after.heat == pytest.approx(gained, rel=1e-12)

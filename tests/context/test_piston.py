@@ -14,7 +14,7 @@ from openmm_sier import SIER2, SIERLangevinIntegrator
 from openmm_sier.dynamics.barostat import BAR, Piston
 from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies, Species
 from openmm_sier.dynamics.thermostat import Bath
-from tests.context.test_restart import WAYS, assert_same, everything, simulation_of
+from tests.support.restarts import WAYS, assert_same, everything, simulation_of
 from tests.support.waters import cluster_system, context_at, periodic_system, platform, relaxed
 
 TEMPERATURE, PRESSURE = 300.0, 100 * BAR

@@ -11,11 +11,12 @@ import time
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import unit
 
 from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator
 from openmm_sier.context.reporters import BodyStateReporter, ConservationReporter
-from tests.support.waters import periodic_system, platform, relaxed
+from tests.support.restarts import simulation_of
+from tests.support.waters import periodic_system, relaxed
 
 h5py = pytest.importorskip("h5py")
 
@@ -28,10 +29,7 @@ def box():
 
 def simulation_at(box, integrator):
     topology, system, point = box
-    simulation = app.Simulation(topology, system, integrator, platform("CPU"), {"Threads": "1"})
-    simulation.context.setPositions(point[0])
-    simulation.context.setVelocities(point[1])
-    return simulation
+    return simulation_of(topology, system, integrator, "CPU", point)
 
 
 def test_conservation_report(tmp_path, box):
@@ -103,10 +101,10 @@ import sys
 from openmm import app
 from openmm_sier import SIER2Integrator
 from openmm_sier.context.reporters import BodyStateReporter
-from tests.context.test_reporters import simulation_at
+from tests.support.restarts import simulation_of
 from tests.support.waters import cluster_system
 topology, positions, system = cluster_system(8)
-simulation = simulation_at((topology, system, (positions, 0 * positions)), SIER2Integrator(0.0005))
+simulation = simulation_of(topology, system, SIER2Integrator(0.0005), "CPU", (positions, 0 * positions))
 simulation.reporters.append(BodyStateReporter(sys.argv[1], 1))
 simulation.step(5)
 print("ready", flush=True)

@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import unit
 
 from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERLangevinIntegrator
-from tests.context.test_integrator import constrained_velocity_verlet
+from tests.support.integrators import constrained_velocity_verlet
+from tests.support.restarts import WAYS, assert_same, clock_and_box, everything, simulation_of
 from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
 
 
@@ -42,57 +43,6 @@ def cluster():
 def box():
     topology, positions, system = periodic_system()
     return topology, system, relaxed(topology, positions, system)
-
-
-def simulation_of(topology, system, integrator, name="Reference", point=None):
-    properties = {"Threads": "1", "DeterministicForces": "true"} if name == "CPU" else {}
-    simulation = app.Simulation(topology, system, integrator, platform(name), properties)
-    if point is not None:
-        simulation.context.setPositions(point[0])
-        simulation.context.setVelocities(point[1])
-    return simulation
-
-
-def everything(context):
-    """Positions, velocities, box, time, step count and what the heat bath counts."""
-    integrator = context.getIntegrator()
-    counted = [integrator.getGlobalVariableByName(name) for name in ("sier_heat", "sier_draws")]
-    return (*phase_point(context), *clock_and_box(context), *counted)
-
-
-def assert_same(one, two):
-    for a, b in zip(one, two, strict=True):
-        assert np.array_equal(a, b)
-
-
-def by_checkpoint(simulation, path):
-    simulation.step(10)
-    simulation.saveCheckpoint(str(path))
-    simulation.step(15)
-
-
-def by_state(simulation, path):
-    simulation.step(10)
-    simulation.saveState(str(path))
-    simulation.step(15)
-
-
-def by_reporter(simulation, path):
-    simulation.reporters.append(app.CheckpointReporter(str(path), 5))
-    simulation.step(12)  # The last file is of step 10.
-    simulation.reporters.clear()
-    simulation.step(13)
-
-
-def by_state_reporter(simulation, path):
-    simulation.reporters.append(app.CheckpointReporter(str(path), 5, writeState=True))
-    simulation.step(12)
-    simulation.reporters.clear()
-    simulation.step(13)
-
-
-WAYS = [(by_checkpoint, "loadCheckpoint"), (by_state, "loadState")]
-WAYS += [(by_reporter, "loadCheckpoint"), (by_state_reporter, "loadState")]
 
 
 @every_integrator
@@ -470,12 +420,6 @@ def test_states_of_other_systems_are_refused(cluster, box):
     state = context_at(box[1], SIER2Integrator(0.001), box[2]).getState(positions=True)
     with pytest.raises(openmm.OpenMMException, match="wrong number of positions"):
         context.setState(state)
-
-
-def clock_and_box(context):
-    state = context.getState()
-    box = np.array(state.getPeriodicBoxVectors(asNumpy=True)._value)
-    return box, state.getTime()._value, state.getStepCount()
 
 
 def momentum(system, velocities):

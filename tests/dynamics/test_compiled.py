@@ -19,8 +19,8 @@ from openmm_sier.dynamics.backend import compiled
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.rotation import rotor
 from openmm_sier.dynamics.schemes import SIER4G
-from tests.context.test_langevin import GEOMETRIES, ensemble
 from tests.support import molecules
+from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, ensemble
 
 #: Sums and products that are contracted to fused operations, or not, differ by rounding of terms of order one; the
 #: kernels have some 300 of them.
@@ -37,7 +37,7 @@ def both(function):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)])
-@pytest.mark.parametrize("kind", GEOMETRIES)
+@pytest.mark.parametrize("kind", [WATER, CARBON_DIOXIDE, METHANE, ION])
 def test_rotations_agree(kind, order):
     """For every order of the axes and for steps within the first rule, the second one, and beyond both."""
     bodies, state = ensemble(kind, 500)
@@ -196,7 +196,7 @@ def test_threads_of_an_abandoned_loop_do_nothing():
 
 
 def test_loops_in_a_forked_process(three_threads):
-    bodies, state = ensemble("asymmetric", 50)
+    bodies, state = ensemble(WATER, 50)
     expected, _ = rotor.exact(state.A, state.L, bodies.species[0].moments, 1e-3)
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)

@@ -17,7 +17,7 @@ from openmm_sier.measure import sampling
 from openmm_sier.measure.sampling import Series
 from openmm_sier.studies import scheme_comparison
 from openmm_sier.studies.scheme_comparison import OTHERS, Row, Settings
-from tests.context.test_gradient import slope
+from tests.support.convergence import slope
 from tests.support.molecules import WATER, SoftCluster
 from tests.support.waters import periodic_system, platform, water_box
 

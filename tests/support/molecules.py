@@ -59,6 +59,16 @@ def thermal_state(rng, bodies, q, temperature=300.0) -> BodyState:
     return BodyState(q, p, A, np.einsum("abn,an->bn", A, body_L))
 
 
+def ensemble(kind, n) -> tuple[RigidBodies, BodyState]:
+    """n bodies of one kind, far from equilibrium: at rest but for a large common momentum and angular momentum."""
+    k = len(GEOMETRIES[kind][0])
+    one = species(kind, np.arange(n * k).reshape(n, k))
+    A = random_attitudes(np.random.default_rng(3), n)
+    tilde = np.where(one.moments > 0, 1.0, 0.0)[:, None] * np.ones((3, n))
+    L = np.einsum("abn,an->bn", A, tilde)
+    return RigidBodies([one], n * k), BodyState(np.zeros((3, n)), np.full((3, n), 20.0), A, L)
+
+
 class SoftCluster:
     """Rigid bodies whose sites act on those of other bodies by smooth forces.
 
