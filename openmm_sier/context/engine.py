@@ -294,7 +294,7 @@ class Engine:
         self._velocities[:] = now.velocities
         integrator = self._integrator
         self._groups = integrator.getIntegrationForceGroups()
-        heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
+        heat, draws = integrator._counters(None if self._point is None else self._point.state)
         self._point, self._echo = _Point(replace(state, heat=heat, draws=draws), now.time, now.steps), now
 
     def _reconcile(self, before: Snapshot | None, now: Snapshot) -> BodyState:

@@ -8,7 +8,14 @@ import pytest
 from openmm import app, unit
 
 import openmm_sier
-from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERIntegrator
+from openmm_sier import (
+    SIER2,
+    SIER4,
+    SIER2Integrator,
+    SIER4Integrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+)
 from tests.support.integrators import constrained_velocity_verlet
 from tests.support.waters import (
     cluster_system,
@@ -411,7 +418,7 @@ def test_impossible_step_counts(cluster, steps):
     assert context.getStepCount() == 0
 
 
-@pytest.mark.parametrize("size", [0, -0.001, float("nan"), float("inf"), "long", 1 * unit.nanometer])
+@pytest.mark.parametrize("size", [-0.001, float("nan"), float("inf"), "long", 1 * unit.nanometer])
 def test_impossible_step_sizes(size):
     with pytest.raises((ValueError, TypeError), match="stepSize"):
         SIER2Integrator(size)
@@ -419,6 +426,22 @@ def test_impossible_step_sizes(size):
     with pytest.raises((ValueError, TypeError), match="stepSize"):
         integrator.setStepSize(size)
     assert integrator.getStepSize() == 0.001 * unit.picosecond
+
+
+@pytest.mark.parametrize("make", [lambda: SIER2Integrator(0), lambda: SIERLangevinIntegrator(300, 1, 0)])
+def test_a_step_of_zero_moves_nothing(cluster, make):
+    """OpenMM's users give it to the integrators of Contexts that only evaluate forces."""
+    system, point = cluster
+    integrator = make()
+    context = context_at(system, integrator, point)
+    assert np.isfinite(energies(context)).all()
+    before = integrator.getBodyState()
+    integrator.step(3)
+    # The atoms are placed anew on their bodies: SETTLE left them up to 5e-9 nm off.
+    assert phase_point(context)[0] == pytest.approx(point[0], abs=1e-8)
+    after = integrator.getBodyState()
+    assert all(np.array_equal(getattr(after, name), getattr(before, name)) for name in "qpL")
+    assert (context.getStepCount(), context.getTime()) == (3, 0 * unit.picosecond)
 
 
 def test_scheme_must_be_a_scheme():

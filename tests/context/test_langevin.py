@@ -199,7 +199,7 @@ def test_settings_are_those_of_openmm():
         ((300 * unit.picosecond, 1, 0.002), "temperature"),
         ((300, -1, 0.002), "frictionCoeff"),
         ((300, float("nan"), 0.002), "frictionCoeff"),
-        ((300, 1, 0), "stepSize"),
+        ((300, 1, -0.002), "stepSize"),
     ],
 )
 def test_impossible_settings(arguments, name):

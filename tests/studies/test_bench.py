@@ -14,7 +14,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier.context.integrator import SIER2Integrator
+from openmm_sier.context.named_integrators import SIER2Integrator
 from openmm_sier.dynamics.backend import compiled
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure import forcefields

@@ -1,0 +1,163 @@
+"""Every change to OpenMM's own classes stands here.
+
+OpenMM tells a Python integrator nothing of its Context. These methods therefore do more than OpenMM's where the Context
+has a SIER integrator, and just what OpenMM's do where it has another:
+
+- `Context.__init__` and `Context.reinitialize` bind the integrator to the Context and refuse a System that it cannot
+  move. `reinitialize` without the state also clears the heat and the count of random numbers.
+- `Context.setState` takes a State of any other integrator, and does not let a State bring back noise that was used.
+- `updateParametersInContext` of every Force tells the integrator that forces have changed.
+- `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+
+import openmm
+
+from openmm_sier.context.engine import DRAWS, HEAT, SEED
+from openmm_sier.context.integrator import SIERIntegrator, revived
+from openmm_sier.context.stored_settings import stored
+
+
+def install() -> None:
+    """Put the methods above in place; it may be called again."""
+    _replace(openmm.Context, "__init__", _binding_new_context)
+    _replace(openmm.Context, "reinitialize", _binding_again)
+    _replace(openmm.Context, "setState", _accepting)
+    for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
+        _replace(cls, "updateParametersInContext", _telling_of_new_forces)
+    for name in ("_deserializeIntegrator", "_cloneIntegrator"):
+        _replace(openmm.XmlSerializer, name, _reviving)
+
+
+def _replace(cls, name: str, wrap) -> None:
+    """Replace a method by its wrapper, once: an earlier wrapper of this package gives way."""
+    if name not in vars(cls):
+        return
+    found = vars(cls)[name]
+    static = isinstance(found, staticmethod)
+    method = found.__func__ if static else found
+    if getattr(method, "_of_openmm_sier", False):
+        method = inspect.unwrap(method, stop=lambda f: not getattr(f, "_of_openmm_sier", False))
+    wrapper = wrap(method)
+    wrapper._of_openmm_sier = True
+    setattr(cls, name, staticmethod(wrapper) if static else wrapper)
+
+
+def _binding_new_context(method):
+    """`Context.__init__`, with which the integrator is bound."""
+
+    @functools.wraps(method)
+    def wrapper(self, *args, **kwargs):
+        # OpenMM's constructor takes its arguments by position.
+        if len(args) > 1:
+            _refuse_parts(args[1])
+            if isinstance(revived(args[1]), SIERIntegrator):
+                args[1]._prepare_for(args[0])
+        method(self, *args, **kwargs)
+        if (integrator := _integrator_of(self)) is not None:
+            integrator._bind(self)
+
+    return wrapper
+
+
+def _binding_again(method):
+    """`Context.reinitialize`, after which the System may be another one."""
+
+    @functools.wraps(method)
+    def wrapper(self, preserveState=False):
+        result = method(self, preserveState)
+        if (integrator := _integrator_of(self)) is not None:
+            # OpenMM clears the per-atom variables without the state, but not the global ones.
+            if not preserveState:
+                integrator.setGlobalVariableByName(HEAT, 0)
+                integrator.setGlobalVariableByName(DRAWS, 0)
+            integrator._bind(self)
+        return result
+
+    return wrapper
+
+
+def _telling_of_new_forces(method):
+    """`updateParametersInContext` of a Force, after which the Context's forces are not those that were computed."""
+
+    @functools.wraps(method)
+    def wrapper(self, context, *args, **kwargs):
+        result = method(self, context, *args, **kwargs)
+        integrator = _integrator_of(context)
+        if integrator is not None and integrator._engine is not None:
+            integrator.forcesChanged()
+        return result
+
+    return wrapper
+
+
+def _accepting(method):
+    """`Context.setState` as users of OpenMM's integrators know it.
+
+    A State that another kind of integrator saved, after an equilibration say, is welcome: OpenMM takes over all of it
+    and then fails over the parameters of that integrator, which mean nothing to ours. And as with OpenMM's integrators
+    a State brings no noise that was used already: runs with other seeds from one State differ, and so do replicas that
+    share a Context.
+    """
+
+    @functools.wraps(method)
+    def wrapper(self, state):
+        integrator = _integrator_of(self)
+        if integrator is None:
+            return method(self, state)
+        seed, draws = map(integrator.getGlobalVariableByName, (SEED, DRAWS))
+        try:
+            method(self, state)
+        except openmm.OpenMMException:
+            if not state.getDataTypes() & openmm.State.IntegratorParameters:
+                raise
+            _set_all_but_integrator(self, state)
+        integrator.setGlobalVariableByName(SEED, seed)
+        integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
+        return None
+
+    return wrapper
+
+
+def _set_all_but_integrator(context, state) -> None:
+    """What `Context.setState` does but for the integrator's parameters, with its errors for what does not fit."""
+    context.setTime(state.getTime())
+    context.setStepCount(state.getStepCount())
+    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    kinds = state.getDataTypes()
+    if kinds & openmm.State.Parameters:
+        for name, value in state.getParameters().items():
+            context.setParameter(name, value)
+    if kinds & openmm.State.Positions:
+        context.setPositions(state.getPositions(asNumpy=True))
+    if kinds & openmm.State.Velocities:
+        context.setVelocities(state.getVelocities(asNumpy=True))
+
+
+def _reviving(method):
+    """What reads or clones an integrator from its serialized form."""
+
+    @functools.wraps(method)
+    def wrapper(source):
+        return revived(method(source))
+
+    return wrapper
+
+
+def _integrator_of(context) -> SIERIntegrator | None:
+    integrator = getattr(context, "_integrator", None)
+    return integrator if isinstance(integrator, SIERIntegrator) else None
+
+
+def _refuse_parts(integrator) -> None:
+    """Refuse a CompoundIntegrator with a SIER integrator, whose Python part it does not call."""
+    if not isinstance(integrator, openmm.CompoundIntegrator):
+        return
+    for i in range(integrator.getNumIntegrators()):
+        part = integrator.getIntegrator(i)
+        if isinstance(part, openmm.CustomIntegrator) and stored(part, "class") is not None:
+            raise openmm.OpenMMException("A SIER integrator cannot be part of a CompoundIntegrator")
