@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
+from datetime import timedelta
 
 try:
     from rich.console import Console
@@ -18,6 +20,9 @@ from openmm_sier.measure.report import Table
 
 PS_PER_NS = 1000.0
 SECONDS_PER_DAY = 86400.0
+
+#: Seconds to the first line about progress where there is no terminal.
+LINE_AFTER = 30.0
 
 
 def note(message: str) -> None:
@@ -56,9 +61,10 @@ class _Rate(ProgressColumn):
 
 
 class ProgressBar:
-    """A progress bar on standard error; nothing is shown where that is no terminal.
+    """A progress bar on standard error, or lines now and then where that is no terminal.
 
     A context manager, whose value is a function of how much has been done in all, and of a new description if wanted.
+    A terminal that has been closed stops nothing.
     """
 
     def __init__(self, description: str, total: float = 1.0, ps: float | None = None, done: int = 0):
@@ -73,16 +79,45 @@ class ProgressBar:
         columns = (TextColumn("{task.description}"), BarColumn(), _Amount(), _Rate(), TimeRemainingColumn())
         self._progress = Progress(*columns, console=console, disable=not console.is_terminal)
         self._task = self._progress.add_task(description, total=total, completed=done, ps=ps, begun_at=done)
+        self._lines = None if console.is_terminal else _Lines(description, total, ps, done)
 
     def __enter__(self):
-        self._progress.start()
+        with suppress(OSError):
+            self._progress.start()
         return self._advance
 
     def _advance(self, done: float, description: str | None = None) -> None:
-        self._progress.update(self._task, completed=done, description=description)
+        with suppress(OSError):
+            if self._lines is None:
+                self._progress.update(self._task, completed=done, description=description)
+            else:
+                self._lines.show(done, description)
 
     def __exit__(self, *_):
-        self._progress.stop()
+        with suppress(OSError):
+            self._progress.stop()
+
+
+class _Lines:
+    """Lines about how much has been done: the first after `LINE_AFTER` s, then fewer, but one every ten minutes."""
+
+    def __init__(self, description: str, total: float, ps: float | None, begun_at: float):
+        self._description, self._total, self._ps, self._begun_at = description, total, ps, begun_at
+        self._started = self._last = clock()
+
+    def show(self, done: float, description: str | None) -> None:
+        now = clock()
+        elapsed = now - self._started
+        self._description = description or self._description
+        if now - self._last < min(20 * LINE_AFTER, max(LINE_AFTER, elapsed / 20)) or done <= self._begun_at:
+            return
+        self._last = now
+        rate = (done - self._begun_at) / elapsed
+        parts = [f"{100 * done / self._total:.0f} %", f"{timedelta(seconds=round((self._total - done) / rate))} left"]
+        if self._ps is not None:
+            speed = f"{rate * self._ps / PS_PER_NS * SECONDS_PER_DAY:.2f} ns/day"
+            parts = [f"{done:.0f}/{self._total:.0f} steps", parts[0], speed, parts[1]]
+        print(f"{self._description}: {', '.join(parts)}", file=sys.stderr, flush=True)
 
 
 class ConsoleReport:

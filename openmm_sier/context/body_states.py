@@ -1,8 +1,16 @@
-"""Files of bodies' phase points: HDF5, readable after a kill, and able to go on. Needs h5py, an extra."""
+"""Files of bodies' phase points: HDF5 that says what it holds. Needs h5py and scipy, an extra.
+
+Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3), L (T, n, 3),
+heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies: species (n,),
+masses (n,) and moments (n, 3). For each species K a group species_K with atoms (m, k), the particle indices of its m
+bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). Each dataset has its unit as an
+attribute, the root has the conventions (`CONVENTIONS`), and q says whether its centres are wrapped into the box.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,150 +19,138 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 #: Version of the layout.
 LAYOUT = 2
 
-#: What the file says of itself, as attributes of its root.
+#: Attributes of the root.
 CONVENTIONS = {
     "layout": LAYOUT,
     "program": "openmm_sier",
-    "frame": "lab: all vectors have components along the axes of the laboratory, in OpenMM's units",
-    "quaternion": "(w, x, y, z), w >= 0, of the rotation that turns the principal axes of a body into the lab frame: "
-    "site = q + R(quaternion) r, where r is the site in the principal frame and R = A^T",
+    "frame": "lab: q, p and L have components along the axes of the laboratory",
+    "quaternion": "(w, x, y, z), w >= 0, of the rotation R that turns the principal axes of a body into the lab frame: "
+    "an atom is at q + R r, where r is its site in the principal frame; R is the transpose of the attitude matrix A",
     "angular_momentum": "about the centre of mass of the body",
-    "bodies": "numbered species by species: body i belongs to species[i]; its atoms are a row of species_K/atoms",
+    "bodies": "numbered species by species: body i is of species[i]; its atoms are one row of species_K/atoms",
 }
 
-#: Datasets over frames: unit, and what follows the frame in the shape (n is the number of bodies).
-PER_FRAME = {
-    "step": ("1", ()),
-    "time": ("ps", ()),
-    "q": ("nm", ("n", 3)),
-    "quaternion": ("1", ("n", 4)),
-    "p": ("dalton nm/ps", ("n", 3)),
-    "L": ("dalton nm^2/ps", ("n", 3)),
-    "heat": ("kJ/mol", ()),
-    "box": ("nm", (3, 3)),
+UNITS = {
+    "step": "1",
+    "time": "ps",
+    "q": "nm",
+    "quaternion": "1",
+    "p": "dalton nm/ps",
+    "L": "dalton nm^2/ps",
+    "heat": "kJ/mol",
+    "box": "nm",
 }
 
 #: Size of a chunk in numbers: 64 kB.
 CHUNK = 8192
 
+#: Values of the attribute `wrapped` of q.
+CONTINUOUS, WRAPPED = "no", "into the box"
+
+
+def frame_shapes(n: int, periodic: bool) -> dict[str, tuple[int, ...]]:
+    """Shapes of what a frame of n bodies holds, by dataset."""
+    shapes: dict[str, tuple[int, ...]] = {"step": (), "time": (), "q": (n, 3), "quaternion": (n, 4), "p": (n, 3)}
+    return shapes | {"L": (n, 3), "heat": ()} | ({"box": (3, 3)} if periodic else {})
+
+
+def body_frame_values(step: int, time: float, motion: BodyState, box=None, unwrapped: bool = True) -> dict[str, Any]:
+    """What a frame holds, by dataset.
+
+    Args:
+        step: number of the step.
+        time: ps.
+        motion: the bodies' phase point.
+        box: box vectors as rows, (3, 3), nm; None without periodic boundaries.
+        unwrapped: centres as they stand in the Context, which are continuous paths; otherwise those images of them
+            that lie in the box.
+    """
+    _, Rotation = import_extras()
+    turns = Rotation.from_matrix(motion.A.transpose(2, 1, 0))
+    values = {
+        "step": step,
+        "time": time,
+        "q": motion.q.T if unwrapped or box is None else wrapped(motion.q.T, box),
+        "quaternion": turns.as_quat(canonical=True, scalar_first=True),
+        "p": motion.p.T,
+        "L": motion.L.T,
+        "heat": motion.heat,
+    }
+    return values if box is None else values | {"box": np.asarray(box, dtype=float)}
+
+
+def create_datasets(file, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
+    """Put empty datasets over frames, and all that does not change, into an open, empty HDF5 file."""
+    for name, shape in frame_shapes(bodies.n, periodic).items():
+        frames = max(1, CHUNK // max(1, int(np.prod(shape))))
+        kind = "i8" if name == "step" else "f8"
+        dataset = file.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=(frames, *shape))
+        dataset.attrs["unit"] = UNITS[name]
+    file.attrs.update(CONVENTIONS)
+    file["q"].attrs["wrapped"] = _wrapping(periodic, unwrapped)
+    sizes = [len(species.atoms) for species in bodies.species]
+    _constant(file, "species", np.repeat(np.arange(len(sizes)), sizes), "1")
+    _constant(file, "masses", bodies.masses, "dalton")
+    _constant(file, "moments", bodies.moments.T, "dalton nm^2")
+    for number, species in enumerate(bodies.species):
+        group = file.create_group(f"species_{number}")
+        _constant(group, "atoms", species.atoms, "1")
+        _constant(group, "masses", species.masses, "dalton")
+        _constant(group, "sites", species.sites.T, "nm")
+        _constant(group, "moments", species.moments, "dalton nm^2")
+
+
+def _wrapping(periodic: bool, unwrapped: bool) -> str:
+    return CONTINUOUS if unwrapped or not periodic else WRAPPED
+
+
+def _constant(group, name: str, values, unit: str) -> None:
+    group[name] = values
+    group[name].attrs["unit"] = unit
+
 
 class BodyStateFile:
-    """Phase points of rigid bodies, a frame at a time.
+    """An HDF5 file that grows by a frame at a time.
 
-    Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3),
-    L (T, n, 3), heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies:
-    species (n,), masses (n,) and moments (n, 3). For each species K a group species_K with atoms (m, k), the particle
-    indices of its m bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). Each dataset
-    has its unit as an attribute, and the root has the conventions.
-
-    Every frame is flushed, so that the file of a run that was killed can be read. A frame counts once its step is
-    there, which is written last.
+    Every frame is flushed, so that the file of a run that was killed can be read; the last frame may be damaged.
     """
 
-    def __init__(self, path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True, keep: int | None = None):
+    def __init__(self, path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True, append: bool = False):
         """
         Args:
             path: of the HDF5 file.
             bodies: whose states follow.
             periodic: whether there is a box.
-            unwrapped: centres are written as they stand in the Context, which are continuous paths; otherwise those
-                images are written that lie in the box.
-            keep: frames of an existing file to keep, those after them being cut off; None replaces the file.
+            unwrapped: see `body_frame_values`.
+            append: go on after the last frame of an existing file, instead of replacing it.
 
         Raises:
             ModuleNotFoundError: h5py or scipy is missing.
-            ValueError: the existing file has fewer frames than `keep`, or is of other bodies or another layout.
+            ValueError: the file to go on with has another layout or wrapping, or is of other bodies.
         """
-        h5py, self._rotation = import_extras()
-        self._bodies, self._periodic = bodies, periodic
-        self._wrapped = "no" if unwrapped or not periodic else "into the box"
-        self._names = [name for name in PER_FRAME if name != "box" or periodic]
+        h5py, _ = import_extras()
+        self._periodic, self._unwrapped = periodic, unwrapped
         # The oldest file format marks no file as open for writing, which would keep readers out after a kill.
-        self._file = h5py.File(path, "w" if keep is None else "r+", libver="earliest")
-        try:
-            self.count = 0
-            if keep is None:
-                self._create()
-            else:
-                self._resume(Path(path), keep)
-        except BaseException:
-            self._file.close()
-            raise
+        self._file = h5py.File(path, "r+" if append else "w", libver="earliest")
+        if append:
+            try:
+                _check_same(self._file, Path(path), bodies, _wrapping(periodic, unwrapped))
+            except BaseException:
+                self._file.close()
+                raise
+        else:
+            create_datasets(self._file, bodies, periodic, unwrapped)
+        self._count = len(self._file["step"])
         self._file.flush()
 
-    def _create(self) -> None:
-        for name in self._names:
-            unit, shape = PER_FRAME[name]
-            rest = tuple(self._bodies.n if isinstance(size, str) else size for size in shape)
-            chunk = (max(1, CHUNK // max(1, int(np.prod(rest)))), *rest)
-            dataset = self._file.create_dataset(
-                name, (0, *rest), "i8" if name == "step" else "f8", maxshape=(None, *rest), chunks=chunk
-            )
-            dataset.attrs["unit"] = unit
-        self._file.attrs.update(CONVENTIONS)
-        self._file["q"].attrs["wrapped"] = self._wrapped
-        self._describe_bodies()
-
-    def _describe_bodies(self) -> None:
-        bodies = self._bodies
-        sizes = [len(species.atoms) for species in bodies.species]
-        self._constant(self._file, "species", np.repeat(np.arange(len(sizes)), sizes), "1")
-        self._constant(self._file, "masses", bodies.masses, "dalton")
-        self._constant(self._file, "moments", bodies.moments.T, "dalton nm^2")
-        for number, species in enumerate(bodies.species):
-            group = self._file.create_group(f"species_{number}")
-            self._constant(group, "atoms", species.atoms, "1")
-            self._constant(group, "masses", species.masses, "dalton")
-            self._constant(group, "sites", species.sites.T, "nm")
-            self._constant(group, "moments", species.moments, "dalton nm^2")
-
-    @staticmethod
-    def _constant(group, name: str, values, unit: str) -> None:
-        group[name] = values
-        group[name].attrs["unit"] = unit
-
-    def _resume(self, path: Path, keep: int) -> None:
-        file, n = self._file, self._bodies.n
-        if file.attrs.get("layout") != LAYOUT:
-            raise ValueError(f"{path} has layout {file.attrs.get('layout')} of body states, expected {LAYOUT}")
-        if file["q"].shape[1] != n or not np.array_equal(file["masses"], self._bodies.masses):
-            raise ValueError(f"{path} has states of {file['q'].shape[1]} other bodies, expected the {n} of this System")
-        if ("box" in file) != self._periodic:
-            raise ValueError(f"{path} was written {'without' if self._periodic else 'with'} a periodic box")
-        if file["q"].attrs["wrapped"] != self._wrapped:
-            raise ValueError(f"{path} has centres wrapped: {file['q'].attrs['wrapped']}; asked for is {self._wrapped}")
-        if len(file["step"]) < keep:
-            raise ValueError(f"{path} has {len(file['step'])} frames, expected at least {keep}")
-        for name in self._names:
-            file[name].resize(keep, axis=0)
-        self.count = keep
-
-    def write(self, step: int, time: float, state: BodyState, box=None) -> None:
-        """Append a frame, and flush it.
-
-        Args:
-            step: number of the step.
-            time: ps.
-            state: the bodies' phase point.
-            box: box vectors as rows, (3, 3), nm; needed with periodic boundaries.
-        """
-        turns = self._rotation.from_matrix(state.A.transpose(2, 1, 0))
-        frame = {
-            "time": time,
-            "q": state.q.T if self._wrapped == "no" else wrapped(state.q.T, box),
-            "quaternion": turns.as_quat(canonical=True, scalar_first=True),
-            "p": state.p.T,
-            "L": state.L.T,
-            "heat": state.heat,
-            "step": step,
-        }
-        if self._periodic:
-            frame = {"box": np.asarray(box, dtype=float), **frame}
-        for name, value in frame.items():
+    def write(self, step: int, time: float, motion: BodyState, box=None) -> None:
+        """Append a frame, and flush it; the arguments are those of `body_frame_values`."""
+        values = body_frame_values(step, time, motion, box if self._periodic else None, self._unwrapped)
+        self._count += 1
+        for name, value in values.items():
             dataset = self._file[name]
-            dataset.resize(self.count + 1, axis=0)
-            dataset[self.count] = value
-        self.count += 1
+            dataset.resize(self._count, axis=0)
+            dataset[-1] = value
         self._file.flush()
 
     def close(self) -> None:
@@ -162,7 +158,23 @@ class BodyStateFile:
         self._file.close()
 
 
+def _check_same(file, path: Path, bodies: RigidBodies, wrapping: str) -> None:
+    """Refuse a file to which frames of these bodies cannot be appended."""
+    layout = file.attrs.get("layout")
+    if layout != LAYOUT:
+        raise ValueError(f"{path} cannot be continued: it has body states in layout {layout}, expected {LAYOUT}")
+    if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
+        raise ValueError(f"{path} cannot be continued: its {len(file['masses'])} bodies are not those of this System")
+    if (there := file["q"].attrs["wrapped"]) != wrapping:
+        raise ValueError(f"{path} cannot be continued: its centres are wrapped: {there}, expected: {wrapping}")
+
+
 def import_extras():
+    """The module h5py and the class scipy.spatial.transform.Rotation.
+
+    Raises:
+        ModuleNotFoundError: one of them is missing.
+    """
     try:
         import h5py
         from scipy.spatial.transform import Rotation

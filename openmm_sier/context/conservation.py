@@ -42,7 +42,7 @@ def sier_integrator(context) -> SIERIntegrator:
     """
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERIntegrator):
-        raise TypeError(f"a SIER integrator is needed, the Context has a {type(integrator).__name__}")
+        raise TypeError(f"this report needs a SIER integrator, the Context has a {type(integrator).__name__}")
     return integrator
 
 

@@ -82,9 +82,8 @@ def _check_header(path: Path) -> None:
 class BodyStateReporter(_Reporter):
     """Writes the bodies' phase points to an HDF5 file. Needs h5py, an extra (`openmm-sier[hdf5]`).
 
-    `openmm_sier.context.body_states.BodyStateFile` says what the file holds. Centres are continuous paths unless
-    `unwrapped` is false, in which case they lie in the periodic box. OpenMM's trajectory reporters and the trajectories
-    of `openmm-sier run` do the latter, by whole molecules.
+    `openmm_sier.context.body_states` says what the file holds. Every frame is flushed, so that the file of a run that
+    was killed can be read.
     """
 
     def __init__(self, file, reportInterval: int, append: bool = False, unwrapped: bool = True):
@@ -94,20 +93,19 @@ class BodyStateReporter(_Reporter):
             reportInterval: steps between two frames.
             append: go on after the last frame of the file, which must be of the same bodies; one that does not exist
                 is made.
-            unwrapped: whether centres are written as continuous paths.
+            unwrapped: centres are written as they stand in the Context, which are continuous paths. Otherwise each
+                centre is moved into the periodic box, as molecules are in OpenMM's trajectories by default
+                (`enforcePeriodicBox`) and in those of `openmm-sier run`.
 
         Raises:
             ValueError: the interval is not positive; at the first report, the file to go on with is of other bodies.
-            ModuleNotFoundError: h5py is missing.
+            ModuleNotFoundError: h5py or scipy is missing.
         """
         super().__init__(reportInterval, [])
         h5py, _ = import_extras()
         self._path, self._unwrapped = Path(file), unwrapped
-        self._keep: int | None = None
-        if append and self._path.exists():
-            with h5py.File(self._path, "r") as found:
-                self._keep = len(found["step"])
-        else:
+        self._append = append and self._path.exists()
+        if not self._append:
             # What cannot be written is found before the run.
             h5py.File(self._path, "w", libver="earliest").close()
         self._file: BodyStateFile | None = None
@@ -117,7 +115,7 @@ class BodyStateReporter(_Reporter):
         integrator = conservation.sier_integrator(simulation.context)
         if self._file is None:
             periodic = simulation.system.usesPeriodicBoundaryConditions()
-            self._file = BodyStateFile(self._path, integrator.bodies, periodic, self._unwrapped, self._keep)
+            self._file = BodyStateFile(self._path, integrator.bodies, periodic, self._unwrapped, self._append)
         box = np.array(state.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
         time = state.getTime().value_in_unit(unit.picosecond)
         self._file.write(simulation.currentStep, time, integrator.getBodyState(), box)

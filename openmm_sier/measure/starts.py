@@ -114,7 +114,7 @@ def prepare(
     context.setPeriodicBoxVectors(*found.state.getPeriodicBoxVectors())
     context.setPositions(found.state.getPositions())
     context.setVelocities(found.state.getVelocities())
-    _stop_centre_of_mass(context)
+    stop_centre_of_mass(context)
     if found.settled and not isinstance(context.getIntegrator(), SIERLangevinIntegrator):
         _set_energy(context, temperature, found.potential)
     context.setTime(0)
@@ -263,7 +263,8 @@ def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time:
     report.note(f"equilibrated for {message}" + ("" if found.settled else "; not settled"))
 
 
-def _stop_centre_of_mass(context) -> None:
+def stop_centre_of_mass(context) -> None:
+    """Bring the centre of mass of a Context to rest."""
     system = context.getSystem()
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
     velocities = context.getState(velocities=True).getVelocities(asNumpy=True)
