@@ -139,7 +139,7 @@ def test_fixed_particles_take_up_momentum_and_virtual_sites_do_not(fixed):
 
 
 def test_everything_that_states_a_temperature_agrees(box, tmp_path):
-    """The command's log, both reporters and the integrator, for one phase point of 59 waters: 351 degrees of freedom."""
+    """The log of the command, both reporters and the integrator, for one phase point of 59 waters."""
     topology, positions, system = box
     simulation = app.Simulation(topology, system, nve(), platform())
     simulation.context.setPositions(positions)
