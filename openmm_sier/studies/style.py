@@ -43,17 +43,15 @@ METHODS = {
     "OMF, 3 forces and 2 gradients": ("#17becf", "H"),
 }
 
+UNKNOWN = ("#000000", "x")
+
 #: Methods of this package, drawn with full lines and markers; others have broken lines and open markers.
 OWN = ("SIER", "MRDL", "SEJ4")
 
 
 def of_method(name: str) -> dict[str, Any]:
-    """Keyword arguments of `Axes.plot` for a method.
-
-    Raises:
-        KeyError: it has no colour yet.
-    """
-    colour, marker = METHODS[name.removesuffix(" Langevin")]
+    """Keyword arguments of `Axes.plot` for a method; one that is not in the table is black."""
+    colour, marker = METHODS.get(name.removesuffix(" Langevin"), UNKNOWN)
     style: dict[str, Any] = {"color": colour, "marker": marker, "ls": "-"}
     return style if name.startswith(OWN) else style | {"ls": "--", "mfc": "white"}
 

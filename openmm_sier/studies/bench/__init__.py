@@ -61,12 +61,12 @@ def run(settings: BenchSettings, out: Path, report: Report = SILENT) -> dict:
         for table in PARTS[name].tables(values):
             report.table(table)
     record = {"machine": here, "settings": parameters} | found
-    if "accuracy" in found:
-        points = found["accuracy"]
-        for note in accuracy.notes(points):
-            report.note(note)
+    points = found.get("accuracy", [])
+    for note in accuracy.notes(points):
+        report.note(note)
+    if points:
         record["accuracy"] = accuracy.record(points)
-        if style.can_draw(report):
-            figures.cost_figure(points, out / "bench.png")
     (out / "bench.json").write_text(json.dumps(record, indent=1, default=str))
+    if points and style.can_draw(report):
+        figures.cost_figure(points, out / "bench.png")
     return record

@@ -131,6 +131,7 @@ def rotate_freely(settings: FreeRotationSettings, progress: Progress = lambda wh
             progress(what, begin + fraction * (end - begin))
 
         curves.append(_curve(method, step, settings, report))
+    progress("free rotation: cost of the maps", 1.0)
     moments = tuple(float(x) for x in tip4p.molecules(1).species[0].moments)
     return FreeRotation(settings, moments, tuple(curves), _costs(settings))
 
