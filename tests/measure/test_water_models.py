@@ -40,8 +40,11 @@ def one_molecule(file):
     return found, [atom.element for atom in topology.atoms()]
 
 
-def write(path, geometry, elements, ions=0, scatter=0.0, seed=1):
-    """A PDB file of molecules of a geometry, turned at random on a lattice, rounded as PDB files are."""
+def write(path, geometry, elements, ions=0, breathing=0.0, seed=1):
+    """A PDB file of molecules of a geometry, turned at random on a lattice, rounded as PDB files are.
+
+    Every other molecule is larger, the rest smaller, by a fraction `breathing`.
+    """
     rng = np.random.default_rng(seed)
     topology, places = app.Topology(), []
     chain = topology.addChain()
@@ -60,7 +63,7 @@ def write(path, geometry, elements, ions=0, scatter=0.0, seed=1):
         topology.addBond(heavy[0], heavy[1])
         topology.addBond(heavy[0], heavy[2])
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        places.append(centre + (geometry + rng.normal(0, scatter, geometry.shape)) @ turn)
+        places.append(centre + (1 + (-1) ** i * breathing) * geometry @ turn)
     with open(path, "w") as file:
         app.PDBFile.writeFile(topology, np.concatenate(places) * unit.nanometer, file)
     return path
@@ -131,10 +134,10 @@ def test_a_geometry_of_no_model_is_refused_with_the_nearest(tmp_path):
 
 
 def test_flexible_water_is_not_taken_for_a_rigid_model(tmp_path):
-    """Bonds that vibrate by 0.002 nm have the right mean and are no rigid water."""
+    """Bonds that vibrate by 2 % have the right mean and are no rigid water."""
     geometry, elements = one_molecule("opc3.xml")
     with pytest.raises(ForceFieldError, match="the geometry of no known model"):
-        read_box(write(tmp_path / "box.pdb", geometry, elements, scatter=0.002))
+        read_box(write(tmp_path / "box.pdb", geometry, elements, breathing=0.02))
 
 
 @pytest.mark.parametrize("seed", range(8))
