@@ -111,7 +111,7 @@ def test_start_with_overlaps_is_minimized_and_others_are_not(box, capsys):
     positions[3:6] += positions[0] - positions[3] + [0.2, 0, 0]
     with open("close.pdb", "w") as file:
         app.PDBFile.writeFile(pdb.topology, positions * unit.nanometer, file)
-    assert main.main(["run", "close.pdb", *SMALL, "--steps", "1"]) == 0
+    assert main.main(["run", "close.pdb", "--forcefield", "tip3p.xml", *SMALL, "--steps", "1"]) == 0
     assert "minimized: the largest force" in capsys.readouterr().out
 
 
