@@ -126,7 +126,7 @@ def soak(options) -> dict:
         "openmm": openmm.__version__,
         "settings": {**vars(options), "out": str(options.out)},
         "seconds_per_step": seconds / looks[-1]["step"],
-        "degrees_of_freedom": integrator.bodies.degrees_of_freedom,
+        "degrees_of_freedom": integrator.bodies.dof,
         "drift_kJ_per_mol_per_ps": drift(parts),
         "kinetic_kJ_per_mol": float(np.mean([part.kinetic.mean() for part in parts])),
         "rms_H_over_rms_V": float(np.mean([energy_error(p.time, p.total, p.potential) for p in parts])),

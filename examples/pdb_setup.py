@@ -51,7 +51,7 @@ balance_pme(system)  # a fifth of OpenMM's error in the forces and less of a ste
 bodies = RigidBodies.from_system(system, modeller.topology)
 for species in bodies.species:
     name = list(modeller.topology.atoms())[species.atoms[0, 0]].residue.name
-    freedoms = species.degrees_of_freedom
+    freedoms = species.dof
     print(f"{len(species.atoms):4d} x {name:3}  {species.mass:7.3f} dalton, {freedoms} degrees of freedom")
 
 integrator = SIER4Integrator(4 * femtosecond, bodies)

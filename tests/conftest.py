@@ -4,8 +4,7 @@ from importlib import util
 import numpy as np
 import pytest
 
-from openmm_sier.dynamics import bodies
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics import backend
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -29,10 +28,11 @@ def rng():
     return np.random.default_rng(20070518)
 
 
-@pytest.fixture(params=["numpy", "numba"] if util.find_spec("numba") else ["numpy"])
-def executed_by(request, monkeypatch):
+@pytest.fixture(params=["NumPy", "Numba"] if util.find_spec("numba") else ["NumPy"])
+def executed_by(request):
     """Runs a test with NumPy and, where it is installed, with the code that Numba compiles."""
-    if request.param == "numpy":
-        for module in (rotor, bodies):
-            monkeypatch.setattr(module, "executor", lambda: None)
-    return request.param
+    with backend.using(backend.NUMPY if request.param == "NumPy" else NUMBA):
+        yield request.param
+
+
+NUMBA = backend.NumbaBackend()

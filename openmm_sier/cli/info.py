@@ -36,7 +36,7 @@ def info(path: Path, files: Sequence[str] | None = None) -> None:
     riders = _riders(box.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
     table(f"{path}, {' '.join(box.choice.files)} ({box.choice.reason})", COLUMNS, rows)
-    counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.degrees_of_freedom} degrees of freedom"
+    counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
     print(counts + _extent(box))
 
 
@@ -51,7 +51,7 @@ def _row(species: Species, atoms, riders: dict[int, list[int]]) -> list[str]:
         f"{species.mass:.4f}",
         " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",
         kind(species.moments),
-        str(species.degrees_of_freedom),
+        str(species.dof),
     ]
 
 

@@ -7,9 +7,7 @@ import math
 from openmm import unit
 
 from openmm_sier.context.integrator import SIERIntegrator
-
-#: g/ml in one dalton/nm^3 (CODATA 2018).
-G_PER_ML = 1.66053906660e-3
+from openmm_sier.dynamics.constants import GRAM_PER_CM3
 
 #: Named and in the units as OpenMM's StateDataReporter has them, as far as it has them.
 COLUMNS = (
@@ -31,7 +29,7 @@ COLUMNS = (
 
 def density(mass: float, volume):
     """g/ml of a mass in dalton in a volume, or an array of volumes, in nm^3."""
-    return mass / volume * G_PER_ML
+    return mass / volume / GRAM_PER_CM3
 
 
 def sier_integrator(context) -> SIERIntegrator:

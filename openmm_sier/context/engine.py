@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.context import checks, stored_state
+from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.snapshot import Snapshot, read_vectors
 from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.dynamics import operators
@@ -58,6 +58,8 @@ class Engine:
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self._positions, self._velocities, self._atom_forces = np.zeros((3, n, 3))
         self._placed: tuple = (None, None)
+        self._remembers_list = neighbour_list.is_remembered(context)
+        self._starts_anew = False
         self._groups: int
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
@@ -130,6 +132,8 @@ class Engine:
         step = operators.stepper(integrator._active_scheme(), self.operators, h)
         alone = not self._has_actors and integrator._piston is None
         try:
+            if count and self._starts_anew:
+                self._forget_past()
             for _ in range(count):
                 if alone or not (self._has_actors or self._moves_volume_now()):
                     # The Context learns of the step when the last one is published.
@@ -141,6 +145,15 @@ class Engine:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
             _whatever_interrupts(self._recover)
             raise
+
+    def start_anew(self) -> None:
+        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it to the bit."""
+        self._starts_anew = self._remembers_list
+
+    def _forget_past(self) -> None:
+        neighbour_list.forget(self._context)
+        self.forces.invalidate()
+        self._starts_anew = False
 
     def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
         """One step, after all that acts besides the scheme: barostats and thermostats of the System, our own piston."""
@@ -210,7 +223,7 @@ class Engine:
         now = Snapshot(self._context)
         q, A = self.bodies.fit(now.positions, state)
         self._take_positions(now)
-        self.forces.forget()
+        self.forces.invalidate()
         return replace(state, q=q, A=A)
 
     def _box(self) -> np.ndarray:
@@ -237,7 +250,7 @@ class Engine:
 
     def _recover(self) -> None:
         """Write the last completed step to the Context, whatever was cut short."""
-        self.forces.forget()
+        self.forces.invalidate()
         self._placed = (None, None)
         self._publish()
 
@@ -284,6 +297,8 @@ class Engine:
         if self._point is None and len(now.positions) > 1 and not now.positions.any():
             raise openmm.OpenMMException("Particle positions have not been set")
         moved = self._point is None or not now.same_positions(self._echo)
+        if moved:
+            self.start_anew()
         if moved and self._plan is not None:
             self._settle_by(now.positions)
         if moved or not now.same_velocities(self._echo):
@@ -317,7 +332,7 @@ class Engine:
 
     def _notice_environment(self, before: Snapshot | None, now: Snapshot) -> None:
         if not now.same_environment(before):
-            self.forces.forget()
+            self.forces.invalidate()
 
     def _momenta(self, velocities, A):
         try:
@@ -344,7 +359,7 @@ class Engine:
         reproduced = np.array_equal(positions, now.positions)
         if not reproduced or not (moved or np.array_equal(velocities, now.velocities)):
             return None
-        self.forces.forget()
+        self.forces.invalidate()
         self._take_positions(now)
         if not np.array_equal(velocities, now.velocities):
             p, L = self._momenta(now.velocities, state.A)

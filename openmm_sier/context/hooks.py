@@ -6,6 +6,8 @@ has a SIER integrator, and just what OpenMM's do where it has another:
 - `Context.__init__` and `Context.reinitialize` bind the integrator to the Context and refuse a System that it cannot
   move. `reinitialize` without the state also clears the heat and the count of random numbers.
 - `Context.setState` takes a State of any other integrator, and does not let a State bring back noise that was used.
+- `Context.createCheckpoint` and `Context.getState` with the integrator's parameters have the run go on as a restart
+  from what they return would.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
@@ -27,6 +29,8 @@ def install() -> None:
     _replace(openmm.Context, "__init__", _binding_new_context)
     _replace(openmm.Context, "reinitialize", _binding_again)
     _replace(openmm.Context, "setState", _accepting)
+    _replace(openmm.Context, "createCheckpoint", _going_on_as_a_restart)
+    _replace(openmm.Context, "getState", _going_on_as_a_restart)
     for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
         _replace(cls, "updateParametersInContext", _telling_of_new_forces)
     for name in ("_deserializeIntegrator", "_cloneIntegrator"):
@@ -79,6 +83,25 @@ def _binding_again(method):
         return result
 
     return wrapper
+
+
+def _going_on_as_a_restart(method):
+    """What writes all that a restart needs, after which this run and the restart share no past but that."""
+
+    @functools.wraps(method)
+    def wrapper(self, *args, **kwargs):
+        found = method(self, *args, **kwargs)
+        integrator = _integrator_of(self)
+        # A checkpoint is bytes; a State has all of it where it has the integrator's parameters.
+        if integrator is not None and integrator._engine is not None and _is_complete(found):
+            integrator._engine.start_anew()
+        return found
+
+    return wrapper
+
+
+def _is_complete(found) -> bool:
+    return not isinstance(found, openmm.State) or bool(found.getDataTypes() & openmm.State.IntegratorParameters)
 
 
 def _telling_of_new_forces(method):

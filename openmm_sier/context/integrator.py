@@ -17,9 +17,9 @@ from openmm_sier.context import stored_settings
 from openmm_sier.context.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
 from openmm_sier.context.temperature import Temperatures
-from openmm_sier.dynamics.barostat import Piston
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 
 #: OpenMM's message about an illegal variable of this name tells what happened.
@@ -39,14 +39,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
     Source: van Zon and Schofield (2007).
     """
 
-    def __init__(self, stepSize, scheme: Scheme = SIER4G, bodies: Bodies = None, rotation=rotor.exact):
+    def __init__(self, stepSize, scheme: Scheme = SIER4G, bodies: Bodies = None, rotation=exact):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme, see `openmm_sier.dynamics.schemes`.
             bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices make rigid
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
-            rotation: free-rotation map, as `rotor.exact`.
+            rotation: free-rotation map, as `rotation.exact`.
 
         Raises:
             ValueError: the step is negative or not finite. A step of 0 is for Contexts that only evaluate forces: steps
@@ -171,13 +171,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Changes of positions, velocities, box and Context parameters, and those by `updateParametersInContext`, are
         noticed without this.
         """
-        self._bound().forces.forget()
+        self._bound().forces.invalidate()
 
     def setIntegrationForceGroups(self, groups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
         super().setIntegrationForceGroups(groups)
         if self._engine is not None:
-            self._engine.forces.forget()
+            self._engine.forces.invalidate()
 
     # --- copies ---
 
@@ -239,7 +239,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return {}
 
     #: What changes the volume between steps.
-    _piston: Piston | None = None
+    _piston: MonteCarloVolumeMove | None = None
 
 
 class _Settled:

@@ -9,11 +9,12 @@ from openmm import unit
 from openmm_sier.context import stored_settings
 from openmm_sier.context.engine import SEED
 from openmm_sier.context.integrator import Bodies, SIERIntegrator, quantity_to_float, whole_number
-from openmm_sier.dynamics.barostat import BAR, Piston
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics.constants import BAR
+from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
-from openmm_sier.dynamics.thermostat import Bath
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 
 class SIERLangevinIntegrator(SIERIntegrator):
@@ -38,7 +39,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
         stepSize,
         scheme: Scheme = SIER4G,
         bodies: Bodies = None,
-        rotation=rotor.exact,
+        rotation=exact,
         rotationalFriction=None,
         pressure=None,
         barostatInterval=25,
@@ -50,7 +51,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
             bodies: see `SIERIntegrator`.
-            rotation: free-rotation map, as `rotor.exact`.
+            rotation: free-rotation map, as `rotation.exact`.
             rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
             pressure: if it is to be constant, a quantity or a number in bar. All edges of the box change by one factor,
                 and ln V by up to 0.5/sqrt(number of molecules) in one move.
@@ -63,14 +64,14 @@ class SIERLangevinIntegrator(SIERIntegrator):
         super().__init__(stepSize, scheme.with_bath() if isinstance(scheme, Scheme) else scheme, bodies, rotation)
         friction = _friction("frictionCoeff", frictionCoeff)
         turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
-        bath = Bath(_temperature(temperature), friction, turning, seed=0)
+        bath = OrnsteinUhlenbeck(_temperature(temperature), friction, turning, seed=0)
         if (interval := whole_number("barostatInterval", barostatInterval)) == 0:
             raise ValueError("barostatInterval must be at least 1, got 0")
-        piston = None if pressure is None else Piston(_pressure(pressure), interval, bath)
+        piston = None if pressure is None else MonteCarloVolumeMove(_pressure(pressure), interval, bath)
         self._surround(bath, piston, same_friction=rotationalFriction is None)
         self._store_surroundings()
 
-    def _surround(self, bath: Bath, piston: Piston | None, same_friction: bool) -> None:
+    def _surround(self, bath: OrnsteinUhlenbeck, piston: MonteCarloVolumeMove | None, same_friction: bool) -> None:
         self._bath, self._piston, self._same_friction = bath, piston, same_friction
         self._cold_scheme = self._scheme.without(BATH)
 
@@ -85,10 +86,10 @@ class SIERLangevinIntegrator(SIERIntegrator):
     def _take_settings(self, rotation=None) -> None:
         super()._take_settings(rotation)
         temperature, friction, turning, same_friction = stored_settings.required(self, "bath")[1].tolist()
-        bath, piston = Bath(temperature, friction, turning, seed=0), None
+        bath, piston = OrnsteinUhlenbeck(temperature, friction, turning, seed=0), None
         if (found := stored_settings.stored(self, "pressure")) is not None:
             pressure, interval = found[1].tolist()
-            piston = Piston(pressure, int(interval), bath)
+            piston = MonteCarloVolumeMove(pressure, int(interval), bath)
         self._surround(bath, piston, bool(same_friction))
 
     def getTemperature(self):

@@ -24,7 +24,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 
 #: A coordinate of a particle or group in the expression of a custom force, as x1 or z2.
 COORDINATE = re.compile(r"\b[xyz][1-9]\d*\b")
@@ -120,7 +121,7 @@ def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom
         conserved: whether the total momentum is conserved, see `MomentumConservation`.
     """
     translation = 3 * bodies.n - (3 if conserved else 0)
-    return DegreesOfFreedom(max(0, translation), bodies.degrees_of_freedom - 3 * bodies.n)
+    return DegreesOfFreedom(max(0, translation), bodies.dof - 3 * bodies.n)
 
 
 def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> tuple[float, float]:

@@ -14,9 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from openmm_sier.dynamics.backend import arrays, kernels
-from openmm_sier.dynamics.backend.compiled import executor
-from openmm_sier.dynamics.rotation.rotor import body_frame
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
 
 #: Largest distance in nm between an atom and its place in the reference geometry that `RigidBodies.fit` accepts.
 FIT_TOLERANCE = 0.005
@@ -24,9 +23,6 @@ FIT_TOLERANCE = 0.005
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
 LINEAR_MOMENT = 1e-10
 ON_AXIS = 1e-9
-
-#: Gas constant, kJ/mol/K (CODATA 2018).
-GAS_CONSTANT = 8.31446261815324e-3
 
 
 class RigidityError(ValueError):
@@ -119,25 +115,9 @@ class Species:
         return float(self.masses.sum())
 
     @property
-    def degrees_of_freedom(self) -> int:
-        """Of one body: 3 for a point, 5 for a line, 6 otherwise."""
+    def dof(self) -> int:
+        """Degrees of freedom of one body: 3 for a point, 5 for a line, 6 otherwise."""
         return 3 + int(np.count_nonzero(self.moments))
-
-    @cached_property
-    def columns(self) -> list[slice | np.ndarray]:
-        """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
-        return [_as_slice(column) for column in self.atoms.T]
-
-    @cached_property
-    def ones(self) -> np.ndarray:
-        """(k,), the weights of a plain sum over the atoms."""
-        return np.ones_like(self.masses)
-
-    @cached_property
-    def extents(self) -> tuple[list[int], np.ndarray]:
-        """The principal axes along which the body extends, and for each site 1 and its coordinates on those."""
-        axes = np.flatnonzero(self.sites.any(axis=1)).tolist()
-        return axes, np.vstack([self.ones, self.sites[axes]])
 
 
 def molecule_of_atoms(molecules, n_particles: int) -> np.ndarray:
@@ -153,15 +133,6 @@ def molecule_of_atoms(molecules, n_particles: int) -> np.ndarray:
     return numbers
 
 
-def _as_slice(indices):
-    if indices.size == 1:
-        return slice(int(indices[0]), int(indices[0]) + 1)
-    step = int(indices[1] - indices[0])
-    if step > 0 and np.all(np.diff(indices) == step):
-        return slice(int(indices[0]), int(indices[-1]) + 1, step)
-    return indices
-
-
 class RigidBodies:
     """The rigid and point bodies of a system.
 
@@ -173,6 +144,7 @@ class RigidBodies:
         parts: for each species the slice of its bodies.
         masses: (n,), dalton.
         moments: (3, n), dalton nm^2.
+        dof: degrees of freedom of all bodies.
     """
 
     def __init__(self, species: Sequence[Species], n_particles: int, labels: Sequence[str] | None = None):
@@ -195,7 +167,8 @@ class RigidBodies:
         counts = [s.atoms.shape[0] for s in self.species]
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        self.degrees_of_freedom = sum(s.degrees_of_freedom * s.atoms.shape[0] for s in self.species)
+        self._sites = [backend.Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
+        self.dof = sum(s.dof * s.atoms.shape[0] for s in self.species)
 
     @classmethod
     def from_system(cls, system, topology=None, rigid=None, positions=None) -> RigidBodies:
@@ -284,7 +257,7 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(velocities, A, weighted=True)
+        return self._sum_over_sites(velocities, A, [s.masses for s in self.species])
 
     def forces_and_torques(self, forces, A) -> tuple[np.ndarray, np.ndarray]:
         """Net force and torque about the centre of mass (van Zon and Schofield, Eq. forcestorques).
@@ -300,19 +273,11 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(forces, A, weighted=False)
+        return self._sum_over_sites(forces, A, [s.ones for s in self._sites])
 
-    def _sum_over_sites(self, vectors, A, weighted):
-        total, moment = np.empty((3, self.n)), np.zeros((3, self.n))
-        loops = executor()
-        broken = 0
-        for s, part in zip(self.species, self.parts, strict=True):
-            weights = s.masses if weighted else s.ones
-            if loops is None:
-                broken += arrays.collect(s, part, vectors, A, weights, total, moment)
-            else:
-                broken += loops.collect(part, part.start, vectors, A, s.sites, weights, s.atoms, total, moment)
-        if broken:
+    def _sum_over_sites(self, vectors, A, weights):
+        total, moment, finite = backend.active().collect(self._sites, vectors, A, weights)
+        if not finite:
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
 
@@ -324,34 +289,19 @@ class RigidBodies:
         Raises:
             NotFiniteError: a position is not finite. All have been written then.
         """
-        loops = executor()
-        broken = 0
-        for s, part in zip(self.species, self.parts, strict=True):
-            if loops is None:
-                broken += arrays.place(s, part, q, A, positions)
-            else:
-                broken += loops.place(part, part.start, q, A, s.sites, s.atoms, positions)
-        if broken:
+        if not backend.active().place(self._sites, q, A, positions):
             raise NotFiniteError(q)
         return positions
 
     def move(self, state: BodyState, velocities) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
-        if (loops := executor()) is None:
-            v, omega = state.p * self.inverse_masses, self.angular_velocities(state)
-            for s, part in zip(self.species, self.parts, strict=True):
-                arrays.move(s, part, v, omega, state.A, velocities)
-            return velocities
         inverses = self.inverse_masses, self.inverse_moments
-        for s, part in zip(self.species, self.parts, strict=True):
-            loops.move(part, part.start, state.p, state.A, state.L, *inverses, s.sites, s.atoms, velocities)
+        backend.active().move(self._sites, state.p, state.A, state.L, *inverses, velocities)
         return velocities
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:
         """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""
-        omega = body_frame(state.A, state.L) * self.inverse_moments
-        A = state.A
-        return kernels.combine(omega, A[0], A[1], A[2])
+        return angular_velocity(state.A, state.L, self.inverse_moments)
 
     @cached_property
     def inverse_masses(self) -> np.ndarray:

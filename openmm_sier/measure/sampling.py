@@ -15,8 +15,9 @@ from openmm import unit
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.temperature import MomentumConservation, degrees_of_freedom, temperatures
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, NotFiniteError, RigidBodies, RigidityError
-from openmm_sier.dynamics.rotation.rotor import body_frame
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 
 #: Tolerance of constraints for OpenMM's own integrators; SETTLE is not better than 1e-8.

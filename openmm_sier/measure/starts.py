@@ -14,7 +14,8 @@ from openmm import unit
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, NotFiniteError
+from openmm_sier.dynamics.bodies import NotFiniteError
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from openmm_sier.measure.report import SILENT, Report
 

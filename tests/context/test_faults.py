@@ -25,7 +25,8 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend import threads
 from tests.support.faults import Fault, lines_run
 from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
 
@@ -131,13 +132,11 @@ def test_a_fault_at_any_line_at_constant_pressure():
 
 def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     """Three threads place atoms and sum forces: none may write any more when the last completed step is written."""
-    monkeypatch.setattr(compiled, "_allowed", True)
-    monkeypatch.setattr(compiled, "SHARE", 1)
-    monkeypatch.setattr(compiled, "_available_threads", lambda: 3)
     shared = []
-    run = compiled._Team.run
-    monkeypatch.setattr(compiled._Team, "run", lambda team, spans: shared.append(len(spans)) or run(team, spans))
-    test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
+    run = threads.Team.run
+    monkeypatch.setattr(threads.Team, "run", lambda team, spans: shared.append(len(spans)) or run(team, spans))
+    with backend.using(backend.NumbaBackend()), threads.use(3, share=1):
+        test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
     assert set(shared) == {3}
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER4, RigidBodies, Scheme, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.operators import stepper
-from openmm_sier.dynamics.rotation.rotor import body_frame
 from openmm_sier.dynamics.schemes import BATH, CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, Stage
 from tests.support.convergence import operators_of, run, slope
 from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster

@@ -374,7 +374,7 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
     assert rows["Step"].tolist() == [5, 10, 15, 20]
     integrator = simulation.integrator
     translation, rotation = integrator.bodies.kinetic_energies(integrator.getBodyState())
-    freedoms = integrator.bodies.degrees_of_freedom - 3
+    freedoms = integrator.bodies.dof - 3
     temperature = 2 * (translation + rotation) / (freedoms * openmm_sier.dynamics.bodies.GAS_CONSTANT)
     # The reporter counts degrees of freedom from particles and constraints, and writes 16 digits.
     assert rows["Temperature_K"][-1] == pytest.approx(temperature, rel=1e-9)

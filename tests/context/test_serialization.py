@@ -24,7 +24,7 @@ from openmm_sier import (
     SIERLangevinIntegrator,
 )
 from openmm_sier.context import hooks
-from openmm_sier.dynamics.rotation import baselines
+from openmm_sier.dynamics import rotation
 from tests.support.waters import array, cluster_system, context_at, platform, relaxed
 
 serialize, deserialize = openmm.XmlSerializer.serialize, openmm.XmlSerializer.deserialize
@@ -51,7 +51,7 @@ def nudged(scheme: Scheme) -> Scheme:
 
 def own_map(A, L, moments, h):
     """A free-rotation map that XML can name."""
-    return baselines.mrdl(A, L, moments, h)
+    return rotation.mrdl(A, L, moments, h)
 
 
 #: No two of them are alike.
@@ -61,7 +61,7 @@ DISTINCT = {
     "SIER2 by the general class": lambda: SIERIntegrator(0.002, SIER2),
     "SIER4G": lambda: SIERIntegrator(0.002, SIER4G),
     "a last bit": lambda: SIERIntegrator(0.002, nudged(SIER4G)),
-    "other rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=baselines.mrdl),
+    "other rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=rotation.mrdl),
     "own rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=own_map),
     "bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[0, 1, 2]]),
     "other bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[3, 4, 5]]),
@@ -244,7 +244,7 @@ def test_names_that_xml_readers_damage(name):
 
 def test_rotation_without_a_name():
     """XML cannot carry it and says so; copies within the process can."""
-    integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: baselines.mrdl(A, L, moments, h))
+    integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: rotation.mrdl(A, L, moments, h))
     assert copy.deepcopy(integrator).rotation is integrator.rotation
     with pytest.raises(openmm.OpenMMException, match=r"free-rotation map .*lambda.* cannot be imported"):
         deserialize(serialize(integrator))

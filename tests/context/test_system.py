@@ -63,7 +63,7 @@ def test_water_takes_its_geometry_from_the_constraints():
     # About the symmetry axis only the hydrogens turn, at half their distance.
     assert np.isclose(species.moments, 2 * 1.008 * (HH / 2) ** 2, rtol=1e-14).any()
     assert species.moments[0] + species.moments[1] == pytest.approx(species.moments[2], rel=1e-14)
-    assert bodies.degrees_of_freedom == 12
+    assert bodies.dof == 12
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_water_models_of_openmm(field, model, sites):
     assert lists(bodies) == [[sites * i, sites * i + 1, sites * i + 2] for i in range(n)]
     assert len(bodies.species) == 1
     assert bodies.n_particles == sites * n
-    assert bodies.degrees_of_freedom == 6 * n
+    assert bodies.dof == 6 * n
 
     x = np.array(modeller.positions.value_in_unit(unit.nanometer))
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
@@ -100,7 +100,7 @@ def test_two_atoms_are_a_line():
     reduced = 14.0 * 16.0 / 30.0
     assert species.moments[0] == 0
     assert species.moments[1:] == pytest.approx([reduced * 0.115**2] * 2, rel=1e-14)
-    assert bodies.degrees_of_freedom == 5
+    assert bodies.dof == 5
 
 
 def test_three_atoms_in_a_row_are_a_line():
@@ -108,13 +108,13 @@ def test_three_atoms_in_a_row_are_a_line():
     (species,) = bodies.species
     assert species.moments[0] == 0
     assert species.moments[1:] == pytest.approx([2 * 16.0 * 0.116**2] * 2, rel=1e-12)
-    assert bodies.degrees_of_freedom == 5
+    assert bodies.dof == 5
 
 
 def test_particles_in_a_row_to_the_digits_of_a_force_field():
     """Lengths rounded to 1e-6 nm that can be no triangle are a line."""
     bodies = find_bodies(system_of(((16.0, 12.0, 16.0), {(0, 1): 0.115997, (1, 2): 0.115997, (0, 2): 0.231995})))
-    assert bodies.degrees_of_freedom == 5
+    assert bodies.dof == 5
 
 
 def test_ions_unconstrained_atoms_and_fixed_particles():
@@ -123,7 +123,7 @@ def test_ions_unconstrained_atoms_and_fixed_particles():
     bodies = find_bodies(system_of(ion, WATER, fixed, free, WATER, ion))
     assert sorted(lists(bodies)) == [[0], [1, 2, 3], [5], [6], [7, 8, 9], [10]]
     assert len(bodies.species) == 4
-    assert bodies.degrees_of_freedom == 2 * 6 + 4 * 3
+    assert bodies.dof == 2 * 6 + 4 * 3
     assert bodies.n_particles == 11
     assert all(not species.moments.any() for species in bodies.species if len(species.masses) == 1)
 

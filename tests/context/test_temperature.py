@@ -14,7 +14,7 @@ from openmm_sier import SIER2, BodyState, RigidBodies, SIER2Integrator, SIERLang
 from openmm_sier.context import conservation
 from openmm_sier.context.reporters import ConservationReporter
 from openmm_sier.context.temperature import degrees_of_freedom, temperatures
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.molecules import GEOMETRIES, ION, WATER, ensemble, scattered, thermal_state
 from tests.support.waters import periodic_system, platform
 

@@ -52,7 +52,7 @@ def test_species_from_coordinates(kind):
     assert np.abs(sites @ masses).max() < 1e-15 * masses.sum()
     assert np.abs(inertia - np.diag(found.moments)).max() < 1e-14 * scale
     assert (np.diff(found.moments) >= -1e-14 * scale).all()
-    assert found.degrees_of_freedom == freedoms
+    assert found.dof == freedoms
     assert found.mass == pytest.approx(masses.sum())
 
     x = np.array(coordinates, dtype=float)
@@ -214,7 +214,7 @@ def test_total_momenta_are_those_of_the_atoms(rng, bodies):
 
 
 def test_degrees_of_freedom():
-    assert scattered(ALL, each=2000, n_free=0).degrees_of_freedom == 2000 * (4 * 6 + 2 * 5 + 3)
+    assert scattered(ALL, each=2000, n_free=0).dof == 2000 * (4 * 6 + 2 * 5 + 3)
 
 
 # --- fitting ----------------------------------------------------------------------------------------------------------
@@ -359,7 +359,7 @@ def test_bodies_are_named(bodies):
 def test_no_bodies_at_all():
     nothing = RigidBodies([], 4)
     assert nothing.n == 0
-    assert nothing.degrees_of_freedom == 0
+    assert nothing.dof == 0
     q, A = nothing.fit(np.zeros((4, 3)))
     assert q.shape == (3, 0)
     assert A.shape == (3, 3, 0)

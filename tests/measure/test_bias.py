@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import logm
 
 from openmm_sier import SIER2, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import DRIFT
 from openmm_sier.measure import sampling
 from tests.support.tethers import SPRINGS, tethered_water

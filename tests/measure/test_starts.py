@@ -12,7 +12,7 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER2Integrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure import forcefields, starts
 from openmm_sier.measure.starts import EquilibrationWarning, equilibrate, prepare
 from tests.support.commands import write_lattice

@@ -15,7 +15,6 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier.context.named_integrators import SIER2Integrator
-from openmm_sier.dynamics.backend import compiled
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure import forcefields
 from openmm_sier.studies import bench
@@ -72,13 +71,6 @@ def test_interleaved_timings_discard_the_first_round():
     seconds = timing.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
     assert calls == ["a", "b"] * 3
     assert [len(values) for values in seconds.values()] == [2, 2]
-
-
-def test_single_thread_is_undone(monkeypatch):
-    monkeypatch.setattr(compiled, "_available_threads", lambda: 5)
-    with compiled.single_threaded():
-        assert compiled.threads() == 1
-    assert compiled.threads() == 5
 
 
 def test_free_water_is_water():

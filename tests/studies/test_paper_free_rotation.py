@@ -10,7 +10,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics import rotation
 from openmm_sier.studies.paper import free_rotation, published, reference, tip4p
 from openmm_sier.studies.paper.free_rotation import FreeRotationSettings
 from tests.support.oracles import rotation_by_dop853
@@ -40,7 +40,7 @@ def test_reference_solves_the_equations_of_motion(rng):
 def test_reference_and_exact_rotation(rng, time):
     """Rounding: some 1e-16 times the angle turned, below 100 rad per ps."""
     L = states(rng, 20)
-    exact, _ = rotor.exact(np.repeat(np.eye(3)[:, :, None], 20, axis=2), L, WATER, time)
+    exact, _ = rotation.exact(np.repeat(np.eye(3)[:, :, None], 20, axis=2), L, WATER, time)
     for i in range(20):
         assert np.abs(matrix(reference.attitude(L[:, i], WATER, time)) - exact[:, :, i]).max() < 2e-15 * (
             1 + 100 * abs(time)

@@ -1,4 +1,4 @@
-"""Distances, symmetries and the symplectic form in the phase space of rigid bodies."""
+"""Phase points of rigid bodies: how far apart they are, and whether a map of them is symplectic."""
 
 from __future__ import annotations
 
@@ -27,6 +27,10 @@ def turned(state, body, rotation_vector):
     A[:, :, body] = A[:, :, body] @ Rotation.from_rotvec(rotation_vector).as_matrix().T
     return replace(state, A=A)
 
+
+# Tangent vectors (dq, dp, dphi, dL) of one body, with dphi the turn in the lab frame: A exp([dphi])^T. The canonical
+# one-form is p.dq + L.dphi. Turns do not commute: d(dphi)(1, 2) = dphi_1 x dphi_2, and so minus its derivative is
+#     dq_1.dp_2 - dp_1.dq_2 + dphi_1.dL_2 - dL_1.dphi_2 - L.(dphi_1 x dphi_2).
 
 #: Units of dq, dp, dphi and dL in which one unit is a large change of a water molecule.
 UNITS = np.repeat([0.05, 20.0, 0.5, 2.0], 3)

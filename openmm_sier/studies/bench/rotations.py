@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from openmm_sier.dynamics.backend import compiled
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
-from openmm_sier.dynamics.rotation import baselines, rotor
+from openmm_sier.dynamics import backend, rotation
+from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.statistics import median_and_error
 from openmm_sier.studies.bench.timing import BenchSettings, interleaved
@@ -29,12 +29,12 @@ def time_rotations(settings: BenchSettings, report: Report) -> list[dict[str, An
         repeats = max(1, 20000 // n)
         arguments = (*thermal_rotors(n), repeats)
         actions: dict[str, Callable[[], None]] = {
-            name: partial(_by_numpy, rotation, *arguments)
-            for name, rotation in (("exact", rotor.exact), ("MRDL", baselines.mrdl), ("SEJ4", baselines.sej4))
+            name: partial(_by_numpy, rotate, *arguments)
+            for name, rotate in (("exact", rotation.exact), ("MRDL", rotation.mrdl), ("SEJ4", rotation.sej4))
         }
-        if compiled.executor() is not None:
-            actions["exact, Numba"] = partial(_rotate, rotor.exact, *arguments)
-        with compiled.single_threaded():
+        if backend.active() is not backend.NUMPY:
+            actions["exact, Numba"] = partial(_rotate, rotation.exact, *arguments)
+        with threads.use(1):
             seconds = interleaved(actions, settings.rounds)
         row: dict[str, Any] = {"bodies": n}
         row |= {name: median_and_error(1e9 * values / (repeats * n)) for name, values in seconds.items()}
@@ -43,14 +43,14 @@ def time_rotations(settings: BenchSettings, report: Report) -> list[dict[str, An
     return rows
 
 
-def _rotate(rotation, A, L, repeats: int) -> None:
+def _rotate(rotate, A, L, repeats: int) -> None:
     for _ in range(repeats):
-        rotation(A, L, WATER_MOMENTS, STEP)
+        rotate(A, L, WATER_MOMENTS, STEP)
 
 
-def _by_numpy(rotation, A, L, repeats: int) -> None:
-    with compiled.disabled():
-        _rotate(rotation, A, L, repeats)
+def _by_numpy(rotate, A, L, repeats: int) -> None:
+    with backend.using(backend.NUMPY):
+        _rotate(rotate, A, L, repeats)
 
 
 def thermal_rotors(n: int, seed: int = 1):

@@ -12,7 +12,7 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.schemes import SIER2, SIER4
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import load, pme_system, read_box
@@ -91,14 +91,14 @@ def _contexts(system, start, settings: BenchSettings) -> dict[str, openmm.Contex
         "OpenMM Verlet": openmm.VerletIntegrator(STEP),
         "OpenMM LangevinMiddle": openmm.LangevinMiddleIntegrator(297, 1, STEP),
     }
-    if compiled.executor() is not None:
+    if backend.active() is not backend.NUMPY:
         integrators[NUMPY] = SIERIntegrator(STEP, SIER2)
     return {name: _context_at(system, integrator, start, settings) for name, integrator in integrators.items()}
 
 
 def _steps(name: str, context) -> None:
     """A turn: as many steps as take `EVALUATIONS` forces."""
-    with compiled.disabled() if name == NUMPY else nullcontext():
+    with backend.using(backend.NUMPY) if name == NUMPY else nullcontext():
         context.getIntegrator().step(EVALUATIONS // 4 if name == "SIER4" else EVALUATIONS)
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.version import __version__
 
@@ -57,12 +58,12 @@ def machine() -> dict:
     return {
         "processor": model,
         "cores": os.cpu_count(),
-        "threads": compiled.threads(),
+        "threads": threads.count(),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "openmm": openmm.__version__,
         "openmm_sier": __version__,
-        "executor": "NumPy" if compiled.executor() is None else "Numba",
+        "backend": backend.active().name,
     }
 
 

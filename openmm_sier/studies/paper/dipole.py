@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from openmm_sier.dynamics import operators
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState
-from openmm_sier.dynamics.rotation.rotor import body_frame
 from openmm_sier.measure.statistics import jackknife
 from openmm_sier.studies.paper import tip4p
 from openmm_sier.studies.paper.methods import FS, METHODS, Method, Progress

@@ -19,10 +19,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend, operators, rotation
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.rotation import baselines, rotor
 from openmm_sier.dynamics.schemes import DRIFT, KICK
 from openmm_sier.measure.statistics import jackknife
 from openmm_sier.studies.paper import reference, tip4p
@@ -144,11 +143,11 @@ def _start(n: int, settings: FreeRotationSettings) -> tuple[RigidBodies, BodySta
     bodies = tip4p.molecules(n)
     state = tip4p.canonical_rotation(bodies, settings.temperature, np.random.default_rng(settings.seed))
     axes = np.repeat(np.eye(3)[:, :, None], n, axis=2)
-    return bodies, BodyState(state.q, state.p, axes, rotor.body_frame(state.A, state.L))
+    return bodies, BodyState(state.q, state.p, axes, body_frame(state.A, state.L))
 
 
 def _curve(method: Method, step_fs: float, settings: FreeRotationSettings, report) -> Curve:
-    exact = method.rotation is rotor.exact
+    exact = method.rotation is rotation.exact
     bodies, start = _start(settings.exact_bodies if exact else settings.bodies, settings)
     h = step_fs * FS
     marks = _marks(round(settings.span / h), settings.marks_per_decade)
@@ -174,7 +173,7 @@ def _marks(last: int, per_decade: int) -> list[int]:
 
 def _squares(state, start, moments, h, count):
     """The paper's squared deviation of each body, (n,)."""
-    A, _ = rotor.exact(start.A, start.L, moments, h * count)
+    A, _ = rotation.exact(start.A, start.L, moments, h * count)
     return ((state.A - A) ** 2).sum(axis=(0, 1)) / 6
 
 
@@ -183,7 +182,7 @@ def _squares_beyond_double(state, start, moments, h, count):
 
 
 def _energies(state, bodies):
-    return 0.5 * (rotor.body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
+    return 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
 
 
 def _summarize(name, step_fs, times, squares, energies) -> Curve:
@@ -216,11 +215,11 @@ def _root_mean(squares):
 
 def _costs(settings: FreeRotationSettings) -> tuple[Cost, ...]:
     """The three maps, all executed by NumPy, timed in turn, so that what else the computer does affects all alike."""
-    maps = {"MRDL": baselines.mrdl, "SIER2": rotor.exact, "SEJ4": baselines.sej4}
+    maps = {"MRDL": rotation.mrdl, "SIER2": rotation.exact, "SEJ4": rotation.sej4}
     bodies, start = _start(settings.timed_bodies, settings)
     costs = []
     for step_fs in settings.steps_fs:
-        with compiled.disabled():
+        with backend.using(backend.NUMPY):
             rounds = [
                 [_seconds(rotation, start, bodies, step_fs * FS) for rotation in maps.values()]
                 for _ in range(settings.timings)

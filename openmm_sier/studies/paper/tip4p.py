@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from openmm_sier.context.conservation import G_PER_ML
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies, Species
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, Species
+from openmm_sier.dynamics.constants import GAS_CONSTANT, GRAM_PER_CM3
 
 #: W. L. Jorgensen, J. Chandrasekhar, J. D. Madura, R. W. Impey and M. L. Klein, J. Chem. Phys. 79, 926 (1983), Table I:
 #: r(OH) = 0.9572 A, HOH = 104.52 deg, r(OM) = 0.15 A, q(H) = 0.52 e, A = 600e3 kcal A^12/mol, C = 610 kcal A^6/mol.
@@ -79,4 +79,4 @@ def _uniform_attitudes(n, rng):
 
 def box_edge(n: int) -> float:
     """Edge in nm of the cube in which n molecules have the experimental density."""
-    return (n * MOLECULE_MASS / (DENSITY / G_PER_ML)) ** (1 / 3)
+    return (n * MOLECULE_MASS / (DENSITY * GRAM_PER_CM3)) ** (1 / 3)

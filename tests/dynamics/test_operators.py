@@ -181,7 +181,7 @@ def test_force_evaluations(rng, waters, scheme, evaluations):
     for done in range(2, 8):
         state = step(state)
         assert forces.evaluations == done * evaluations + 1
-    forces.forget()
+    forces.invalidate()
     step(state)
     assert forces.evaluations == 7 * evaluations + 1 + evaluations + 1
 

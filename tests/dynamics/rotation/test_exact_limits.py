@@ -7,9 +7,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from openmm_sier.dynamics.backend.elliptic import SERIES_LIMIT, SHORT_SERIES_LIMIT
-from openmm_sier.dynamics.backend.kernels import SMALL_ANGLE, small_sine_cosine
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics import rotation
+from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
+from openmm_sier.dynamics.rotation.elliptic import (
+    LONGEST,
+    SERIES_LIMIT,
+    SHORT,
+    SHORT_SERIES_LIMIT,
+    SHORT_TIMES,
+    SHORT_WEIGHTS,
+    TIMES,
+    WEIGHTS,
+)
 from tests.support import oracles
 from tests.support.families import FAMILIES, asymmetric, linear, point, sample, spherical
 from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
@@ -18,7 +27,7 @@ from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random
 
 
 def squared_phase(u, rates):
-    """max(p, q) of the module's docstring at |L| h = 1, for rates in descending order."""
+    """max(p, q) of `exact.euler_rates` at |L| h = 1, for rates in descending order."""
     (a, b, c), (x2, y2, z2) = rates, u * u
     return np.maximum(((a - c) * x2 + (b - c) * y2) * (a - b), ((a - b) * y2 + (a - c) * z2) * (b - c))
 
@@ -32,7 +41,7 @@ def bodies_at(rng, n, phase, decades, dtype=float):
 
 
 @pytest.mark.parametrize("factor", [1 - 1e-9, 1 + 1e-9, 4.0])
-@pytest.mark.parametrize("limit", [limit for limit, _, _ in rotor.QUADRATURES])
+@pytest.mark.parametrize("limit", [SHORT, LONGEST])
 def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
     """Just below a limit, where truncation is worst, and above, where the next rule or composition takes over."""
     rates, u, k = bodies_at(rng, 250, limit * factor, decades=1)
@@ -41,7 +50,7 @@ def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
     expected, _ = oracles.rotation_by_taylor(A, L, moments, 1.0, dtype=np.longdouble, order=20)
     # Rounding of A L turns the body by up to 2e-16 of its fastest angle; some ten operations follow.
     scale = np.maximum(1, k * rates[0])
-    assert worst(rotor.exact(A, L, moments, 1.0)[0] - expected, scale) < 2e-15
+    assert worst(rotation.exact(A, L, moments, 1.0)[0] - expected, scale) < 2e-15
 
 
 def series_of_directions(middle, difference, order=24):
@@ -54,10 +63,13 @@ def series_of_directions(middle, difference, order=24):
     return series
 
 
-@pytest.mark.parametrize("rule", range(len(rotor.QUADRATURES)))
-def test_quadrature_truncates_below_rounding(rng, rule):
-    """The claim at `rotor.QUADRATURES`: the rule, in extended precision, against Gauss-Legendre with 24 nodes."""
-    limit, end_weight, nodes = rotor.QUADRATURES[rule]
+@pytest.mark.parametrize(
+    ("limit", "times", "weights"),
+    [(SHORT, SHORT_TIMES, SHORT_WEIGHTS), (LONGEST, TIMES, WEIGHTS)],
+    ids=["short", "long"],
+)
+def test_quadrature_truncates_below_rounding(rng, limit, times, weights):
+    """The claim at `elliptic.LONGEST`: the rule, in extended precision, against Gauss-Legendre with 24 nodes."""
     rates, middle, k = bodies_at(rng, 20_000, limit, 4, np.longdouble)
     a, b, c = rates
     series = series_of_directions(middle, k * np.stack([c - b, a - c, b - a]))
@@ -68,9 +80,9 @@ def test_quadrature_truncates_below_rounding(rng, rule):
         return (k * rates * v * (middle + v)).sum(axis=0) / (1 + (middle * v).sum(axis=0))
 
     leading = (k * rates * middle * middle).sum(axis=0)
-    by_rule = leading + end_weight * ((g(1) + g(-1)) / 2 - leading)
-    for node, weight in nodes:
-        by_rule = by_rule + weight * ((g(node) + g(-node)) / 2 - leading)
+    by_rule = leading
+    for time, weight in zip(times, weights, strict=True):
+        by_rule = by_rule + weight * ((g(2 * time) + g(-2 * time)) / 2 - leading)
     gauss = mpmath.calculus.quadrature.GaussLegendre(mpmath.mp).calc_nodes(4, 100)
     exact = sum(np.longdouble(str(w)) * g(str(x)) for x, w in gauss) / 2
 
@@ -80,13 +92,12 @@ def test_quadrature_truncates_below_rounding(rng, rule):
 
 def test_quadrature_limits_follow_from_the_series():
     """The series is used over half a step at most."""
-    assert rotor.QUADRATURES[0][0] / 4 <= SHORT_SERIES_LIMIT
-    assert rotor.QUADRATURES[-1][0] / 4 <= SERIES_LIMIT
-    assert rotor.QUADRATURES[-1][0] == rotor.LONGEST
+    assert SHORT / 4 <= SHORT_SERIES_LIMIT
+    assert LONGEST / 4 <= SERIES_LIMIT
 
 
 def test_sine_and_cosine_of_small_angles():
-    """The claim at `kernels.SMALL_ANGLE`, in extended precision, where the first term left out is 1.2e-17."""
+    """The claim at `formulas.SMALL_ANGLE`, in extended precision, where the first term left out is 1.2e-17."""
     x = np.linspace(-SMALL_ANGLE, SMALL_ANGLE, 1001).astype(np.longdouble)
     sine, cosine = small_sine_cosine(x)
     assert np.abs(sine - np.sin(x)).max() < 3e-17
@@ -104,7 +115,7 @@ def test_any_angle_gives_a_rotation(rng, exponents):
     )
     scale = 10.0 ** rng.uniform(-15, 15)
     L, moments = L * scale, moments * scale
-    new, new_L = rotor.exact(A, L, moments, 1.0)
+    new, new_L = rotation.exact(A, L, moments, 1.0)
     assert np.isfinite(new).all()
     assert orthogonality_error(new) < ORTHOGONAL
     assert np.array_equal(new_L, L)
@@ -121,7 +132,7 @@ def test_any_angle_gives_a_rotation(rng, exponents):
 def test_uniform_rotation_lasts(axis, angle):
     """A body that turns exactly about a principal axis goes on so, about the unstable one (here the second) too."""
     moments, direction = np.array([0.6, 1.1, 1.7]), np.eye(3)[axis]
-    new, _ = rotor.exact(np.eye(3)[:, :, None], direction[:, None], moments, angle * moments[axis])
+    new, _ = rotation.exact(np.eye(3)[:, :, None], direction[:, None], moments, angle * moments[axis])
     expected = Rotation.from_rotvec(-angle * direction).as_matrix()
     # The angle, a product of three numbers, is rounded.
     assert np.abs(new[:, :, 0] - expected).max() < 1e-15 * max(1, abs(angle))
@@ -130,18 +141,18 @@ def test_uniform_rotation_lasts(axis, angle):
 def test_no_scale_is_preferred(rng):
     """Scaling |L| against h or against the moments over 600 orders of magnitude changes nothing but rounding."""
     A, L, moments = random_attitudes(rng, 50), rng.normal(size=(3, 50)), asymmetric(rng, 50)
-    expected = rotor.exact(A, L, moments, 0.9)[0]
+    expected = rotation.exact(A, L, moments, 0.9)[0]
     for exponent in (-290, -200, -100, -15, 15, 100, 200, 290):
         scale = 10.0**exponent
-        assert np.abs(rotor.exact(A, L * scale, moments, 0.9 / scale)[0] - expected).max() < 1e-13
-        assert np.abs(rotor.exact(A, L * scale, moments * scale, 0.9)[0] - expected).max() < 1e-13
+        assert np.abs(rotation.exact(A, L * scale, moments, 0.9 / scale)[0] - expected).max() < 1e-13
+        assert np.abs(rotation.exact(A, L * scale, moments * scale, 0.9)[0] - expected).max() < 1e-13
 
 
 @pytest.mark.parametrize(("size", "h"), [(1e300, -1e300), (1e-300, 1e300), (1e300, 1e-300), (1e-300, 0.0)])
 def test_the_largest_and_smallest_numbers(rng, size, h):
     A, L = random_attitudes(rng, 80), size * rng.uniform(-1, 1, (3, 80))
     moments = np.concatenate([bodies(rng, 20) for bodies in (asymmetric, spherical, linear, point)], axis=1)
-    new, _ = rotor.exact(A, L, moments, h)
+    new, _ = rotation.exact(A, L, moments, h)
     assert np.isfinite(new).all()
     assert orthogonality_error(new) < ORTHOGONAL
 
@@ -149,4 +160,4 @@ def test_the_largest_and_smallest_numbers(rng, size, h):
 def test_no_time_and_no_momentum_change_nothing(rng):
     A = random_attitudes(rng, 10)
     for L, h in ((rng.normal(size=(3, 10)), 0.0), (np.zeros((3, 10)), 5.0)):
-        assert np.abs(rotor.exact(A, L, (0.6, 1.1, 1.7), h)[0] - A).max() < 1e-15
+        assert np.abs(rotation.exact(A, L, (0.6, 1.1, 1.7), h)[0] - A).max() < 1e-15

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER4, Scheme
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.schemes import DRIFT, KICK
 from tests.support import oracles
 from tests.support.oracles import (
@@ -52,18 +52,18 @@ def test_propagator(rng):
     for h in (0.1, -0.1):
         expected = by_the_paper(A, L, moments, h, terms=7)
         # L_perp in the paper's frame is at least 0.28 |L|, so that R1 loses no more than a digit.
-        assert np.abs(rotor.exact(A, L, moments, h)[0] - expected).max() < 2e-14
+        assert np.abs(rotation.exact(A, L, moments, h)[0] - expected).max() < 2e-14
 
 
 def test_hermite_sum_converges(rng):
     """Corrections of order h^(2n+1): more terms bring the paper's sum to the package's rotation."""
     A, L, moments = states(rng, 100)
-    exact = rotor.exact(A, L, moments, 0.1)[0]
+    exact = rotation.exact(A, L, moments, 0.1)[0]
     errors = [np.abs(by_the_paper(A, L, moments, 0.1, n) - exact).max() for n in (1, 2, 3, 4, 5)]
     assert all(later < earlier / 20 for earlier, later in pairwise(errors))
     for n in (1, 2):
         wide, narrow = (
-            np.abs(by_the_paper(A, L, moments, h, n) - rotor.exact(A, L, moments, h)[0]).max() for h in (0.02, 0.01)
+            np.abs(by_the_paper(A, L, moments, h, n) - rotation.exact(A, L, moments, h)[0]).max() for h in (0.02, 0.01)
         )
         assert np.log2(wide / narrow) == pytest.approx(2 * n + 1, abs=0.1)
 
@@ -183,7 +183,7 @@ def test_printed_condition_chooses_a_pole_that_the_path_comes_near():
     L = np.array([[0.002], [0.001], [0.1]])
     h = 4.0
     assert printed_condition(apply(A, L), moments).all()
-    exact = rotor.exact(A, L, moments, h)[0]
+    exact = rotation.exact(A, L, moments, h)[0]
 
     def unexchanged(body_L, moments):
         return np.eye(3)[:, :, None], body_L, moments

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from openmm_sier.dynamics.rotation import baselines, rotor
+from openmm_sier.dynamics import rotation
 from tests.support.oracles import apply, matmul, orthogonality_error, random_attitudes, rotation_by_taylor, skew
 
-MAPS = (baselines.mrdl, baselines.sej4)
+MAPS = (rotation.mrdl, rotation.sej4)
 WATER = np.array([0.0061457, 0.0115511, 0.0176968])
 
 
@@ -36,7 +36,7 @@ def test_mrdl_is_the_product_of_rotations_about_the_axes(rng):
     """Five matrix exponentials in the order x y z y x of ascending moments, each with L~ as the one before left it."""
     A, L = gas(rng, 20)
     h = 0.008
-    new, _ = baselines.mrdl(A, L, WATER, h)
+    new, _ = rotation.mrdl(A, L, WATER, h)
     for i in range(A.shape[2]):
         expected = A[:, :, i]
         for axis, fraction in ((0, 0.5), (1, 0.5), (2, 1), (1, 0.5), (0, 0.5)):
@@ -51,7 +51,7 @@ def test_mrdl_is_the_product_of_rotations_about_the_axes(rng):
 def test_sej4_is_the_magnus_step(rng, h):
     """exp(-[Omega]) A with the angular velocities of the integrated Euler equations at the Gauss points."""
     A, L = gas(rng, 20)
-    new_A, new_L = baselines.sej4(A, L, WATER, h)
+    new_A, new_L = rotation.sej4(A, L, WATER, h)
     at = [rotation_by_taylor(A, L, columns(WATER, 20), t * h)[1] for t in (0.5 - 3**0.5 / 6, 0.5 + 3**0.5 / 6, 1)]
     w1, w2 = at[0] / WATER[:, None], at[1] / WATER[:, None]
     omega = 0.5 * h * (w1 + w2) + 3**0.5 / 12 * h * h * np.cross(w1, w2, axis=0)
@@ -63,8 +63,8 @@ def test_sej4_is_the_magnus_step(rng, h):
     assert np.abs(new_L - apply(expected.transpose(1, 0, 2), at[2])).max() < tolerance
 
 
-@pytest.mark.parametrize(("rotation", "order"), [(baselines.mrdl, 2), (baselines.sej4, 4)])
-def test_order(rng, rotation, order):
+@pytest.mark.parametrize(("turned", "order"), [(rotation.mrdl, 2), (rotation.sej4, 4)])
+def test_order(rng, turned, order):
     """The error after a fixed time falls as h^order; halving h three times, higher terms change the slope by < 0.1."""
     A, L = gas(rng, 50)
     exact, _ = rotation_by_taylor(A, L, columns(WATER, 50), 0.1)
@@ -72,19 +72,19 @@ def test_order(rng, rotation, order):
     for steps in (50, 100, 200):
         new, l = A, L
         for _ in range(steps):
-            new, l = rotation(new, l, WATER, 0.1 / steps)
+            new, l = turned(new, l, WATER, 0.1 / steps)
         errors.append(np.abs(new - exact).max())
     slopes = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.abs(slopes - order).max() < 0.1
 
 
-@pytest.mark.parametrize("rotation", MAPS)
-def test_reversible(rng, rotation):
+@pytest.mark.parametrize("turned", MAPS)
+def test_reversible(rng, turned):
     A, L = gas(rng, 100)
-    new, l = rotation(*rotation(A, L, WATER, 0.008), WATER, -0.008)
+    new, l = turned(*turned(A, L, WATER, 0.008), WATER, -0.008)
     assert np.abs(new - A).max() < 1e-14
     assert np.abs(l - L).max() < 1e-14 * np.abs(L).max()
-    assert orthogonality_error(rotation(A, L, WATER, 0.008)[0]) < 3e-15
+    assert orthogonality_error(turned(A, L, WATER, 0.008)[0]) < 3e-15
 
 
 def test_what_each_conserves(rng):
@@ -95,35 +95,35 @@ def test_what_each_conserves(rng):
         return (apply(A, L) ** 2 / WATER[:, None]).sum(axis=0) / 2
 
     before = energies(A, L)
-    new, l = baselines.mrdl(A, L, WATER, 0.008)
+    new, l = rotation.mrdl(A, L, WATER, 0.008)
     assert np.array_equal(l, L)
     assert np.abs(energies(new, l) / before - 1).max() > 1e-4
-    new, l = baselines.sej4(A, L, WATER, 0.008)
+    new, l = rotation.sej4(A, L, WATER, 0.008)
     assert np.abs(energies(new, l) / before - 1).max() < 1e-14
     assert np.abs(l - L).max() > 1e-7 * np.abs(L).max()
 
 
-@pytest.mark.parametrize("rotation", MAPS)
+@pytest.mark.parametrize("turned", MAPS)
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0)])
-def test_order_of_the_moments_does_not_matter(rng, rotation, order):
+def test_order_of_the_moments_does_not_matter(rng, turned, order):
     A, L = gas(rng, 30)
-    expected, expected_L = rotation(A, L, WATER, 0.008)
+    expected, expected_L = turned(A, L, WATER, 0.008)
     expected, _, _ = permuted(expected, L, WATER, order)
     rows, L, moments = permuted(A, L, WATER, order)
     for given in (moments, columns(moments, 30)):
-        new, new_L = rotation(rows, L, given, 0.008)
+        new, new_L = turned(rows, L, given, 0.008)
         assert np.abs(new - expected).max() < 1e-15
         assert np.abs(new_L - expected_L).max() < 1e-15 * np.abs(L).max()
 
 
 @pytest.mark.parametrize("moments", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 0)])
-@pytest.mark.parametrize("rotation", MAPS)
-def test_lines_and_points_turn_exactly(rng, rotation, moments):
+@pytest.mark.parametrize("turned", MAPS)
+def test_lines_and_points_turn_exactly(rng, turned, moments):
     """With one moment there is nothing to split and no commutator. L of a line is perpendicular to it, of a point 0."""
     moments = np.array(moments, dtype=float)
     A, L = gas(rng, 10, moments, 1.0)
-    exact, _ = rotor.exact(A, L, moments, 0.3)
-    new, l = rotation(A, L, moments, 0.3)
+    exact, _ = rotation.exact(A, L, moments, 0.3)
+    new, l = turned(A, L, moments, 0.3)
     assert np.abs(new - exact).max() < 1e-15
     assert np.abs(l - L).max() < 1e-15
     # A line stays perpendicular to its L.
@@ -134,44 +134,44 @@ def test_spherical_tops(rng):
     """SEJ4 is exact where the angular velocity is constant. MRDL splits a sphere too, and has an error."""
     moments = np.array([1.0, 1.0, 1.0])
     A, L = gas(rng, 10, moments, 1.0)
-    exact, _ = rotor.exact(A, L, moments, 0.3)
-    assert np.abs(baselines.sej4(A, L, moments, 0.3)[0] - exact).max() < 1e-15
-    error = np.abs(baselines.mrdl(A, L, moments, 0.3)[0] - exact).max()
+    exact, _ = rotation.exact(A, L, moments, 0.3)
+    assert np.abs(rotation.sej4(A, L, moments, 0.3)[0] - exact).max() < 1e-15
+    error = np.abs(rotation.mrdl(A, L, moments, 0.3)[0] - exact).max()
     assert 1e-4 < error < 0.1
 
 
-@pytest.mark.parametrize("rotation", MAPS)
-def test_mixture(rng, rotation):
+@pytest.mark.parametrize("turned", MAPS)
+def test_mixture(rng, turned):
     """Bodies of all kinds in one call go as they go alone."""
     kinds = [WATER, WATER[::-1], np.array([0, 1, 1.0]), np.array([1, 1, 0.0]), np.zeros(3), np.ones(3)]
     states = [gas(rng, 5, moments, 1.0) for moments in kinds]
     A, L = (np.concatenate(parts, axis=-1) for parts in zip(*states, strict=True))
     moments = np.concatenate([columns(m, 5) for m in kinds], axis=1)
-    new, l = rotation(A, L, moments, 0.02)
+    new, l = turned(A, L, moments, 0.02)
     for i, (kind, state) in enumerate(zip(kinds, states, strict=True)):
-        alone = rotation(*state, kind, 0.02)
+        alone = turned(*state, kind, 0.02)
         assert np.abs(new[:, :, 5 * i : 5 * i + 5] - alone[0]).max() < 1e-14
         assert np.abs(l[:, 5 * i : 5 * i + 5] - alone[1]).max() < 1e-14
 
 
-@pytest.mark.parametrize("rotation", MAPS)
+@pytest.mark.parametrize("turned", MAPS)
 @pytest.mark.parametrize("scale", [0.0, 1e-200, 1e-30, 1e30])
-def test_any_size_of_the_angular_momentum(rng, rotation, scale):
+def test_any_size_of_the_angular_momentum(rng, turned, scale):
     """A body at rest stays, and h L is what matters: slow bodies over long times go as fast ones over short times."""
     A, L = gas(rng, 10)
-    expected = rotation(A, L, WATER, 0.008)[0] if scale else A
+    expected = turned(A, L, WATER, 0.008)[0] if scale else A
     h = 0.008 / scale if scale else 0.008
-    assert np.abs(rotation(A, scale * L, WATER, h)[0] - expected).max() < 1e-14
+    assert np.abs(turned(A, scale * L, WATER, h)[0] - expected).max() < 1e-14
 
 
-@pytest.mark.parametrize("rotation", MAPS)
-def test_arguments(rng, rotation):
+@pytest.mark.parametrize("turned", MAPS)
+def test_arguments(rng, turned):
     A, L = gas(rng, 4)
     before = A.copy(), L.copy()
-    rotation(A, L, WATER, 0.008)
+    turned(A, L, WATER, 0.008)
     assert np.array_equal(A, before[0])
     assert np.array_equal(L, before[1])
-    none = rotation(A[:, :, :0], L[:, :0], WATER, 0.1)
+    none = turned(A[:, :, :0], L[:, :0], WATER, 0.1)
     assert none[0].shape == (3, 3, 0)
     assert none[1].shape == (3, 0)
     for wrong, message in (
@@ -183,4 +183,4 @@ def test_arguments(rng, rotation):
         ((A, L, (0, 1, 2), 0.1), "one zero moment"),
     ):
         with pytest.raises(ValueError, match=message):
-            rotation(*wrong)
+            turned(*wrong)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics import rotation
 from tests.support import oracles
 from tests.support.families import FAMILIES, STATES, sample, unit
 from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
@@ -24,7 +24,7 @@ def times(rng, count):
 
 def check(A, L, moments, angle, h):
     """No NaN, the right rotation, an orthogonal matrix, and the L at the start."""
-    new, new_L = rotor.exact(A, L, moments, h)
+    new, new_L = rotation.exact(A, L, moments, h)
     expected, body_L = oracles.rotation_by_taylor(A, L, np.broadcast_to(moments.reshape(3, -1), L.shape), h)
     assert np.isfinite(new).all()
     assert worst(new - expected, angle) < ERROR
@@ -58,11 +58,11 @@ def test_backwards_and_in_parts(rng, executed_by, family):
     for i, h in enumerate(times(rng, 4)):
         A, L, moments, angle = sample(rng, [family], 500, h, growth=4.0, alike=i < 3)
         moments = moments[:, 0] if i < 3 else moments
-        there = rotor.exact(A, L, moments, h)[0]
-        back = rotor.exact(there, L, moments, -h)[0]
+        there = rotation.exact(A, L, moments, h)[0]
+        back = rotation.exact(there, L, moments, -h)[0]
         assert worst(back - A, angle) < RETURN
         first = float(rng.uniform(0, 1)) * h
-        parts = rotor.exact(rotor.exact(A, L, moments, first)[0], L, moments, h - first)[0]
+        parts = rotation.exact(rotation.exact(A, L, moments, first)[0], L, moments, h - first)[0]
         assert worst(parts - there, angle) < RETURN
 
 
@@ -70,8 +70,10 @@ def test_bodies_of_all_families_in_one_call(rng):
     """What one body needs (long steps, rescaled momenta, symmetry) does not disturb its neighbours."""
     A, L, moments, angle = sample(rng, list(FAMILIES), 20_000, 0.37)
     check(A, L, moments, angle, 0.37)
-    new = rotor.exact(A, L, moments, 0.37)[0]
-    alone = np.concatenate([rotor.exact(A[:, :, [i]], L[:, [i]], moments[:, [i]], 0.37)[0] for i in range(200)], axis=2)
+    new = rotation.exact(A, L, moments, 0.37)[0]
+    alone = np.concatenate(
+        [rotation.exact(A[:, :, [i]], L[:, [i]], moments[:, [i]], 0.37)[0] for i in range(200)], axis=2
+    )
     # Neighbours may choose a body's quadrature, which changes the last bits.
     assert np.abs(alone - new[:, :, :200]).max() < 1e-13
 
@@ -89,7 +91,7 @@ def test_against_an_ode_solver(rng):
             A, L, moments, _ = sample(rng, [family], 1, h, least=0.5, most=8, growth=2)
             size = moments.max() if moments.any() else 1.0
             expected = oracles.rotation_by_dop853(A[:, :, 0], L[:, 0] / size, moments[:, 0] / size, h)
-            assert np.abs(rotor.exact(A, L, moments, h)[0][:, :, 0] - expected).max() < 3e-12, family
+            assert np.abs(rotation.exact(A, L, moments, h)[0][:, :, 0] - expected).max() < 3e-12, family
 
 
 @pytest.mark.parametrize("most", [10.0, 1e3, 1e6])
@@ -107,7 +109,7 @@ def test_long_steps_match_elliptic_functions(rng, most):
     assert np.count_nonzero(good) > 25_000
     A, L, moments, angle = A[:, :, good], L[:, good], moments[:, good], angle[good]
     expected = oracles.closed_form_rotation(A, L, moments, 2.5)
-    assert worst(rotor.exact(A, L, moments, 2.5)[0] - expected, angle) < ERROR
+    assert worst(rotation.exact(A, L, moments, 2.5)[0] - expected, angle) < ERROR
 
 
 # --- interface --------------------------------------------------------------------------------------------------------
@@ -119,8 +121,8 @@ MODELS = [(1.7, 0.6, 1.1), (1.1, 1.1, 0.4), (2.0, 2.0, 2.0), (0.0, 1.3, 1.3), (0
 @pytest.mark.parametrize("moments", MODELS)
 def test_shared_moments_equal_moments_for_each_body(rng, moments):
     A, L = random_attitudes(rng, 5_000), rng.normal(size=(3, 5_000))
-    shared = rotor.exact(A, L, moments, 0.8)[0]
-    each = rotor.exact(A, L, np.repeat(np.reshape(moments, (3, 1)), 5_000, axis=1), 0.8)[0]
+    shared = rotation.exact(A, L, moments, 0.8)[0]
+    each = rotation.exact(A, L, np.repeat(np.reshape(moments, (3, 1)), 5_000, axis=1), 0.8)[0]
     assert np.abs(shared - each).max() < 1e-14
 
 
@@ -130,8 +132,8 @@ def test_principal_axes_may_come_in_any_order(rng, order):
     order = list(order)
     # An odd permutation of the axes makes a left-handed frame; reversing one mends it.
     hand = np.array([[[np.linalg.det(np.eye(3)[order])]], [[1.0]], [[1.0]]])
-    expected = rotor.exact(A, L, moments, 2.0)[0][order] * hand
-    assert np.abs(rotor.exact(A[order] * hand, L, moments[order], 2.0)[0] - expected).max() < 1e-14
+    expected = rotation.exact(A, L, moments, 2.0)[0][order] * hand
+    assert np.abs(rotation.exact(A[order] * hand, L, moments[order], 2.0)[0] - expected).max() < 1e-14
 
 
 def test_a_symmetric_body_precesses(rng):
@@ -144,7 +146,7 @@ def test_a_symmetric_body_precesses(rng):
         about_L = oracles.Rotation.from_rotvec(angle[i] * L[:, i] / np.linalg.norm(L[:, i])).as_matrix()
         about_axis = oracles.Rotation.from_rotvec([0, 0, -spin[i]]).as_matrix()
         expected = about_axis @ A[:, :, i] @ about_L.T
-        assert np.abs(rotor.exact(A[:, :, [i]], L[:, [i]], moments, h)[0][:, :, 0] - expected).max() < 1e-14
+        assert np.abs(rotation.exact(A[:, :, [i]], L[:, [i]], moments, h)[0][:, :, 0] - expected).max() < 1e-14
 
 
 def test_inputs_are_left_alone(rng):
@@ -152,7 +154,7 @@ def test_inputs_are_left_alone(rng):
     copies = A.copy(), L.copy(), moments.copy()
     for array in (A, L, moments):
         array.flags.writeable = False
-    new, new_L = rotor.exact(A, L, moments, 0.4)
+    new, new_L = rotation.exact(A, L, moments, 0.4)
     assert all(np.array_equal(array, copy) for array, copy in zip((A, L, moments), copies, strict=True))
     assert new.flags.writeable
     assert new_L.flags.writeable
@@ -162,31 +164,14 @@ def test_inputs_are_left_alone(rng):
 
 def test_any_memory_layout_and_no_bodies(rng):
     A, L = random_attitudes(rng, 60), rng.normal(size=(3, 60))
-    expected = rotor.exact(A, L, (0.6, 1.1, 1.7), 0.4)[0]
+    expected = rotation.exact(A, L, (0.6, 1.1, 1.7), 0.4)[0]
     apart = np.asfortranarray(A), np.asfortranarray(L)
-    assert np.abs(rotor.exact(*apart, [0.6, 1.1, 1.7], 0.4)[0] - expected).max() < 1e-15
-    half = rotor.exact(A[:, :, ::2], L[:, ::2], (0.6, 1.1, 1.7), 0.4)[0]
+    assert np.abs(rotation.exact(*apart, [0.6, 1.1, 1.7], 0.4)[0] - expected).max() < 1e-15
+    half = rotation.exact(A[:, :, ::2], L[:, ::2], (0.6, 1.1, 1.7), 0.4)[0]
     assert np.abs(half - expected[:, :, ::2]).max() < 1e-15
-    new, new_L = rotor.exact(np.empty((3, 3, 0)), np.empty((3, 0)), (1.0, 2.0, 3.0), 0.1)
+    new, new_L = rotation.exact(np.empty((3, 3, 0)), np.empty((3, 0)), (1.0, 2.0, 3.0), 0.1)
     assert new.shape == (3, 3, 0)
     assert new_L.shape == (3, 0)
-
-
-def test_body_frame(rng):
-    A, L = random_attitudes(rng, 5), rng.normal(size=(3, 5))
-    assert np.abs(rotor.body_frame(A, L) - apply(A, L)).max() < 1e-15
-
-
-def test_top_sorts_rates_and_keeps_the_frame_right_handed():
-    for order in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
-        moments = np.array([0.5, 1.0, 2.0])[list(order)]
-        bodies = rotor.top(moments)
-        assert np.array_equal(bodies.rates, [2.0, 1.0, 0.5])
-        frame = np.array([bodies.sort(axis[:, None]) for axis in np.eye(3)])[:, :, 0].T
-        assert np.linalg.det(frame) == pytest.approx(1)
-        assert np.array_equal(frame @ np.diag(moments) @ frame.T, np.diag([0.5, 1.0, 2.0]))
-    assert np.array_equal(rotor.top((0.0, 2.0, 2.0)).rates, [0.5, 0.5, 0.5])
-    assert np.array_equal(rotor.top((0.0, 0.0, 0.0)).rates, [0.0, 0.0, 0.0])
 
 
 A_2, L_2 = np.repeat(np.eye(3)[:, :, None], 2, axis=2), np.ones((3, 2))
@@ -214,11 +199,11 @@ NOT_FINITE = np.array([[1.0, 1.0], [1.0, np.nan], [1.0, 1.0]])
 )
 def test_errors_name_what_is_wrong(A, L, moments, h, message):
     with pytest.raises(ValueError, match=message):
-        rotor.exact(A, L, moments, h)
+        rotation.exact(A, L, moments, h)
 
 
 def test_the_body_named_is_the_callers(rng):
     L = np.ones((3, 5_000))
     L[1, 4_321] = np.nan
     with pytest.raises(ValueError, match="body 4321 "):
-        rotor.exact(random_attitudes(rng, 5_000), L, (1, 2, 3), 0.1)
+        rotation.exact(random_attitudes(rng, 5_000), L, (1, 2, 3), 0.1)

@@ -1,4 +1,4 @@
-"""Elliptic functions and integrals of the free top, elementwise on scalars or NumPy arrays."""
+"""Elliptic functions and integrals of the free top, elementwise, and the quadratures that go with their series."""
 
 from __future__ import annotations
 
@@ -57,6 +57,34 @@ def sn_increment(coefficients, p, q, t):
     S = t * (1 + u * total)
     S2 = S * S
     return S, S2, np.sqrt(1 - p * S2), np.sqrt(1 - q * S2)
+
+
+#: Largest max(p, q) over a step that the series reach from its middle, and a Gauss-Lobatto quadrature that truncates
+#: below 1e-17 of a turn there: times from the middle, in steps, the first one the end, and weights. The node in the
+#: middle is left out, since the deviation of the integrand from its leading term vanishes there.
+LONGEST = 4 * SERIES_LIMIT
+TIMES = (
+    0.5,
+    0.5 * math.sqrt(5 / 11 - 2 / 11 * math.sqrt(5 / 3)),
+    0.5 * math.sqrt(5 / 11 + 2 / 11 * math.sqrt(5 / 3)),
+)
+WEIGHTS = (1 / 21, (124 + 7 * math.sqrt(15)) / 350, (124 - 7 * math.sqrt(15)) / 350)
+
+#: The same for the shorter series.
+SHORT = 4 * SHORT_SERIES_LIMIT
+SHORT_TIMES, SHORT_WEIGHTS = (0.5, 0.5 * math.sqrt(3 / 7)), (0.1, 49 / 90)
+
+
+def long_series(p, q):
+    """Coefficients of S, and the quadrature, for all steps that a series reaches."""
+    return sn_coefficients(p, q), TIMES, WEIGHTS
+
+
+def shortest_series(p, q):
+    """The same for arrays of p and q, as short as all of them allow."""
+    if max(p.max(), q.max()) <= SHORT:
+        return short_sn_coefficients(p, q), SHORT_TIMES, SHORT_WEIGHTS
+    return long_series(p, q)
 
 
 def complete_integrals(kc, nu):

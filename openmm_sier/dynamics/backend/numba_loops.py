@@ -1,29 +1,18 @@
-"""Loops over bodies, written for Numba to compile (`compiled`): they call the formulas of `kernels` for one
-body at a time. Nothing else executes them.
-"""
+"""Loops over bodies for Numba to compile, which call `formulas` for one body at a time. Nothing else executes them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.elliptic import sn_coefficients, sn_increment
-from openmm_sier.dynamics.backend.kernels import (
-    SMALL_ANGLE,
-    combine,
-    cross,
-    displacing_rotation,
-    even_and_odd,
-    excess_weights,
-    join,
-    motion,
-    plus,
-    rate_excess,
-    rotation_matrix,
-    small_sine_cosine,
-)
+from openmm_sier.dynamics.backend.formulas import combine, cross, displacing_rotation, rotation_matrix
 
-#: Bodies that are rotated together, and numbers that each needs for it: 24 kB, for the nearest cache.
-TILE, ROWS = 128, 24
+#: Bodies that are rotated together, and numbers that each needs for it: 22 kB, for the nearest cache.
+TILE, ROWS = 128, 22
+
+
+def rotate_body(body_L, rates, h):
+    """Stands for `of_body` of the rotor that a loop is compiled for."""
+    raise NotImplementedError
 
 
 def span(start, stop):
@@ -40,20 +29,18 @@ def copy(target, sign, source):
         target[n] = sign * source[n]
 
 
-def rotate(start, stop, A, L, h, frame, rule, out, far):
-    """Free rotation of bodies with equal moments; returns how many the series do not reach, and sets `far` for those.
+def rotate(start, stop, A, L, h, frame, out, far):
+    """Free rotation of bodies with equal moments; returns how many are beyond the formula, and sets `far` for those.
 
     Args:
         start, stop: range of the bodies.
         A, L: (3, 3, n) and (3, n).
         h: time.
-        frame: rates (3,), order (3,) and parity () of `rotor.Top`.
-        rule: times and weights of `rotor.Rule`, and the largest squared phase, least and largest |L|^2.
+        frame: rates (3,), order (3,) and parity () of `top.Top`.
         out: (3, 3, n), valid where `far` is not set.
         far: (n,), bool.
     """
     rates, order, parity = frame
-    times, weights, (longest, low, high) = rule
     left = 0
     tile = np.ones(ROWS * TILE)
     for first in range(start, stop, TILE):
@@ -66,21 +53,40 @@ def rotate(start, stop, A, L, h, frame, rule, out, far):
                 copy(tile[row : row + size], sign, A[order[i], j, first:end])
             row = (9 + i) * TILE
             copy(tile[row : row + size], 1.0, L[i, first:end])
-        turn_tile(tile, (rates[0], rates[1], rates[2]), h, times, weights)
+        rotate_tile(tile, (rates[0], rates[1], rates[2]), h)
         for i in range(3):
             sign = parity if i == 1 else 1.0
             for j in range(3):
                 row = (12 + 3 * i + j) * TILE
                 copy(out[order[i], j, first:end], sign, tile[row : row + size])
-        beyond = far[first:end]
         for n in range(size):
-            square, phase, angle = tile[21 * TILE + n], tile[22 * TILE + n], abs(tile[23 * TILE + n])
-            beyond[n] = not (low <= square <= high and phase <= longest and angle <= SMALL_ANGLE)
-            left += beyond[n]
+            far[first + n] = tile[21 * TILE + n] == 0
+            left += far[first + n]
     return left
 
 
-def drift(start, stop, q, p, A, L, h, inverse_masses, frame, rule, new_q, new_A, far):
+def rotate_tile(tile, rates, h):
+    """Free rotation of a tile of bodies, from rows of it to others: A (9 rows), L (3), new A (9), whether it is right.
+
+    One array with constant distances between its rows, no branches and no calls that are not inlined: so the compiler
+    sees that bodies are independent, and handles several with each instruction.
+    """
+    for n in range(TILE):
+        x = tile[n], tile[TILE + n], tile[2 * TILE + n]
+        y = tile[3 * TILE + n], tile[4 * TILE + n], tile[5 * TILE + n]
+        z = tile[6 * TILE + n], tile[7 * TILE + n], tile[8 * TILE + n]
+        L = tile[9 * TILE + n], tile[10 * TILE + n], tile[11 * TILE + n]
+        body_L = combine(L, x[0], x[1], x[2]), combine(L, y[0], y[1], y[2]), combine(L, z[0], z[1], z[2])
+        turn, reached = rotate_body(body_L, rates, h)
+        rows = rotation_matrix(turn[0], turn[1], turn[2], turn[3])
+        for column in range(3):
+            tile[(12 + column) * TILE + n] = combine(rows[0], x[column], y[column], z[column])
+            tile[(15 + column) * TILE + n] = combine(rows[1], x[column], y[column], z[column])
+            tile[(18 + column) * TILE + n] = combine(rows[2], x[column], y[column], z[column])
+        tile[21 * TILE + n] = reached
+
+
+def drift(start, stop, q, p, A, L, h, inverse_masses, frame, new_q, new_A, far):
     """Free motion of bodies with equal moments; returns what `rotate` does.
 
     Args:
@@ -88,14 +94,14 @@ def drift(start, stop, q, p, A, L, h, inverse_masses, frame, rule, new_q, new_A,
         q, p, A, L: (3, n), and A (3, 3, n).
         h: time.
         inverse_masses: (n,).
-        frame, rule: of `rotate`; the rates of points are zero.
+        frame: of `rotate`; the rates of points are zero.
         new_q, new_A, far: written, the last two as by `rotate`.
     """
     for x in range(3):
         for n in span(start, stop):
             new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
     if frame[0][0] > 0:
-        return rotate(start, stop, A, L, h, frame, rule, new_A, far)
+        return rotate(start, stop, A, L, h, frame, new_A, far)
     far[start:stop] = False
     new_A[:, :, start:stop] = A[:, :, start:stop]
     return 0
@@ -133,49 +139,6 @@ def kick_from(start, stop, p, L, F, torque, arm, h, new_p, new_L):
         for x in range(3):
             new_p[x, n] = p[x, n] + h * force[x]
             new_L[x, n] = L[x, n] + h * (torque[x, n] + lever[x])
-
-
-def turn_tile(tile, rates, h, times, weights):
-    """Free rotation of a tile of bodies, from rows of it to others: A (9 rows), L (3), new A (9), |L|^2, phase, angle.
-
-    One array with constant distances between its rows, no branches and no calls that are not inlined: so the compiler
-    sees that bodies are independent, and handles several with each instruction.
-    """
-    for n in range(TILE):
-        x = tile[n], tile[TILE + n], tile[2 * TILE + n]
-        y = tile[3 * TILE + n], tile[4 * TILE + n], tile[5 * TILE + n]
-        z = tile[6 * TILE + n], tile[7 * TILE + n], tile[8 * TILE + n]
-        L = tile[9 * TILE + n], tile[10 * TILE + n], tile[11 * TILE + n]
-        along = combine(L, x[0], x[1], x[2]), combine(L, y[0], y[1], y[2]), combine(L, z[0], z[1], z[2])
-        square = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]
-        norm = np.sqrt(square)
-        inverse = 1 / norm
-        u = along[0] * inverse, along[1] * inverse, along[2] * inverse
-        k = norm * h
-
-        moved = motion(rates, u, k)
-        series = sn_coefficients(moved[3], moved[4])
-        end = sn_increment(series, moved[3], moved[4], times[0])
-        even, odd = even_and_odd(moved, u, end)
-        m = plus(even, odd)
-        at_middle = excess_weights(rates, moved, m)
-        rate = at_middle[0] + weights[0] * rate_excess(at_middle, end)
-        for node in range(1, len(times)):
-            inside = sn_increment(series, moved[3], moved[4], times[node])
-            rate += weights[node] * rate_excess(at_middle, inside)
-        angle = 0.5 * k * rate
-        even, odd = even_and_odd(moved, m, end)
-        sine, cosine = small_sine_cosine(angle)
-        w, i, j, l = join(m, even, odd, sine, cosine)
-        rows = rotation_matrix(w, i, j, l)
-
-        for column in range(3):
-            tile[(12 + column) * TILE + n] = combine(rows[0], x[column], y[column], z[column])
-            tile[(15 + column) * TILE + n] = combine(rows[1], x[column], y[column], z[column])
-            tile[(18 + column) * TILE + n] = combine(rows[2], x[column], y[column], z[column])
-        tile[21 * TILE + n] = square
-        tile[22 * TILE + n] = max(moved[3], moved[4])
-        tile[23 * TILE + n] = angle
 
 
 def place(start, stop, first, q, A, sites, atoms, positions):
@@ -254,10 +217,3 @@ def collect(start, stop, first, vectors, A, sites, weights, atoms, total, moment
         moment[0, n], moment[1, n], moment[2, n] = tx, ty, tz
         broken += not abs(fx) + abs(fy) + abs(fz) + abs(tx) + abs(ty) + abs(tz) < np.inf
     return broken
-
-
-#: What other loops call, in the order in which it has to be compiled.
-HELPERS = (span, copy, turn_tile, rotate)
-
-#: What is called from outside.
-LOOPS = (rotate, drift, kick, displace, kick_from, place, move, collect)
