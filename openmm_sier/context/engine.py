@@ -11,10 +11,11 @@ import openmm
 
 from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.snapshot import Snapshot, read_vectors
+from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import VolumeMove
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, NotFiniteError, RigidBodies
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 
 if TYPE_CHECKING:
     from openmm_sier.context.integrator import SIERIntegrator
@@ -66,6 +67,7 @@ class Engine:
         self.forces = operators.CachedForces(self._compute_forces)
         self.operators: dict[str, operators.Operator] = {}
         self._bodies: RigidBodies | None = None
+        self._momentum: MomentumConservation | None = None
         self._move_volume: VolumeMove
         self._vibrations: Vibrations
         self._told_of_misfit = False
@@ -129,11 +131,6 @@ class Engine:
     def _check_step(self, vibrations: Vibrations) -> None:
         integrator = self._integrator
         vibrations.check(integrator.scheme, integrator.getStepSize()._value, integrator.getIntegrationForceGroups())
-
-    @property
-    def removes_motion(self) -> bool:
-        """Whether the centre of mass is kept at rest."""
-        return bool(self._sweep_frequencies)
 
     # --- stepping ---
 
@@ -289,12 +286,16 @@ class Engine:
             "too long, or do atoms overlap? The Context is left at the last completed step."
         )
 
-    def temperature(self) -> float:
-        """In K, of all degrees of freedom; NaN where there are none."""
+    def conserves_momentum(self) -> bool:
+        """Whether the total momentum is conserved, see `MomentumConservation`."""
+        if self._momentum is None:
+            self._momentum = MomentumConservation.of_system(self._context.getSystem(), self.bodies)
+        return self._momentum.holds(self._integrator)
+
+    def temperatures(self) -> Temperatures:
+        """In K, see `openmm_sier.context.temperature`."""
         self.adopt()
-        freedoms = self.bodies.dof - (3 if self.removes_motion else 0)
-        kinetic = sum(self.bodies.kinetic_energies(self.state))
-        return 2 * kinetic / (freedoms * GAS_CONSTANT) if freedoms > 0 else float("nan")
+        return temperatures(self.bodies, self.state, self.conserves_momentum())
 
     # --- agreement with the Context ---
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from openmm_sier.dynamics import backend, fitting
 from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
-from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
@@ -353,20 +352,6 @@ class RigidBodies:
         translation = 0.5 * float(((state.p**2).sum(axis=0) / self.masses).sum())
         rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
         return translation, rotation
-
-    def temperatures(self, state: BodyState, removed: int = 0) -> tuple[float, float]:
-        """Temperatures in K of translation and rotation; NaN where there is nothing that moves so.
-
-        Args:
-            state: the phase point.
-            removed: translational degrees of freedom that are held at zero (3 where the centre of mass is at rest).
-        """
-        translation, rotation = self.kinetic_energies(state)
-        dof = 3 * self.n - removed, self.dof - 3 * self.n
-        return (
-            2 * translation / (dof[0] * GAS_CONSTANT) if dof[0] > 0 else float("nan"),
-            2 * rotation / (dof[1] * GAS_CONSTANT) if dof[1] > 0 else float("nan"),
-        )
 
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""
