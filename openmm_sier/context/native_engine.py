@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -10,10 +11,13 @@ import numpy as np
 import openmm
 
 from openmm_sier.context import checks, neighbour_list
+from openmm_sier.context.constraint_errors import Constraints
 from openmm_sier.context.engine import HEAT
 from openmm_sier.context.native_program import WORK
 from openmm_sier.context.snapshot import Snapshot
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures, thermal_energies
+from openmm_sier.context.vibrations import Vibrations
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 
 if TYPE_CHECKING:
@@ -25,13 +29,6 @@ TOLERANCE = 1e-9
 
 #: Positions of single precision cannot be constrained better.
 SINGLE_TOLERANCE = 1e-6
-
-#: Atoms this far off their constraints, in nm or nm/ps, were put there from outside and are moved onto them. OpenMM's
-#: own constraints leave up to 5e-9 nm, since SETTLE works with lengths of single precision.
-OFF_CONSTRAINTS = 1e-7
-
-#: Atoms still this far off in nm afterwards have not converged.
-NOT_CONVERGED = 1e-4
 
 
 class _Forces:
@@ -74,12 +71,17 @@ class NativeEngine:
         self._integrator_ref = weakref.ref(integrator)
         system = context.getSystem()
         _refuse(integrator, system)
-        self._pairs, self._lengths = _constraints(system)
-        self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
-        forces = [system.getForce(i) for i in range(system.getNumForces())]
-        self.removes_motion = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
-        self.forces = _Forces(self)
+        self._constraints = Constraints(system)
+        self._points = _points(system)
         self._bodies: RigidBodies | None = None
+        try:
+            self._plan, self._no_bodies = integrator._plan_bodies(system), None
+        except RigidityError as error:
+            self._plan, self._no_bodies = None, str(error)
+        self._vibrations = Vibrations(system, self._points)
+        self._check_step()
+        self._momentum = MomentumConservation.of_system(system, self._points)
+        self.forces = _Forces(self)
         self._state: BodyState | None = None
         self._is_fresh = True
         _loosen_for_single_precision(integrator, context)
@@ -99,23 +101,26 @@ class NativeEngine:
             raise openmm.OpenMMException("The integrator of this Context no longer exists")
         return integrator
 
+    def _check_step(self) -> None:
+        integrator = self._integrator
+        h, groups = integrator.getStepSize()._value, integrator.getIntegrationForceGroups()
+        self._vibrations.check(integrator.scheme, h, groups)
+
     # --- stepping ---
 
     def run(self, count: int) -> None:
         """Advance by `count` steps. As with OpenMM's integrators, an error leaves the Context where it happened."""
         integrator, context = self._integrator, self.context
-        if not count:
-            return
+        self._check_step()
         integrator._tell_program()
-        if self._is_fresh:
+        if count and self._is_fresh:
             self._start_anew()
         parts, h = integrator._native_steps, integrator.getStepSize()._value
         if h == 0:
             # Steps of no length are counted; the program would divide by them.
             context.setStepCount(context.getStepCount() + count)
             return
-        evaluations = integrator.scheme.force_evaluations
-        native_step = openmm.CustomIntegrator.step
+        evaluations, native_step = integrator.scheme.force_evaluations, openmm.CustomIntegrator.step
         for _ in range(count):
             time, steps = context.getTime()._value, context.getStepCount()
             try:
@@ -138,52 +143,12 @@ class NativeEngine:
     def _start_anew(self) -> None:
         if neighbour_list.is_remembered(self.context):
             neighbour_list.forget(self.context)
-        self._constrain()
+        self._constraints.satisfy(self.context, self._integrator.getConstraintTolerance())
         self._is_fresh = False
 
     def set_groups(self) -> None:
         """Other force groups move the atoms from now on: OpenMM fixes them when it reads the program."""
         self.context.reinitialize(preserveState=True)
-
-    def _constrain(self) -> None:
-        """Move atoms that were set from outside, and their velocities, onto the constraints.
-
-        Those that satisfy them stay as they are, to the bit.
-        """
-        context, tolerance = self.context, self._integrator.getConstraintTolerance()
-        now = Snapshot(context)
-        off = self._off_constraints(now)
-        if off[0] > OFF_CONSTRAINTS:
-            context.applyConstraints(tolerance)
-            now = Snapshot(context)
-            self._demand_converged(now)
-            off = self._off_constraints(now)
-        if off[1] > OFF_CONSTRAINTS:
-            context.applyVelocityConstraints(tolerance)
-
-    def _off_constraints(self, now: Snapshot) -> tuple[float, float]:
-        """Largest error of a length, nm, and largest velocity along a constraint, nm/ps."""
-        if not len(self._pairs):
-            return 0.0, 0.0
-        lengths, along = self._along_constraints(now)
-        return float(np.abs(lengths - self._lengths).max()), float(np.abs(along).max())
-
-    def _along_constraints(self, now: Snapshot) -> tuple[np.ndarray, np.ndarray]:
-        i, j = self._pairs.T
-        arms, velocities = now.positions[j] - now.positions[i], now.velocities[j] - now.velocities[i]
-        lengths = np.linalg.norm(arms, axis=1)
-        return lengths, (arms * velocities).sum(axis=1) / np.where(lengths > 0, lengths, 1)
-
-    def _demand_converged(self, now: Snapshot) -> None:
-        lengths, _ = self._along_constraints(now)
-        errors = np.abs(lengths - self._lengths)
-        worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
-        if not errors[worst] <= NOT_CONVERGED:
-            i, j = self._pairs[worst].tolist()
-            raise RigidityError(
-                f"atoms {i} and {j} are {lengths[worst]:.4f} nm apart and their constraint wants "
-                f"{self._lengths[worst]:.4f} nm, onto which OpenMM could not move them: minimize the energy first"
-            )
 
     # --- what users ask ---
 
@@ -194,11 +159,11 @@ class NativeEngine:
         Raises:
             RigidityError: the System has constraints that form no rigid bodies.
         """
-        return self._bodies or self._settle(Snapshot(self.context).positions)
-
-    def _settle(self, positions) -> RigidBodies:
-        plan = self._integrator._plan_bodies(self.context.getSystem())
-        self._bodies = plan.bodies(positions)
+        if self._plan is None:
+            raise RigidityError(self._no_bodies)
+        if self._bodies is None:
+            positions = Snapshot(self.context).positions if self._plan.needs_positions else None
+            self._bodies = self._plan.bodies(positions)
         return self._bodies
 
     @property
@@ -214,25 +179,40 @@ class NativeEngine:
         Raises:
             RigidityError: the System has constraints that form no rigid bodies, or positions do not form them.
         """
-        if self._is_fresh:
-            self._constrain()
+        self._state = self._state_of(self.bodies)
+
+    def _state_of(self, bodies: RigidBodies) -> BodyState:
         now = Snapshot(self.context)
-        bodies = self._bodies or self._settle(now.positions)
         q, A = bodies.fit(now.positions)
         p, L = bodies.momenta(now.velocities, A)
-        self._state = BodyState(q, p, A, L, self.heat())
+        return BodyState(q, p, A, L, self.heat())
 
     def heat(self) -> float:
         """Energy that the bath has given, kJ/mol."""
         integrator = self._integrator
         return integrator.getGlobalVariableByName(HEAT) + float(np.sum(integrator.getPerDofVariableByName(WORK)))
 
-    def temperature(self) -> float:
-        """In K, of all degrees of freedom that constraints leave; NaN where there are none."""
-        velocities = Snapshot(self.context).velocities
-        kinetic = 0.5 * float(self._masses @ (velocities * velocities).sum(axis=1))
-        freedoms = 3 * int((self._masses > 0).sum()) - len(self._pairs) - (3 if self.removes_motion else 0)
-        return 2 * kinetic / (freedoms * GAS_CONSTANT) if freedoms > 0 else float("nan")
+    def conserves_momentum(self) -> bool:
+        """Whether the total momentum is conserved, see `MomentumConservation`."""
+        return self._momentum.holds(self._integrator)
+
+    def temperatures(self) -> Temperatures:
+        """In K, see `openmm_sier.context.temperature`; without rigid bodies only the one of all motion is known."""
+        conserved = self.conserves_momentum()
+        if self._plan is not None:
+            return temperatures(self.bodies, self._state_of(self.bodies), conserved)
+        kinetic = sum(thermal_energies(self._points, self._state_of(self._points), conserved))
+        dof = self._points.dof - len(self._constraints.pairs) - (3 if conserved else 0)
+        return Temperatures(2 * kinetic / (dof * GAS_CONSTANT) if dof > 0 else math.nan, math.nan, math.nan)
+
+
+def _points(system) -> RigidBodies:
+    """The atoms of a System, each a body of its own."""
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
+    return RigidBodies(
+        [Species(atoms, np.array([mass]), np.zeros((3, 1)), np.zeros(3)) for mass, atoms in kinds], len(masses)
+    )
 
 
 def _refuse(integrator: SIERIntegrator, system) -> None:
@@ -244,8 +224,7 @@ def _refuse(integrator: SIERIntegrator, system) -> None:
     reason = integrator._only_exact() or _unheld_bodies(integrator._given_bodies, system)
     if reason is not None:
         raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
-    forces = [system.getForce(i) for i in range(system.getNumForces())]
-    for force in forces:
+    for force in system.getForces():
         if isinstance(force, openmm.AndersenThermostat):
             raise openmm.OpenMMException(
                 "The native engine divides its step, which AndersenThermostat takes for the whole one: use "
@@ -274,13 +253,6 @@ def _unheld_bodies(given, system) -> str | None:
                     "`bodies`: constrain every two atoms of it"
                 )
     return None
-
-
-def _constraints(system) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (n, 2) of atoms and lengths (n,) in nm of all constraints."""
-    found = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
-    pairs = np.array([(a, b) for a, b, _ in found], dtype=np.int64).reshape(-1, 2)
-    return pairs, np.array([length._value for *_, length in found])
 
 
 def _loosen_for_single_precision(integrator: SIERIntegrator, context) -> None:
