@@ -144,6 +144,8 @@ class NativeEngine:
         if neighbour_list.is_remembered(self.context):
             neighbour_list.forget(self.context)
         self._constraints.satisfy(self.context, self._integrator.getConstraintTolerance())
+        # The force that the last step would have left.
+        self.forces.evaluations += int(self._integrator.scheme.reuses_force)
         self._is_fresh = False
 
     def set_groups(self) -> None:
