@@ -41,6 +41,7 @@ def box():
     return topology, system, relaxed(topology, positions, system)
 
 
+@pytest.mark.slow
 def test_isolated_cluster_conserves_momentum_and_angular_momentum(cluster):
     system, point = cluster
     integrator = SIER2Integrator(0.001)
@@ -74,6 +75,7 @@ def test_reversed_momenta_lead_back(cluster, make):
     assert np.abs(end[1] + start[1]).max() < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "evaluations"), [(SIER2Integrator, 1), (SIER4Integrator, 4)])
 def test_force_evaluations_a_step(box, make, evaluations):
     _, system, point = box
@@ -346,6 +348,7 @@ def test_andersen_thermostat_acts(box):
     assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p", "ions"])
 def test_stock_simulation_with_stock_reporters(tmp_path, model):
     mdtraj = pytest.importorskip("mdtraj")
@@ -449,6 +452,7 @@ def test_scheme_must_be_a_scheme():
         SIERIntegrator(0.001, "sier2")
 
 
+@pytest.mark.slow
 @every_barostat
 def test_barostats_need_no_velocities(box, barostat):
     """Where barostats alone act on the Context, it is read back only after they did: to the bit the same trajectory.

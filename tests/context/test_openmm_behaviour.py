@@ -64,6 +64,7 @@ COLUMNS = ["step", "time", "potentialEnergy", "kineticEnergy", "totalEnergy", "t
 COLUMNS += ["progress", "remainingTime", "speed", "elapsedTime"]
 
 
+@pytest.mark.slow
 @every_integrator
 def test_every_stock_reporter(tmp_path, box, make):
     simulation = simulation_of(box, make())
@@ -255,6 +256,7 @@ def with_parameter(system):
     return system
 
 
+@pytest.mark.slow
 @every_integrator
 @pytest.mark.parametrize("flag", [*FLAGS, "enforcePeriodicBox", "groups", "everything"])
 def test_asking_for_a_state_disturbs_nothing(box, make, flag):
