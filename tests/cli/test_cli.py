@@ -98,8 +98,9 @@ def test_equilibration_reaches_the_temperature(box):
     """From a lattice, whose potential energy would heat the box to 650 K."""
     start = ["run", str(box), *SMALL, "--equilibrate", "2", "--time", "0.4", "--temperature", "350"]
     assert main.main(start) == 0
-    # The instantaneous temperature of 159 degrees of freedom scatters by 350 K sqrt(2/159) = 39 K; four times that.
-    assert abs(log("box.csv")["T_K"].mean() - 350) < 157
+    # The energy of 159 degrees of freedom scatters by sqrt(159) kT, of which half is kinetic: the mean temperature at
+    # constant energy scatters by 350 K / sqrt(159) = 28 K. Four times that, and a third of what no bath would give.
+    assert abs(log("box.csv")["T_K"].mean() - 350) < 112
 
 
 @pytest.mark.slow
