@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.cli.console import table
+from openmm_sier.context.conservation import density
+from openmm_sier.context.find_bodies import RigidBodies
+from openmm_sier.dynamics.bodies import Species
 from openmm_sier.measure.forcefields import read_box
-from openmm_sier.studies.console import table
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
@@ -86,5 +88,4 @@ def _extent(box) -> str:
     edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
     masses = [box.system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(box.system.getNumParticles())]
     volume = abs(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer))))
-    density = sum(masses) / volume / 602.214076
-    return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density:.3f} g/cm3"
+    return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density(sum(masses), volume):.3f} g/cm3"

@@ -16,8 +16,8 @@ FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 
 FORCEFIELD_HELP = (
     "force-field files, OpenMM's or your own. Without it the file named in a record 'REMARK  99 FORCEFIELD file.xml' "
-    "of the PDB file, and without that the water model with the nearest geometry: tip3p.xml, spce.xml, tip4p.xml, "
-    "tip5p.xml or another"
+    "of the PDB file, and without that the water model whose geometry the file has, if that is one alone; else the "
+    "error says which to choose from"
 )
 
 
@@ -96,7 +96,12 @@ def _add_run(commands) -> argparse.ArgumentParser:
     )
     length.add_argument("--time", metavar="PS", type=_positive, help="the same in ps (default: 10)")
     parser.add_argument("--temperature", metavar="K", type=_not_negative, default=297.0, help="default: 297")
-    parser.add_argument("--equilibrate", metavar="PS", type=_not_negative, default=1.0, help="how long (default: 1)")
+    parser.add_argument(
+        "--equilibrate",
+        metavar="PS",
+        type=_not_negative,
+        help="how long (default: until temperatures and potential energy have settled, 3 to 20)",
+    )
     parser.add_argument(
         "--minimize",
         action=argparse.BooleanOptionalAction,
@@ -161,9 +166,10 @@ def _add_paper(commands) -> argparse.ArgumentParser:
 
 
 def _paper(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import paper
 
-    paper.run(options.experiment, options.quick, options.out, options.seed)
+    paper.run(options.experiment, options.quick, options.out, options.seed, REPORT)
 
 
 # --- comparisons ---
@@ -225,14 +231,15 @@ def _add_equipartition(commands) -> argparse.ArgumentParser:
 
 
 def _equipartition(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import equipartition
 
     if options.pool:
         if options.box is not None:
             raise ValueError(f"--pool reads what earlier runs wrote: it takes no box, got {options.box}")
-        equipartition.pool(options.pool, options.out)
+        equipartition.pool(options.pool, options.out, REPORT)
     else:
-        equipartition.run(_settings(equipartition.Settings, options), options.out)
+        equipartition.run(_settings(equipartition.EquipartitionSettings, options), options.out, REPORT)
 
 
 def _add_schemes(commands) -> argparse.ArgumentParser:
@@ -253,9 +260,10 @@ def _add_schemes(commands) -> argparse.ArgumentParser:
 
 
 def _schemes(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import scheme_comparison
 
-    scheme_comparison.run(_settings(scheme_comparison.Settings, options), options.out)
+    scheme_comparison.run(_settings(scheme_comparison.SchemesSettings, options), options.out, REPORT)
 
 
 def _add_bench(commands) -> argparse.ArgumentParser:
@@ -278,9 +286,10 @@ def _add_bench(commands) -> argparse.ArgumentParser:
 
 
 def _bench(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import bench
 
-    bench.run(_settings(bench.Settings, options), options.out)
+    bench.run(_settings(bench.BenchSettings, options), options.out, REPORT)
 
 
 # --- values ---

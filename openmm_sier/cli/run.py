@@ -12,14 +12,15 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.cli import records, summary
+from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
+from openmm_sier.context import conservation
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box, describe, first_line, read_box
 from openmm_sier.measure.starts import make_context, prepare
-from openmm_sier.studies.console import StepProgress, clock, note, table
 
 #: What `--scheme auto` stands for; the README's page on choosing a step says why.
 RECOMMENDED = "sier4g"
@@ -61,7 +62,7 @@ class Options:
     steps: int | None = None
     time: float | None = None
     temperature: float = 297.0
-    equilibrate: float = 1.0
+    equilibrate: float | None = None
     minimize: bool | None = None
     out: Path | None = None
     report: Path | None = None
@@ -132,7 +133,15 @@ def run(options: Options) -> None:
     if notes:
         _restore(context, state, notes, options, plan)
     else:
-        prepare(context, box.positions, options, options.minimize)
+        prepare(
+            context,
+            box.positions,
+            options.temperature,
+            options.seed,
+            options.equilibrate,
+            options.minimize,
+            REPORT,
+        )
         # The checkpoint goes first, so that none is ever left with files that are not its own.
         for path in reversed(paths):
             path.unlink(missing_ok=True)
@@ -292,7 +301,7 @@ class _Files:
             plan.interval(plan.every),
             **notes.get("trajectory", {}),
         )
-        self.log = records.Log(Path(plan.report), summary.COLUMNS, **notes.get("log", {}))
+        self.log = records.Log(Path(plan.report), conservation.COLUMNS, **notes.get("log", {}))
 
     def write_frame(self, context) -> None:
         state = context.getState(
@@ -301,7 +310,7 @@ class _Files:
         self.trajectory.write(state.getPositions(asNumpy=True)[self._listed], state.getPeriodicBoxVectors())
 
     def write_row(self, context) -> None:
-        self.log.write(summary.row(context, context.getIntegrator()))
+        self.log.write(conservation.row(context))
 
     def write_checkpoint(self, context) -> None:
         self.trajectory.sync()
@@ -352,7 +361,7 @@ def _advance(context, plan: Plan, files: _Files) -> summary.Cost:
         files.write_checkpoint(context)
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
     evaluations = integrator.forceEvaluations
-    with StepProgress(CATALOGUE[plan.scheme].name, plan.steps, plan.dt / 1000, begun) as show:
+    with ProgressBar(CATALOGUE[plan.scheme].name, plan.steps, plan.dt / 1000, begun) as show:
         while step < plan.steps:
             chunk = min(files.next_due(step), plan.steps, step + LONGEST_CHUNK) - step
             start, before = clock(), watch.seconds

@@ -16,6 +16,7 @@ from openmm import unit
 from openmm_sier.context import stored_settings
 from openmm_sier.context.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
+from openmm_sier.context.temperature import Temperatures
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import exact
@@ -114,9 +115,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._bound().forces.evaluations
 
     @property
-    def removesCentreOfMassMotion(self) -> bool:
-        """Whether the System has a CMMotionRemover."""
-        return self._bound().removes_motion
+    def conservesMomentum(self) -> bool:
+        """Whether the total momentum is conserved, so that three degrees of freedom hold no heat.
+
+        See `openmm_sier.context.temperature.MomentumConservation`.
+        """
+        return self._bound().conserves_momentum()
 
     def setStepSize(self, size) -> None:
         """Set the step, a time quantity or a number in ps."""
@@ -140,16 +144,26 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             ValueError: `steps` is negative or no whole number.
             RigidityError: positions set from outside do not form the bodies.
-            openmm.OpenMMException: there is no Context, or a force is not finite.
+            openmm.OpenMMException: there is no Context, a force is not finite, or the step is longer than a bond bears.
         """
         self._bound().run(whole_number("steps", steps))
 
     def computeSystemTemperature(self):
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
 
-        OpenMM's StateDataReporter asks for it. With a CMMotionRemover at work three degrees of freedom are left out.
+        OpenMM's StateDataReporter asks for it. Where the total momentum is conserved, three degrees of freedom and the
+        kinetic energy of the centre of mass are left out, with a CMMotionRemover or without. NaN without degrees of
+        freedom.
         """
-        return self._bound().temperature() * unit.kelvin
+        return self.computeTemperatures().total * unit.kelvin
+
+    def computeTemperatures(self) -> Temperatures:
+        """Temperatures of all motion, of translation and of rotation, numbers in K.
+
+        A named tuple (total, translation, rotation), counted as `computeSystemTemperature` does; NaN for what has no
+        degrees of freedom.
+        """
+        return self._bound().temperatures()
 
     def forcesChanged(self) -> None:
         """Say that the potential was changed in a way that no method of the Context or of its Forces makes.

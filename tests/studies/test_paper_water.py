@@ -19,7 +19,7 @@ from openmm_sier.studies.paper import liquids, molecular_cutoff, start, tip4p, w
 from openmm_sier.studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from openmm_sier.studies.paper.molecular_cutoff import MolecularCutoff
 from openmm_sier.studies.paper.pairs import switch
-from openmm_sier.studies.paper.water import Settings
+from openmm_sier.studies.paper.water import WaterSettings
 from tests.support.oracles import random_attitudes
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -184,7 +184,7 @@ def box():
 @functools.cache
 def miniature():
     """64 molecules of the project's size; a box of 1.24 nm leaves a cut-off of 0.6 nm."""
-    settings = Settings(
+    settings = WaterSettings(
         molecules=64,
         cutoffs=SMALL,
         kinds=(MOLECULAR,),

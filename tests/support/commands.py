@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from openmm import unit
 
-from openmm_sier.cli import main, records, summary
+from openmm_sier.cli import main, records
+from openmm_sier.context import conservation
 from openmm_sier.measure import forcefields
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -44,7 +45,7 @@ def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
 
 
 def log(path):
-    return records.Log(Path(path), summary.COLUMNS, Path(path).stat().st_size).read()
+    return records.Log(Path(path), conservation.COLUMNS, Path(path).stat().st_size).read()
 
 
 def complaint(capsys, *arguments, code=1):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import platform
 import time
@@ -20,7 +19,7 @@ from openmm_sier.version import __version__
 
 
 @dataclass(frozen=True)
-class Settings:
+class BenchSettings:
     """What is measured.
 
     Attributes:
@@ -89,13 +88,3 @@ def apart(clock: ForceClock, action: Callable[[], object]) -> tuple[float, float
     action()
     total, inside = time.perf_counter() - start, clock.seconds - before
     return total - inside, inside
-
-
-def summary(values: np.ndarray) -> tuple[float, float]:
-    """Median of independent values and its standard error, NaN for a single one.
-
-    The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the
-    distance of the quartiles, 1.349 sigma, since an interrupted turn lies far off.
-    """
-    low, median, high = np.percentile(values, [25, 50, 75])
-    return float(median), float(0.929 * (high - low) / np.sqrt(len(values))) if len(values) > 1 else math.nan

@@ -1,4 +1,4 @@
-"""The comparison of schemes: published candidates, what it measures, and its files."""
+"""The comparison of schemes: published candidates, what it reports, and its files."""
 
 from __future__ import annotations
 
@@ -6,20 +6,16 @@ import dataclasses
 import json
 import math
 
-import numpy as np
-import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import RigidBodies
 from openmm_sier.dynamics.schemes import DRIFT, KICK, SIER4P, SIER4V, alternating
-from openmm_sier.measure import sampling
-from openmm_sier.measure.sampling import Series
 from openmm_sier.studies import scheme_comparison
-from openmm_sier.studies.scheme_comparison import OTHERS, Row, Settings
+from openmm_sier.studies.scheme_comparison import OTHERS, Row, SchemesSettings
 from tests.support.convergence import slope
 from tests.support.molecules import WATER, SoftCluster
-from tests.support.waters import periodic_system, platform, water_box
+from tests.support.reports import Told
+from tests.support.waters import water_box
 
 CANDIDATES = {**OTHERS, "sier4v": SIER4V, "sier4p": SIER4P}
 FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "sier4p": 4, "omf3gg": 5}
@@ -52,42 +48,6 @@ def test_a_nystroem_scheme_of_sixth_order_needs_kicks_and_drifts():
     assert alternating("exchanged", DRIFT, KICK, tuple(fractions)).order == 4
 
 
-# --- measures ---------------------------------------------------------------------------------------------------------
-
-
-def series(time, total, potential=None):
-    potential = np.sin(7.0 * time) if potential is None else potential
-    return Series(time, potential, total - potential, *(np.full_like(time, 300.0) for _ in range(3)))
-
-
-def test_energy_error_is_about_the_drift():
-    time = np.arange(0.01, 10.0, 0.01)
-    wave = 0.01 * np.cos(40 * np.pi * time)
-    exact = np.std(wave) / np.std(np.sin(7.0 * time))
-    assert scheme_comparison.energy_error(series(time, wave)) == pytest.approx(exact, rel=0.01)
-    assert scheme_comparison.energy_error(series(time, 5.0 - 3.0 * time + wave)) == pytest.approx(exact, rel=0.01)
-    # Slow against the windows of 1 ps: a line leaves an rms of (pi/10)^2 / (12 sqrt(5)) / sqrt(2) = 0.0026 of it, which
-    # beside the wave's 0.0071 makes 7 %.
-    slow = np.cos(2 * np.pi * time / 20)
-    assert scheme_comparison.energy_error(series(time, slow + wave)) == pytest.approx(exact, rel=0.1)
-    assert math.isnan(scheme_comparison.energy_error(series(time[:2], wave[:2])))
-
-
-def test_drift_and_its_error(rng):
-    time = np.arange(1, 2001) * 0.01
-    noise = 0.3
-    found = np.array(
-        [scheme_comparison.drift(series(time, 2 - time / 4 + rng.normal(0, noise, 2000))) for _ in range(200)]
-    )
-    # Of a straight line with white noise; block means lose 1 % of the information.
-    exact = noise / np.sqrt(2000 * np.var(time))
-    assert found[:, 0].mean() == pytest.approx(-0.25, abs=4 * exact / np.sqrt(200))
-    # The scatter of 200 values has a relative error of 5 %; the estimate from 8 degrees of freedom is low by 3 %.
-    assert found[:, 0].std() == pytest.approx(exact, rel=0.2)
-    assert found[:, 1].mean() == pytest.approx(exact, rel=0.2)
-    assert math.isnan(scheme_comparison.drift(series(time[:9], time[:9]))[0])
-
-
 def row(scheme, dt, error):
     return Row(scheme, 4, 3, 3 * dt, dt, 1.0, error, (0.0, 0.1))
 
@@ -105,7 +65,7 @@ def settings(tmp_path_factory):
     topology, positions, _ = water_box("tip3p", 64)
     path = tmp_path_factory.mktemp("survey") / "box.pdb"
     app.PDBFile.writeFile(topology, positions * unit.nanometer, str(path))
-    return Settings(
+    return SchemesSettings(
         box=path,
         forcefield=["tip3p.xml"],
         dt=(2.0, 12.0),
@@ -119,11 +79,12 @@ def settings(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(settings):
     out = settings.box.parent / "new" / "out"
-    return out, scheme_comparison.run(settings, out)
+    told = Told()
+    return out, scheme_comparison.run(settings, out, told), told
 
 
 def test_rows(finished):
-    _, rows = finished
+    _, rows, _ = finished
     assert [(r.scheme, r.fs_per_force, r.force_evaluations) for r in rows] == [
         (name, dt, forces) for dt in (2.0, 12.0) for name, forces in (("OpenMM Verlet", 1), ("SIER2", 1), ("SIER4G", 3))
     ]
@@ -139,7 +100,7 @@ def test_rows(finished):
 
 
 def test_files(finished, settings):
-    out, rows = finished
+    out, rows, _ = finished
     loaded = scheme_comparison.load(out / "schemes.json")
     for one, other in zip(loaded, rows, strict=True):
         assert str(one) == str(other)
@@ -149,39 +110,19 @@ def test_files(finished, settings):
     assert (out / "schemes.png").stat().st_size > 20000
 
 
-def test_table(finished, settings, capsys):
-    scheme_comparison.show(finished[1], settings)
-    shown = capsys.readouterr().out
-    assert "broke down" in shown
-    assert "least energy error at 2 fs per force: SIER4G" in shown
-    assert "nan" not in shown
-
-
-def test_torn_molecules_end_one_run_and_not_the_comparison():
-    """Verlet with SETTLE at a step that is much too long, on Reference, where positions become NaN without an error.
-
-    Of free molecules: at such positions OpenMM's mesh of the Reference platform is written to outside of its memory.
-    """
-    topology, positions, system = periodic_system()
-    system = openmm.XmlSerializer.clone(system)
-    while system.getNumForces():
-        system.removeForce(0)
-    integrator = openmm.VerletIntegrator(0.03)
-    context = openmm.Context(system, integrator, platform())
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(2000, 1)
-    with pytest.raises(sampling.Unstable):
-        sampling.sample(context, RigidBodies.from_system(system, topology), 200, 5)
-
-
-def test_a_motion_that_is_not_finite_ends_one_run(monkeypatch):
-    topology, positions, system = periodic_system()
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform())
-    context.setPositions(positions)
-    bodies = RigidBodies.from_system(system, topology)
-    monkeypatch.setattr(bodies, "momenta", lambda velocities, A: RigidBodies.momenta(bodies, velocities * np.inf, A))
-    with pytest.raises(sampling.Unstable, match="after 1 steps the vectors of body 0 are not finite"):
-        sampling.sample(context, bodies, 2, 1)
+def test_what_is_reported(finished):
+    _, rows, told = finished
+    (table,) = told.tables
+    cells = [cell for row in table.rows for cell in row]
+    assert len(table.rows) == len(rows)
+    assert "broke down" in cells
+    assert not any("nan" in cell for cell in cells)
+    assert any(note.startswith("least energy error at 2 fs per force: SIER4G") for note in told.notes)
+    # The equilibration and every run show how far they are.
+    assert [what for what, _ in told.runs][1:3] == ["OpenMM Verlet, 2 fs per force", "SIER2, 2 fs per force"]
+    for _, amounts in told.runs[:3]:
+        assert amounts == sorted(amounts)
+        assert 0.9 < amounts[-1] <= 1
 
 
 def test_an_unknown_scheme_is_refused_before_anything_is_read(settings, tmp_path):
