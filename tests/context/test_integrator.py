@@ -16,6 +16,7 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.integrators import constrained_velocity_verlet
 from tests.support.waters import (
     cluster_system,
@@ -378,7 +379,7 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
     integrator = simulation.integrator
     translation, rotation = integrator.bodies.kinetic_energies(integrator.getBodyState())
     freedoms = integrator.bodies.dof - 3
-    temperature = 2 * (translation + rotation) / (freedoms * openmm_sier.dynamics.bodies.GAS_CONSTANT)
+    temperature = 2 * (translation + rotation) / (freedoms * GAS_CONSTANT)
     # The reporter counts degrees of freedom from particles and constraints, and writes 16 digits.
     assert rows["Temperature_K"][-1] == pytest.approx(temperature, rel=1e-9)
     assert mdtraj.load(str(tmp_path / "t.h5")).n_frames == 4
