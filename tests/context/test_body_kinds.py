@@ -26,7 +26,7 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.waters import array, cluster_system, context_at, energies, phase_point, platform
 
 

@@ -8,7 +8,7 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER2, SIER4, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import BATH, DRIFT, KICK
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
