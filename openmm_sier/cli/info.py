@@ -11,7 +11,8 @@ from openmm import unit
 
 from openmm_sier.cli.console import table
 from openmm_sier.context.conservation import density
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.context.find_bodies import RigidBodies
+from openmm_sier.dynamics.bodies import Species
 from openmm_sier.measure.forcefields import read_box
 
 #: Moments that differ by less than this fraction of the largest are called equal.

@@ -14,9 +14,9 @@ from openmm import app, unit
 from openmm_sier.cli import records, summary
 from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
 from openmm_sier.context import conservation
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box, describe, first_line, read_box

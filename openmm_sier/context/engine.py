@@ -12,6 +12,7 @@ import openmm
 from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.snapshot import Snapshot, read_vectors
 from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures
+from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import VolumeMove
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
@@ -68,6 +69,8 @@ class Engine:
         self._bodies: RigidBodies | None = None
         self._momentum: MomentumConservation | None = None
         self._move_volume: VolumeMove
+        self._vibrations: Vibrations
+        self._told_of_misfit = False
         # Where positions tell nothing of the bodies they are settled now, and the plan takes more memory than they do.
         self._plan: Any = plan if plan.needs_positions else None
         if self._plan is None:
@@ -113,6 +116,8 @@ class Engine:
 
     def _settle(self, bodies: RigidBodies) -> RigidBodies:
         integrator, context = self._integrator, self._context
+        vibrations = Vibrations(context.getSystem(), bodies)
+        self._check_step(vibrations)
         molecules = context.getMolecules()
         checks.refuse_deforming_barostats(context.getSystem(), molecules, bodies)
         if integrator._piston is not None:
@@ -120,13 +125,19 @@ class Engine:
             self._move_volume = integrator._piston.operator(bodies, molecules)
         found = operators.body_operators(bodies, self.forces, integrator.rotation)
         self.operators, self._bodies = found | integrator._extra_operators(bodies), bodies
+        self._vibrations = vibrations
         return bodies
+
+    def _check_step(self, vibrations: Vibrations) -> None:
+        integrator = self._integrator
+        vibrations.check(integrator.scheme, integrator.getStepSize()._value, integrator.getIntegrationForceGroups())
 
     # --- stepping ---
 
     def run(self, count: int) -> None:
         """Advance by `count` steps; an error or interrupt leaves the Context at the last completed one."""
         self.adopt()
+        self._check_step(self._vibrations)
         integrator = self._integrator
         h = integrator.getStepSize()._value
         step = operators.stepper(integrator._active_scheme(), self.operators, h)
@@ -143,7 +154,7 @@ class Engine:
             self._publish()
         except BaseException:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
-            _whatever_interrupts(self._recover)
+            self.restore()
             raise
 
     def start_anew(self) -> None:
@@ -221,7 +232,7 @@ class Engine:
         if np.array_equal(self._box(), before):
             return state
         now = Snapshot(self._context)
-        q, A = self.bodies.fit(now.positions, state)
+        q, A = self._fit(now, state)
         self._take_positions(now)
         self.forces.invalidate()
         return replace(state, q=q, A=A)
@@ -248,8 +259,11 @@ class Engine:
         # A barostat moves what belongs to no body too.
         self._positions[:] = mark.getPositions(asNumpy=True)._value
 
+    def restore(self) -> None:
+        """Write the last completed step to the Context, whatever was cut short and even if Ctrl-C comes meanwhile."""
+        _whatever_interrupts(self._recover)
+
     def _recover(self) -> None:
-        """Write the last completed step to the Context, whatever was cut short."""
         self.forces.invalidate()
         self._placed = (None, None)
         self._publish()
@@ -294,8 +308,9 @@ class Engine:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now = Snapshot(self._context)
-        if self._point is None and len(now.positions) > 1 and not now.positions.any():
-            raise openmm.OpenMMException("Particle positions have not been set")
+        if self._point is None and not now.positions.any():
+            # All particles may be at the origin. OpenMM knows, and says so before it computes anything.
+            self._context.getState(energy=True, groups=0)
         moved = self._point is None or not now.same_positions(self._echo)
         if moved:
             self.start_anew()
@@ -317,18 +332,25 @@ class Engine:
         old = None if self._point is None else self._point.state
         self._notice_environment(before, now)
         if old is None or before is None:
-            q, A = self.bodies.fit(now.positions)
+            q, A = self._fit(now)
             self._take_positions(now)
             p, L = self._momenta(now.velocities, A)
             return BodyState(q, p, A, L)
         q, A = old.q, old.A
         if not now.same_positions(before):
-            q, A = self.bodies.fit(now.positions, old)
+            q, A = self._fit(now, old)
             self._take_positions(now)
         if now.same_velocities(before) and np.array_equal(A, old.A):
             return replace(old, q=q, A=A)
         p, L = self._momenta(now.velocities, A)
         return replace(old, q=q, p=p, A=A, L=L)
+
+    def _fit(self, now: Snapshot, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Bodies at the positions of a snapshot; those that do not quite have their shapes are said, once."""
+        q, A, misfit = self.bodies.fit_with_misfit(now.positions, previous)
+        if not self._told_of_misfit:
+            self._told_of_misfit = checks.tell_of_misfit(self.bodies, misfit)
+        return q, A
 
     def _notice_environment(self, before: Snapshot | None, now: Snapshot) -> None:
         if not now.same_environment(before):

@@ -9,6 +9,7 @@ has a SIER integrator, and just what OpenMM's do where it has another:
 - `Context.createCheckpoint` and `Context.getState` with the integrator's parameters have the run go on as a restart
   from what they return would.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
+- `LocalEnergyMinimizer.minimize` minimizes rigid bodies whole where no constraint holds them.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
 
@@ -21,6 +22,7 @@ import openmm
 
 from openmm_sier.context.engine import DRAWS, HEAT, SEED
 from openmm_sier.context.integrator import SIERIntegrator, revived
+from openmm_sier.context.minimization import constraints_hold, minimize_bodies
 from openmm_sier.context.stored_settings import stored
 
 
@@ -31,6 +33,7 @@ def install() -> None:
     _replace(openmm.Context, "setState", _accepting)
     _replace(openmm.Context, "createCheckpoint", _going_on_as_a_restart)
     _replace(openmm.Context, "getState", _going_on_as_a_restart)
+    _replace(openmm.LocalEnergyMinimizer, "minimize", _keeping_bodies)
     for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
         _replace(cls, "updateParametersInContext", _telling_of_new_forces)
     for name in ("_deserializeIntegrator", "_cloneIntegrator"):
@@ -114,6 +117,19 @@ def _telling_of_new_forces(method):
         if integrator is not None and integrator._engine is not None:
             integrator.forcesChanged()
         return result
+
+    return wrapper
+
+
+def _keeping_bodies(method):
+    """`LocalEnergyMinimizer.minimize`, which knows constraints and would tear bodies that are rigid without them."""
+
+    @functools.wraps(method)
+    def wrapper(context, tolerance=10.0, maxIterations=0, reporter=None):
+        integrator = _integrator_of(context)
+        if integrator is None or constraints_hold(context.getSystem(), integrator.bodies):
+            return method(context, tolerance, maxIterations, reporter)
+        return minimize_bodies(context, integrator._bound(), tolerance, maxIterations, reporter)
 
     return wrapper
 

@@ -144,7 +144,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             ValueError: `steps` is negative or no whole number.
             RigidityError: positions set from outside do not form the bodies.
-            openmm.OpenMMException: there is no Context, or a force is not finite.
+            openmm.OpenMMException: there is no Context, a force is not finite, or the step is longer than a bond bears.
         """
         self._bound().run(whole_number("steps", steps))
 

@@ -14,7 +14,8 @@ from urllib.parse import quote, unquote
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.context.find_bodies import RigidBodies
+from openmm_sier.dynamics.bodies import Species
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import Stage
 

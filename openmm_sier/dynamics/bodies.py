@@ -14,19 +14,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from openmm_sier.dynamics import backend
+from openmm_sier.dynamics import backend, fitting
 from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
-
-#: Largest distance in nm between an atom and its place in the reference geometry that `RigidBodies.fit` accepts.
-FIT_TOLERANCE = 0.005
+from openmm_sier.dynamics.fitting import RigidityError as RigidityError
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
 LINEAR_MOMENT = 1e-10
 ON_AXIS = 1e-9
-
-
-class RigidityError(ValueError):
-    """Atoms do not form the rigid body that they are meant to form."""
 
 
 class NotFiniteError(ValueError):
@@ -108,11 +102,30 @@ class Species:
 
     def mirrored(self) -> Species:
         """The mirror image, whose principal axes are the same."""
-        return replace(self, sites=self.sites * [[1.0], [1.0], [-1.0]])
+        return replace(self, sites=fitting.MIRROR * self.sites)
 
     @property
     def mass(self) -> float:
         return float(self.masses.sum())
+
+    @cached_property
+    def tolerance(self) -> float:
+        """Largest distance in nm of an atom from its place at which the body is still recognized."""
+        return fitting.tolerance_of(self.sites)
+
+    @cached_property
+    def mirror_distance(self) -> float:
+        """Largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
+        return fitting.distance_from_mirror_image(self.sites, self.masses)
+
+    def fit(self, arms, kept=None) -> tuple[np.ndarray, np.ndarray]:
+        """Attitudes (3, 3, m) of m bodies, and for each the largest distance of an atom from its place, (m,), nm.
+
+        Args:
+            arms: atom positions from the centres of mass, (m, k, 3), nm.
+            kept: attitudes that are returned as they are if they fit to rounding.
+        """
+        return fitting.fit_attitudes(self.sites, self.masses, arms, kept)
 
     @property
     def dof(self) -> int:
@@ -170,13 +183,6 @@ class RigidBodies:
         self._sites = [backend.Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
         self.dof = sum(s.dof * s.atoms.shape[0] for s in self.species)
 
-    @classmethod
-    def from_system(cls, system, topology=None, rigid=None, positions=None) -> RigidBodies:
-        """The bodies of an OpenMM System; see `openmm_sier.context.find_bodies.find_bodies`, which this calls."""
-        from openmm_sier.context.find_bodies import find_bodies
-
-        return find_bodies(system, topology, rigid, positions)
-
     def _check(self):
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
         outside = used[(used < 0) | (used >= self.n_particles)]
@@ -221,8 +227,13 @@ class RigidBodies:
             (q, A), shapes (3, n) and (3, 3, n).
 
         Raises:
-            RigidityError: an atom is further than `FIT_TOLERANCE` from its place, or a position is not finite.
+            RigidityError: an atom is further than `Species.tolerance` from its place, positions are those of a mirror
+                image, or a position is not finite.
         """
+        return self.fit_with_misfit(positions, previous)[:2]
+
+    def fit_with_misfit(self, positions, previous: BodyState | None = None):
+        """`fit`, and for each body the largest distance in nm of an atom from its place: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
         for s, part in zip(self.species, self.parts, strict=True):
@@ -232,17 +243,38 @@ class RigidBodies:
             if not np.isfinite(centre).all():
                 body = part.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
                 raise RigidityError(f"the positions of {self.describe(body)} are not finite")
-            kept = None if previous is None else previous.A[:, :, part]
-            A[:, :, part], misfit[part] = fit_attitudes(s, x - centre[:, None, :], kept)
-        if self.n and misfit.max() > FIT_TOLERANCE:
-            worst = int(misfit.argmax())
+            arms = x - centre[:, None, :]
+            A[:, :, part], misfit[part] = s.fit(arms, None if previous is None else previous.A[:, :, part])
+            self._refuse_mirrored(s, part, misfit[part], arms)
+        self._refuse_torn(misfit)
+        return q, A, misfit
+
+    def _refuse_mirrored(self, species: Species, part: slice, misfit, arms) -> None:
+        # Nearer to the body than half way to the mirror image they cannot fit that better by the margin.
+        suspects = np.flatnonzero(misfit > 0.5 * species.mirror_distance)
+        if species.mirror_distance == 0 or not suspects.size:
+            return
+        mirrored = fitting.fit_mirror_image(species.sites, species.masses, arms[suspects], misfit[suspects])
+        if mirrored.any():
             raise RigidityError(
-                f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm "
-                f"from its place, at most {FIT_TOLERANCE} nm can be mended ({np.count_nonzero(misfit > FIT_TOLERANCE)} "
-                "bodies fail). Are the molecules whole (not cut by the periodic boundary), and do their "
-                "distances match the constraints? context.applyConstraints(1e-6) mends small deviations."
+                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} does not have the shape of its rigid "
+                f"body but that of its mirror image ({np.count_nonzero(mirrored)} bodies of this kind fail)"
             )
-        return q, A
+
+    def _refuse_torn(self, misfit) -> None:
+        tolerances = np.repeat([s.tolerance for s in self.species], [len(s.atoms) for s in self.species])
+        torn = misfit > tolerances
+        if not torn.any():
+            return
+        worst = int(np.where(torn, misfit, 0.0).argmax())
+        raise RigidityError(
+            f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm from "
+            f"its place, at most {tolerances[worst]:.4g} nm can be mended ({np.count_nonzero(torn)} bodies fail). Is "
+            "the molecule whole (not cut by the periodic boundary)? If constraints hold it, "
+            "context.applyConstraints(1e-6) may mend it. If it was named as a rigid body, no constraint holds it, and "
+            "its atoms must not be moved one by one: minimize the energy in a Context with this integrator, or start "
+            "from the positions that it was made of"
+        )
 
     def momenta(self, velocities, A) -> tuple[np.ndarray, np.ndarray]:
         """Momenta and angular momenta that atom velocities carry: the rigid part of their motion.
@@ -324,38 +356,3 @@ class RigidBodies:
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
-
-
-def fit_attitudes(species: Species, arms, kept=None):
-    """Attitudes that turn the sites of a species onto atoms, and the largest distance left for each body.
-
-    The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
-    Acta Cryst. A 34, 827 (1978)).
-
-    Args:
-        species: what to turn.
-        arms: atom positions from the centres of mass, (m, k, 3), nm.
-        kept: attitudes (3, 3, m) that are returned as they are if they fit to rounding.
-
-    Returns:
-        (A, misfit), shapes (3, 3, m) and (m,).
-    """
-    m = arms.shape[0]
-    if not species.sites.any():
-        attitudes = np.repeat(np.eye(3)[:, :, None], m, axis=2) if kept is None else kept
-        return attitudes, np.linalg.norm(arms, axis=2).max(axis=1)
-    if kept is not None:
-        misfit = _misfit(species, arms, kept)
-        # Atom positions carry the rounding of coordinates of some nm.
-        if misfit.max() < 1e-13 * (1 + np.abs(arms).max()):
-            return kept, misfit
-    correlation = np.einsum("k,ak,mkx->max", species.masses, species.sites, arms)
-    u, _, vt = np.linalg.svd(correlation)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    attitudes = np.ascontiguousarray((u @ vt).transpose(1, 2, 0))
-    return attitudes, _misfit(species, arms, attitudes)
-
-
-def _misfit(species: Species, arms, A):
-    places = np.einsum("ak,axm->mkx", species.sites, A)
-    return np.linalg.norm(arms - places, axis=2).max(axis=1)

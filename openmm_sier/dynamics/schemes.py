@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
+from openmm_sier.dynamics import stability
 from openmm_sier.dynamics.order import HIGHEST_ORDER, order_of_flow
 from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
 
@@ -114,6 +115,16 @@ class Scheme:
             if inside.sampling_order >= self.order:
                 return inside
         return Scheme(self.name, (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5)), self.source)
+
+    @cached_property
+    def stability_limit(self) -> float:
+        """Product of angular frequency and step below which a harmonic mode stays bounded: 2 for SIER2."""
+        return stability.stability_limit(self.stages)
+
+    @cached_property
+    def accuracy_limit(self) -> float:
+        """Product of angular frequency and step up to which the energies of a harmonic mode are right within 10 %."""
+        return stability.accuracy_limit(self.stages)
 
     @cached_property
     def order(self) -> int:

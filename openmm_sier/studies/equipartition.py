@@ -13,8 +13,8 @@ import openmm
 from openmm import unit
 
 from openmm_sier.context.conservation import density
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box

@@ -11,8 +11,8 @@ from typing import Any
 
 import openmm
 
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, Scheme, Stage, alternating
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box

@@ -10,8 +10,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from tests.support.restarts import WAYS, assert_same, everything, simulation_of
 from tests.support.waters import cluster_system, context_at, periodic_system, platform, relaxed

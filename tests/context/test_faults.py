@@ -407,7 +407,7 @@ def test_bodies_that_are_no_longer_rigid(cluster):
     context.loadCheckpoint(checkpoint)
     positions = phase_point(context)[0]
     bent = positions.copy()
-    bent[5] += [0.0, 0.02, 0.0]
+    bent[5] += [0.0, 0.08, 0.0]
     context.setPositions(bent)
     message = r"residue HOH \d+ \(atoms 4, 5, 6\) does not have the shape of its rigid body"
     for ask in (lambda: integrator.step(1), integrator.getBodyState, integrator.computeSystemTemperature):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from openmm_sier import RigidBodies, RigidityError
-from openmm_sier.dynamics.bodies import FIT_TOLERANCE, Species
+from openmm_sier.dynamics.bodies import Species
+from openmm_sier.dynamics.fitting import FIT_TOLERANCE
 from tests.support.molecules import GEOMETRIES, scattered, species, thermal_state
 from tests.support.oracles import matmul, orthogonality_error, random_attitudes
 
@@ -272,13 +273,13 @@ def test_a_misfit_names_the_worst_residue(rng, bodies):
     x, _ = atoms_of(bodies, state)
     ring, pair = bodies.species[3].atoms[2], bodies.species[5].atoms[1]
     x[ring[0]] += [0.0, 0.0, 2 * FIT_TOLERANCE]
-    x[pair[1]] += 0.3 * (x[pair[1]] - x[pair[0]])
+    x[pair[1]] += 0.6 * (x[pair[1]] - x[pair[0]])
     with pytest.raises(RigidityError) as error:
         bodies.fit(x)
     message = str(error.value)
     assert f"residue pair 1 (atoms {pair[0]}, {pair[1]})" in message
-    # The pair is 0.03 nm too long; the lighter atom lies 16/30 of that off its place.
-    assert f"is {0.03 * 15.999 / 30.006:.4f} nm from its place" in message
+    # The pair is 0.06 nm too long; the lighter atom lies 16/30 of that off its place.
+    assert f"is {0.06 * 15.999 / 30.006:.4f} nm from its place" in message
     assert f"at most {FIT_TOLERANCE} nm" in message
     assert "(2 bodies fail)" in message
     assert "periodic boundary" in message

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.observables import energy_error
