@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from openmm import unit
 
+from openmm_sier.cli.summary import GRAMS_PER_CM3
 from openmm_sier.dynamics.bodies import RigidBodies, Species
-from openmm_sier.measure.forcefields import read_box
+from openmm_sier.measure.forcefields import Box, read_box
 from openmm_sier.studies.console import table
 
 #: Moments that differ by less than this fraction of the largest are called equal.
@@ -19,18 +20,35 @@ EQUAL = 1e-6
 COLUMNS = ("residues", "bodies", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
 
 
-def info(path: Path, files: Sequence[str] | None = None) -> None:
+def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
+    """The rigid bodies of a box.
+
+    Args:
+        box: as `forcefields.read_box` gives it.
+        rigid: names of residues that are rigid bodies, of the geometry that they have in the PDB file.
+
+    Raises:
+        RigidityError: constraints make no rigid bodies, or a named residue cannot be one.
+        ValueError: there is no residue of that name.
+    """
+    positions = box.positions.value_in_unit(unit.nanometer)
+    named = dict.fromkeys(rigid, "rigid") if rigid else None
+    return RigidBodies.from_system(box.system, box.topology, named, np.array(positions))
+
+
+def info(path: Path, files: Sequence[str] | None = None, rigid: Sequence[str] | None = None) -> None:
     """Print the kinds of body of a PDB file, masses in dalton and moments in dalton nm^2.
 
     Args:
         path: the PDB file.
         files: force-field files; None picks one, see `forcefields.pick`.
+        rigid: see `rigid_bodies`.
 
     Raises:
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
     box = read_box(path, files)
-    bodies = RigidBodies.from_system(box.system, box.topology)
+    bodies = rigid_bodies(box, rigid)
     atoms = list(box.topology.atoms())
     riders = _riders(box.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
@@ -86,5 +104,5 @@ def _extent(box) -> str:
     edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
     masses = [box.system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(box.system.getNumParticles())]
     volume = abs(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer))))
-    density = sum(masses) / volume / 602.214076
+    density = sum(masses) / volume * GRAMS_PER_CM3
     return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density:.3f} g/cm3"

@@ -31,6 +31,9 @@ COLUMNS = (
 
 BLOCKS = 10
 
+#: A dalton per nm^3 in g/cm^3.
+GRAMS_PER_CM3 = 1 / 602.214076
+
 
 def row(context, integrator) -> tuple[float, ...]:
     """Values of `COLUMNS` at the last completed step. Costs one evaluation of the energy.
@@ -89,34 +92,47 @@ class Cost:
         ]
 
 
-def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+def conservation_rows(log: dict[str, np.ndarray], has_bath: bool) -> list[tuple[str, str]]:
     """Names and values for the table at the end, from the columns of a log.
 
     rms(X) is the root mean square deviation from the mean (van Zon and Schofield 2007, section IV). H is the total
     energy, less the heat that a heat bath gave.
+
+    Args:
+        log: columns.
+        has_bath: whether there is a heat bath, so that the conserved energy is not the total energy.
     """
     H, V, t = log["conserved_kJ_per_mol"], log["potential_kJ_per_mol"], log["time_ps"]
     momentum = log["momentum_dalton_nm_per_ps"]
     slope = np.polyfit(t - t.mean(), H, 1)[0] if len(t) > 2 else math.nan
     return [
-        ("energy drift", _with_unit(slope, "+.3g", "kJ/mol/ps")),
+        (
+            "drift of energy less heat" if has_bath else "energy drift",
+            _with_unit(slope, "+.3g", "kJ/mol/ps"),
+        ),
         ("energy fluctuation rms(H)", _with_unit(H.std(), ".3g", "kJ/mol")),
         ("rms(H)/rms(V)", _with_unit(100 * H.std() / V.std() if V.std() > 0 else math.nan, ".3g", "%")),
-        ("T_trans", _mean_and_error(log["T_trans_K"])),
-        ("T_rot", _mean_and_error(log["T_rot_K"])),
+        ("T_trans", _mean_and_error(log["T_trans_K"], ".1f", "K")),
+        ("T_rot", _mean_and_error(log["T_rot_K"], ".1f", "K")),
         ("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"),
     ]
+
+
+def density_rows(log: dict[str, np.ndarray], system) -> list[tuple[str, str]]:
+    """The density, for the table at the end of a run at constant pressure."""
+    mass = sum(system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles()))
+    return [("density", _mean_and_error(mass / log["volume_nm3"] * GRAMS_PER_CM3, ".4f", "g/cm3"))]
 
 
 def _with_unit(value: float, form: str, name: str) -> str:
     return "-" if math.isnan(value) else f"{value:{form}} {name}"
 
 
-def _mean_and_error(values: np.ndarray) -> str:
-    """Mean and its standard error from block averages, in K."""
+def _mean_and_error(values: np.ndarray, form: str, name: str) -> str:
+    """Mean and its standard error from block averages, in a unit."""
     if np.isnan(values).any():
         return "-"
     if len(values) < 2 * BLOCKS:
-        return f"{values.mean():.1f} K"
+        return f"{values.mean():{form}} {name}"
     means = [block.mean() for block in np.array_split(values, BLOCKS)]
-    return f"{values.mean():.1f} ± {np.std(means, ddof=1) / math.sqrt(BLOCKS):.1f} K"
+    return f"{values.mean():{form}} ± {np.std(means, ddof=1) / math.sqrt(BLOCKS):{form}} {name}"

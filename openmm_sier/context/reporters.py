@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from openmm import unit
 
 from openmm_sier.context.integrator import SIERIntegrator
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 
 #: Columns of a conservation log.
 COLUMNS = (
@@ -133,13 +135,12 @@ class BodyStateReporter(_Reporter):
         super().__init__(reportInterval, [])
         try:
             import h5py
-            from scipy.spatial.transform import Rotation
+            from scipy.spatial.transform import Rotation  # noqa: F401
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError("BodyStateReporter needs h5py: pip install 'openmm-sier[hdf5]'") from error
         # The oldest file format marks no file as open for writing, which would keep readers out after a kill.
         self._file = h5py.File(file, "w", libver="earliest")
         self._file.flush()
-        self._rotation = Rotation
         self._ready = False
 
     def report(self, simulation, state) -> None:
@@ -147,40 +148,55 @@ class BodyStateReporter(_Reporter):
         integrator = self._integrator(simulation)
         motion = integrator.getBodyState()
         if not self._ready:
-            self._create(integrator.bodies)
-        frame = {
-            "step": simulation.currentStep,
-            "time": state.getTime().value_in_unit(unit.picosecond),
-            "q": motion.q.T,
-            "quaternion": self._quaternions(motion.A),
-            "p": motion.p.T,
-            "L": motion.L.T,
-            "heat": motion.heat,
-        }
+            create_datasets(self._file, integrator.bodies)
+            self._ready = True
+        frame = body_frame_values(simulation.currentStep, state.getTime().value_in_unit(unit.picosecond), motion)
         for name, value in frame.items():
             dataset = self._file[name]
             dataset.resize(dataset.shape[0] + 1, axis=0)
             dataset[-1] = value
         self._file.flush()
 
-    def _quaternions(self, A):
-        turns = self._rotation.from_matrix(A.transpose(2, 1, 0))
-        return turns.as_quat(canonical=True, scalar_first=True)
-
-    def _create(self, bodies) -> None:
-        n = bodies.n
-        shapes = {"step": (), "time": (), "q": (n, 3), "quaternion": (n, 4), "p": (n, 3), "L": (n, 3), "heat": ()}
-        for name, shape in shapes.items():
-            # Chunks of about 64 kB.
-            frames = max(1, 8192 // max(1, int(np.prod(shape))))
-            kind = "i8" if name == "step" else "f8"
-            self._file.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=(frames, *shape))
-        self._file["masses"] = bodies.masses
-        self._file["moments"] = bodies.moments.T
-        for name, symbol in UNITS.items():
-            self._file[name].attrs["unit"] = symbol
-        self._ready = True
-
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def frame_shapes(n: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of one frame's values of n bodies, by dataset."""
+    return {"step": (), "time": (), "q": (n, 3), "quaternion": (n, 4), "p": (n, 3), "L": (n, 3), "heat": ()}
+
+
+def body_frame_values(step: int, time: float, motion: BodyState) -> dict[str, Any]:
+    """One frame of body states, with the shapes of `frame_shapes`.
+
+    Args:
+        step: number of the step.
+        time: ps.
+        motion: the bodies' phase point.
+    """
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_matrix(motion.A.transpose(2, 1, 0))
+    return {
+        "step": step,
+        "time": time,
+        "q": motion.q.T,
+        "quaternion": turns.as_quat(canonical=True, scalar_first=True),
+        "p": motion.p.T,
+        "L": motion.L.T,
+        "heat": motion.heat,
+    }
+
+
+def create_datasets(file: Any, bodies: RigidBodies) -> None:
+    """Make the datasets of body states, without frames, in an open h5py.File."""
+    for name, shape in frame_shapes(bodies.n).items():
+        # Chunks of about 64 kB.
+        frames = max(1, 8192 // max(1, int(np.prod(shape))))
+        kind = "i8" if name == "step" else "f8"
+        file.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=(frames, *shape))
+    file["masses"] = bodies.masses
+    file["moments"] = bodies.moments.T
+    for name, symbol in UNITS.items():
+        file[name].attrs["unit"] = symbol

@@ -169,14 +169,19 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
         ForceFieldError: a file is not found or no force field.
     """
     try:
-        return app.ForceField(*[_locate(name, Path(beside)) for name in files])
+        return app.ForceField(*[locate(name, Path(beside)) for name in files])
     except ForceFieldError:
         raise
     except Exception as error:
         raise ForceFieldError(f"cannot read the force field {' '.join(files)}: {first_line(error)}") from error
 
 
-def _locate(name: str, beside: Path) -> str:
+def locate(name: str, beside: Path) -> str:
+    """The path of a force-field file, or its name where it is one of OpenMM's own; looked for as `load` does.
+
+    Raises:
+        ForceFieldError: there is none.
+    """
     for directory in (Path(), beside, *SHIPPED):
         if (directory / name).is_file():
             return str(directory / name)

@@ -86,7 +86,7 @@ def prepare(context, positions, options: Start, minimize: bool | None = None) ->
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
     context.setPositions(state.getPositions())
     context.setVelocities(state.getVelocities())
-    _stop_centre_of_mass(context)
+    stop_centre_of_mass(context)
     context.setTime(0)
     context.setStepCount(0)
 
@@ -129,7 +129,8 @@ def thermalize(context, options: Start):
     return bath.getState(positions=True, velocities=True)
 
 
-def _stop_centre_of_mass(context) -> None:
+def stop_centre_of_mass(context) -> None:
+    """Bring the centre of mass of a Context to rest."""
     system = context.getSystem()
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
     velocities = context.getState(velocities=True).getVelocities(asNumpy=True)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
+from datetime import timedelta
 from importlib import import_module
 from importlib.util import find_spec
 
@@ -17,6 +20,9 @@ except ModuleNotFoundError as error:
     raise ModuleNotFoundError("the command needs rich; install it with: pip install 'openmm-sier[cli]'") from error
 
 PS_PER_NS = 1000.0
+
+#: Seconds to the first line about progress where there is no terminal.
+LINE_AFTER = 30.0
 SECONDS_PER_DAY = 86400.0
 
 
@@ -54,9 +60,10 @@ class Rate(ProgressColumn):
 
 
 class StepProgress:
-    """A progress bar on standard error for a number of steps; nothing is shown where that is no terminal.
+    """A progress bar on standard error for a number of steps, or lines now and then where that is no terminal.
 
-    A context manager, whose value is a function that takes the number of steps done so far.
+    A context manager, whose value is a function that takes the number of steps done so far. A terminal that has been
+    closed stops nothing.
     """
 
     def __init__(self, description: str, total: int, ps: float, done: int = 0):
@@ -77,13 +84,47 @@ class StepProgress:
             *columns, Rate(), TimeRemainingColumn(), console=console, disable=not console.is_terminal
         )
         self._task = self._progress.add_task(description, total=total, completed=done, ps=ps, begun_at=done)
+        self._lines = None if console.is_terminal else _Lines(description, total, ps, done)
 
     def __enter__(self):
-        self._progress.start()
-        return lambda done: self._progress.update(self._task, completed=done)
+        with suppress(OSError):
+            self._progress.start()
+        return self._show
+
+    def _show(self, done: int) -> None:
+        with suppress(OSError):
+            if self._lines is None:
+                self._progress.update(self._task, completed=done)
+            else:
+                self._lines.show(done)
 
     def __exit__(self, *_):
-        self._progress.stop()
+        with suppress(OSError):
+            self._progress.stop()
+
+
+class _Lines:
+    """Lines about the steps done so far: the first after `LINE_AFTER` s, later fewer, but one every ten minutes."""
+
+    def __init__(self, description: str, total: int, ps: float, begun_at: int):
+        self._description, self._total, self._ps, self._begun_at = description, total, ps, begun_at
+        self._started = self._last = clock()
+
+    def show(self, done: int) -> None:
+        now = clock()
+        elapsed = now - self._started
+        if now - self._last < min(20 * LINE_AFTER, max(LINE_AFTER, elapsed / 20)) or done <= self._begun_at:
+            return
+        self._last = now
+        rate = (done - self._begun_at) / elapsed if elapsed > 0 else math.inf
+        days = f"{rate * self._ps / PS_PER_NS * SECONDS_PER_DAY:.2f} ns/day"
+        left = timedelta(seconds=round((self._total - done) / rate))
+        share = f"{100 * done / self._total:.0f} %"
+        print(
+            f"{self._description}: {done}/{self._total} steps, {share}, {days}, {left} left",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def draw(figure: str, *arguments) -> None:
