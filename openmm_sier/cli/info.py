@@ -12,7 +12,7 @@ from openmm import unit
 from openmm_sier.cli.summary import GRAMS_PER_CM3
 from openmm_sier.dynamics.bodies import RigidBodies, Species
 from openmm_sier.measure.forcefields import Box, read_box
-from openmm_sier.studies.console import table
+from openmm_sier.studies.console import note, table
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
@@ -54,7 +54,7 @@ def info(path: Path, files: Sequence[str] | None = None, rigid: Sequence[str] | 
     rows = [_row(species, atoms, riders) for species in bodies.species]
     table(f"{path}, {' '.join(box.choice.files)} ({box.choice.reason})", COLUMNS, rows)
     counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.degrees_of_freedom} degrees of freedom"
-    print(counts + _extent(box))
+    note(counts + _extent(box))
 
 
 def _row(species: Species, atoms, riders: dict[int, list[int]]) -> list[str]:

@@ -53,7 +53,6 @@ def main(arguments: list[str] | None = None) -> int:
         return _complain("standard output is closed; send it to a file, or to /dev/null")
     try:
         options.execute(options)
-        sys.stdout.flush()
     except KeyboardInterrupt as stop:
         return _complain(str(stop) or "interrupted", SIGNALLED + getattr(stop, "signum", signal.SIGINT))
     except BrokenPipeError:
@@ -102,22 +101,11 @@ def _said_of(error: Exception) -> str:
     """An error in one line."""
     message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
-        where = error.filename or _failing_output()
-        return f"{where}: {error.strerror}" if where else error.strerror
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     known = isinstance(error, (ValueError, OSError, ImportError)) or type(error).__module__.startswith("openmm")
     return (
         message if known or hasattr(error, "exit_code") else f"{type(error).__name__}: {message} (--debug shows where)"
     )
-
-
-def _failing_output() -> str:
-    """Says so if it was standard output that could not be written, on a full disk for instance."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        _discard(sys.stdout)
-        return "standard output"
-    return ""
 
 
 def build_parser() -> argparse.ArgumentParser:

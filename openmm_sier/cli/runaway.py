@@ -142,18 +142,33 @@ def likely_cause(plan: Plan) -> str:
 def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None:
     """A warning where the energy fluctuates more than it does with the scheme's usual step; None where it does not.
 
-    A slow drift is no fluctuation: deviations are those from a straight line.
+    Fluctuations are those about a straight line within windows of 1 ps, so that neither a slow drift nor the random
+    walk on which a heat bath sends the conserved energy counts.
 
     Args:
         plan: of the run.
         log: columns of it.
     """
     H, V, t = (log[name] for name in ("conserved_kJ_per_mol", "potential_kJ_per_mol", "time_ps"))
-    if len(t) < FEWEST_ROWS or not V.std() > 0:
+    if len(t) < FEWEST_ROWS:
         return None
-    around = H - np.polyval(np.polyfit(t - t.mean(), H, 1), t - t.mean())
-    found, bound = around.std() / V.std(), LARGEST_FLUCTUATION[2 if CATALOGUE[plan.scheme].order == 2 else 4]
-    # Single precision leaves noise that tells nothing where the potential energy hardly changes.
-    if found <= bound or around.std() < 1e-6 * abs(V).mean():
+    rows = max(FEWEST_ROWS, round(WINDOW / (t[1] - t[0])))
+    windows = [slice(i, i + rows) for i in range(0, len(t) - rows + 1, rows)] or [slice(None)]
+    of_total = math.sqrt(np.mean([_around_line(t[window], H[window]) for window in windows]))
+    of_potential = math.sqrt(np.mean([V[window].var() for window in windows]))
+    # Rounding to single precision tells nothing where the potential energy hardly changes.
+    if of_potential < 1e-6 * (1 + np.abs(V).mean()):
         return None
-    return f"{100 * found:.2g} % is more than the {100 * bound:g} % of a good step; {likely_cause(plan)}"
+    bound = LARGEST_FLUCTUATION[2 if CATALOGUE[plan.scheme].order == 2 else 4]
+    if plan.ensemble != "nve":
+        bound *= math.sqrt(max(1.0, (t[windows[0]][-1] - t[0]) / WINDOW))
+    found = of_total / of_potential
+    if found <= bound:
+        return None
+    return f"{100 * found:.2g} %, more than the {100 * bound:.2g} % of a good step; {likely_cause(plan)}"
+
+
+def _around_line(t: np.ndarray, values: np.ndarray) -> float:
+    """Mean square deviation from a straight line."""
+    line = np.polyval(np.polyfit(t - t.mean(), values, 1), t - t.mean())
+    return float(((values - line) ** 2).mean())

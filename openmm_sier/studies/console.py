@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from importlib import import_module
 from importlib.util import find_spec
@@ -26,9 +26,19 @@ LINE_AFTER = 30.0
 SECONDS_PER_DAY = 86400.0
 
 
+@contextmanager
+def _standard_output() -> Iterator[None]:
+    """Errors name it, when it goes to a full disk for instance."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, "standard output") from error
+
+
 def note(message: str) -> None:
     """A line about what is being done."""
-    print(message, flush=True)
+    with _standard_output():
+        print(message, flush=True)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
@@ -46,7 +56,8 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
     for row in rows:
         made.add_row(*row)
     # Lines are as long as they have to be where they go to a file.
-    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
+    with _standard_output():
+        Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 
 
 class Rate(ProgressColumn):

@@ -1,12 +1,10 @@
 """The command line, on small boxes of water: `run` with its files, crashes and continuations, `info`, refusals."""
 
-import importlib.util
 import os
 import re
 import signal
 import subprocess
 import sys
-import time
 import zipfile
 from pathlib import Path
 
@@ -17,39 +15,13 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2Integrator
-from openmm_sier.cli import main, records, summary
+from openmm_sier.cli import main, records
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__
+from tests.support.runs import SMALL, SYSTEMS, complaint, frames, load_program, log, make, wait_for, write_lattice
 
-SYSTEMS = Path(__file__).parents[2] / "systems"
-SMALL = ["--platform", "Reference", "--equilibrate", "0.1", "--every", "0.02", "--checkpoint-every", "0.1"]
-
-#: Frames and rows of a run of 0.4 ps with the options above: every 5th step of 4 fs, every 10th, and the start.
+#: Frames and rows of a run of 0.4 ps with the options of SMALL: every 5th step of 4 fs, every 10th, and the start.
 STEPS, FRAMES, ROWS = 100, 20, 11
-
-
-def load_program(path):
-    """A program of the project as a module."""
-    path = SYSTEMS.parent / path
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-make = load_program("systems/make.py")
-
-
-def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
-    """A box of water that has not seen an equilibration."""
-    topology = make.make_topology(molecules, 0)
-    edge = make.box_edge(topology, 0.997)
-    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
-    geometry = make.water_geometry(forcefields.load([file], SYSTEMS))
-    positions = make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(3)) * unit.nanometer
-    make.write(path, topology, positions, edge, [f"FORCEFIELD {file}"] if named else [])
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -67,29 +39,6 @@ def whole_run(box):
 @pytest.fixture(autouse=True)
 def directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-
-def frames(path, box):
-    return mdtraj.load(str(path)) if path.suffix == ".h5" else mdtraj.load(str(path), top=str(box))
-
-
-def log(path):
-    return records.Log(Path(path), summary.COLUMNS, Path(path).stat().st_size).read()
-
-
-def complaint(capsys, *arguments, code=1):
-    """The one line on standard error with which a command line fails."""
-    if code == main.MISUSED:
-        with pytest.raises(SystemExit) as stop:
-            main.main(list(arguments))
-        assert stop.value.code == code
-    else:
-        assert main.main([str(argument) for argument in arguments]) == code
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert err.endswith("\n")
-    assert err.startswith("openmm-sier")
-    return err
 
 
 def frames_in_header(path):
@@ -361,26 +310,6 @@ def test_killed_from_outside_and_continued(box):
     np.testing.assert_array_equal(log("cut.csv")["step"], np.arange(0, step + 26, 10))
 
 
-def wait_for(condition, process):
-    while not condition():
-        assert process.poll() is None, "the command ended by itself"
-        time.sleep(0.02)
-
-
-def test_interrupt_is_one_line_with_the_way_on(box):
-    process = subprocess.Popen(
-        [sys.executable, "-m", "openmm_sier.cli", "run", str(box), *SMALL, "--time", "1000", "--out", "cut.dcd"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    wait_for(lambda: Path("cut.csv").exists() and Path("cut.csv").read_text().count("\n") > 3, process)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate()
-    assert process.returncode == 130
-    assert re.fullmatch(r"openmm-sier: interrupted at step \d+; .*--restart cut\.chk\n", err)
-
-
 def test_finished_run_goes_on_with_more_time(box, whole_run):
     half = ["run", str(box), *SMALL, "--out", "two.dcd"]
     assert main.main([*half, "--steps", "45"]) == 0
@@ -489,15 +418,10 @@ def test_bad_arguments_are_refused_in_one_line(box, capsys):
         complaint(capsys, *arguments, code=main.MISUSED)
 
 
-def test_step_that_is_too_long_is_reported_in_one_line(box, capsys):
-    message = complaint(capsys, "run", box, *SMALL, "--dt", "100", "--steps", "100000", "--every", "10")
-    assert "step size too long" in message
-
-
 def test_missing_rich_names_the_extra(box, capsys, monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == "rich"]:
         monkeypatch.delitem(sys.modules, name)
-    for name in ("console", "run", "info", "summary", "preparation"):
+    for name in ("studies.console", "cli.run", "cli.info", "cli.summary"):
         monkeypatch.delitem(sys.modules, f"openmm_sier.{name}", raising=False)
         monkeypatch.delattr(f"openmm_sier.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "rich", None)

@@ -14,7 +14,7 @@ from openmm_sier import SIER2Integrator
 from openmm_sier.cli import main
 from openmm_sier.measure import forcefields, sampling, starts
 from openmm_sier.studies import equipartition
-from tests.cli.test_cli import SMALL, complaint, log, write_lattice
+from tests.support.runs import SMALL, complaint, log, write_lattice
 
 
 @pytest.fixture(scope="module")

@@ -21,9 +21,9 @@ from openmm_sier.measure import forcefields
 from openmm_sier.studies import bench
 from openmm_sier.studies.bench import accuracy, layer, peers, timing
 from openmm_sier.studies.bench.accuracy import Point
-from tests.cli.test_cli import write_lattice
 from tests.cli.test_commands import run
 from tests.measure.test_systems_data import SYSTEMS
+from tests.support.runs import write_lattice
 
 
 @pytest.fixture(scope="module")
