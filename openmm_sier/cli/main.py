@@ -158,6 +158,9 @@ def _add_run(commands) -> argparse.ArgumentParser:
         help="minimize the energy first (default: if the start has forces that a liquid has not)",
     )
     parser.add_argument("--out", metavar="FILE", type=Path, help="trajectory, .dcd, .xtc or .h5 (default: BOX.dcd)")
+    parser.add_argument(
+        "--unwrapped", action="store_true", default=None, help="frames have molecules where they went, not in the box"
+    )
     parser.add_argument("--report", metavar="CSV", type=Path, help="log (default: as the trajectory, with .csv)")
     parser.add_argument("--every", metavar="PS", type=_positive, help="between frames (default: 0.1)")
     parser.add_argument("--report-every", metavar="PS", type=_positive, help="between rows of the log (default: 0.04)")

@@ -164,9 +164,8 @@ class Outputs:
                 write()
 
     def _write_frame(self, context) -> None:
-        state = context.getState(
-            positions=True, enforcePeriodicBox=context.getSystem().usesPeriodicBoundaryConditions()
-        )
+        periodic = context.getSystem().usesPeriodicBoundaryConditions()
+        state = context.getState(positions=True, enforcePeriodicBox=periodic and not self._plan.unwrapped)
         self.trajectory.write(state.getPositions(asNumpy=True)[self._listed], state.getPeriodicBoxVectors())
 
     def _write_checkpoint(self, context, potential: float, start_energy: float | None) -> None:

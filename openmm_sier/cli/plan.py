@@ -33,6 +33,7 @@ CONTINUED = (
     "report_every",
     "checkpoint_every",
     "bodies_every",
+    "unwrapped",
     "out",
     "report",
     "bodies",
@@ -70,6 +71,7 @@ class Options:
     ensemble: str | None = None
     friction: float | None = None
     pressure: float | None = None
+    unwrapped: bool | None = None
     seed: int | None = None
     platform: str | None = None
     start: Path | None = None
@@ -103,6 +105,7 @@ class Plan:
     rigid: list[str] | None = None
     bodies: str | None = None
     bodies_every: float = 0.1
+    unwrapped: bool = False
 
     @property
     def title(self) -> str:
@@ -165,6 +168,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
         out=str(out),
         report=str(report),
         bodies=None if bodies is None else str(bodies),
+        unwrapped=bool(options.unwrapped),
     )
 
 
@@ -212,6 +216,7 @@ def continued_plan(options: Options, checkpoint: Path, saved: dict[str, Any]) ->
         given, noted = getattr(options, name), getattr(plan, name)
         given = os.path.normpath(given) if isinstance(given, Path) else given
         if given is not None and given != noted:
-            option = f"--{name.replace('_', '-')} {' '.join(given) if isinstance(given, list) else given}"
+            value = " ".join(given) if isinstance(given, list) else given
+            option = f"--{name.replace('_', '-')}" + ("" if given is True else f" {value}")
             raise RunError(f"{option} differs from {noted} of {checkpoint}; leave it out")
     return Plan(**{**asdict(plan), "steps": _length(options, plan.dt) or plan.steps})
