@@ -81,7 +81,7 @@ class Options:
     @property
     def equilibrates(self) -> bool:
         """Whether the run begins with an equilibration. One that starts from a checkpoint does if it is asked to."""
-        return self.start is None or self.equilibrate is not None or bool(self.minimize)
+        return self.start is None or bool(self.equilibrate or self.minimize)
 
 
 @dataclass(frozen=True)

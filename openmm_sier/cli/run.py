@@ -240,10 +240,9 @@ def _advance(context, plan: Plan, outputs: Outputs, guard: runaway.Guard, reques
     except (openmm.OpenMMException, runaway.Runaway) as error:
         if not isinstance(error, runaway.Runaway) and not runaway.is_runaway(error):
             raise
-        raise runaway.Runaway(
-            f"ran away before step {_length(plan, step)}: {first_line(error)}; {runaway.likely_cause(plan)}. "
-            + _kept(outputs, "--start begins a new run from it")
-        ) from error
+        where, cause = _length(plan, context.getStepCount()), runaway.likely_cause(plan)
+        kept = _kept(outputs, "--start begins a new run from it")
+        raise runaway.Runaway(f"ran away at step {where}: {first_line(error)}; {cause}. {kept}") from error
     except OSError as error:
         kept = _kept(outputs, "--restart goes on from it")
         raise RunError(f"{error.filename}: {error.strerror}, at step {_length(plan, step)}. {kept}") from error

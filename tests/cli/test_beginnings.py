@@ -91,6 +91,10 @@ def test_start_tells_the_system_and_the_temperature(box, npt_run):
     done(*start, "--ensemble", "nvt")
     plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
     assert (plan["temperature"], plan["scheme"], plan["dt"]) == (310.0, "sier4", 4.0)
+    # No equilibration is none, and not new velocities.
+    kinetic = log("box.csv")["kinetic_kJ_per_mol"][0]
+    done(*start, "--ensemble", "nvt", "--equilibrate", "0")
+    assert log("box.csv")["kinetic_kJ_per_mol"][0] == kinetic
     done(*start, "--ensemble", "nvt", "--temperature", "290")
     assert records.read_checkpoint(Path("box.chk"))[1]["plan"]["temperature"] == 290.0
 

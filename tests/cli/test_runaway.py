@@ -117,7 +117,7 @@ def test_start_at_rest_may_warm_up():
 def test_long_step_ends_with_its_code_and_a_good_checkpoint(box, capsys):
     long = ["run", box, *SMALL, "--scheme", "sier2", "--dt", "20", "--time", "20", "--checkpoint-every", "0.02"]
     message = complaint(capsys, *long, code=runaway.EXIT_CODE)
-    assert "ran away before step" in message
+    assert "ran away at step" in message
     assert "the step of 20 fs is too long for SIER2, for which 2 fs is usual: --dt 2." in message
     rows, (_, notes) = log("box.csv"), records.read_checkpoint(Path("box.chk"))
     assert f"The last good checkpoint is box.chk, of step {notes['step']}; --start begins a new run" in message

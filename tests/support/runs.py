@@ -66,7 +66,12 @@ def complaint(capsys, *arguments, code=1):
     return err
 
 
-def wait_for(condition, process):
+def wait_for(condition, process, limit=120.0):
+    """Wait until something is true of what a process has done, but not for more than `limit` s."""
+    end = time.monotonic() + limit
     while not condition():
         assert process.poll() is None, "the command ended by itself"
+        if time.monotonic() > end:
+            process.kill()
+            pytest.fail(f"the command did not come so far in {limit:g} s")
         time.sleep(0.02)
