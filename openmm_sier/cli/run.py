@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -220,23 +221,40 @@ def _advance(context, plan: Plan, outputs: Outputs, guard: runaway.Guard, reques
     begun = step = context.getStepCount()
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
     evaluations, longest = integrator.forceEvaluations, 1
-    try:
+    progress = StepProgress(CATALOGUE[plan.scheme].name, plan.steps, plan.dt / 1000, begun)
+    with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if not outputs.log.count:
             _write(["row", "checkpoint"], context, outputs, guard)
-        with StepProgress(CATALOGUE[plan.scheme].name, plan.steps, plan.dt / 1000, begun) as show:
-            while step < plan.steps and requests.received is None:
-                chunk = min(outputs.next_due(step), plan.steps, step + longest) - step
-                start, before = clock(), watch.seconds
-                integrator.step(chunk)
-                spent = clock() - start
-                longest = max(1, min(LONGEST_CHUNK, int(LONGEST_WAIT * chunk / spent)))
-                seconds += spent
-                force_seconds += watch.seconds - before
-                step += chunk
-                _write(outputs.due(step), context, outputs, guard)
-                show(step)
-            if outputs.saved_step != step:
-                _write(["checkpoint"], context, outputs, guard)
+        while step < plan.steps and requests.received is None:
+            chunk = min(outputs.next_due(step), plan.steps, step + longest) - step
+            start, before = clock(), watch.seconds
+            integrator.step(chunk)
+            spent = clock() - start
+            longest = max(1, min(LONGEST_CHUNK, int(LONGEST_WAIT * chunk / spent)))
+            seconds += spent
+            force_seconds += watch.seconds - before
+            step += chunk
+            _write(outputs.due(step), context, outputs, guard)
+            show(step)
+        if outputs.saved_step != step:
+            _write(["checkpoint"], context, outputs, guard)
+    if step < plan.steps and requests.received is not None:
+        by, where = signal_name(requests.received), _length(plan, step)
+        message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
+        raise Stopped(requests.received, message)
+    evaluations = integrator.forceEvaluations - evaluations
+    return summary.Cost(step - begun, seconds, force_seconds, evaluations, watch.calls, plan.dt / 1000)
+
+
+@contextmanager
+def _saying_how_to_go_on(context, plan: Plan, outputs: Outputs) -> Iterator[None]:
+    """Add to errors where they came, why they may have, and which checkpoint is left.
+
+    Raises:
+        Runaway, RunError: in place of errors of a runaway and of the operating system.
+    """
+    try:
+        yield
     except (openmm.OpenMMException, runaway.Runaway) as error:
         if not isinstance(error, runaway.Runaway) and not runaway.is_runaway(error):
             raise
@@ -244,16 +262,8 @@ def _advance(context, plan: Plan, outputs: Outputs, guard: runaway.Guard, reques
         kept = _kept(outputs, "--start begins a new run from it")
         raise runaway.Runaway(f"ran away at step {where}: {first_line(error)}; {cause}. {kept}") from error
     except OSError as error:
-        kept = _kept(outputs, "--restart goes on from it")
-        raise RunError(f"{error.filename}: {error.strerror}, at step {_length(plan, step)}. {kept}") from error
-    if step < plan.steps and requests.received is not None:
-        raise Stopped(
-            requests.received,
-            f"stopped by {signal_name(requests.received)} at step {_length(plan, step)}, all files are written; "
-            f"go on with --restart {outputs.checkpoint}",
-        )
-    evaluations = integrator.forceEvaluations - evaluations
-    return summary.Cost(step - begun, seconds, force_seconds, evaluations, watch.calls, plan.dt / 1000)
+        where, kept = _length(plan, context.getStepCount()), _kept(outputs, "--restart goes on from it")
+        raise RunError(f"{error.filename}: {error.strerror}, at step {where}. {kept}") from error
 
 
 def _write(due: list[str], context, outputs: Outputs, guard: runaway.Guard) -> None:
