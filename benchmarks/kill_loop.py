@@ -118,10 +118,10 @@ def killed_at(directory: Path, out: str, rng, early: bool, ensemble: str, name: 
     except subprocess.TimeoutExpired:
         process.kill()
         raise Lost(f"SIG{name} did not end the run within {PATIENCE:g} s") from None
-    # A signal that comes before the command handles it ends Python as it ends any program.
-    if number == signal.SIGKILL or (early and code == -number):
-        return
     message = (directory / "said.txt").read_text()
+    # A signal that comes before the command handles it ends Python as it ends any program; Ctrl-C is said by `main`.
+    if number == signal.SIGKILL or (early and (code == -number or "interrupted" in message)):
+        return
     if code != 128 + number or f"stopped by SIG{name}" not in message:
         raise Lost(f"SIG{name} ended the run with the code {code}: {message}")
     named = re.search(r"at step (\d+)", message)

@@ -70,7 +70,10 @@ def test_fast_change_stops_with_any_ensemble():
         for interval, expected in ((0.04, 0.84), (0.5, 1.0), (5.0, 5.0)):
             energies = -0.12 * KINETIC * interval * np.arange(100)
             assert follow(Guard(plan(ensemble), waters()), energies, interval) == pytest.approx(expected)
-        assert follow(Guard(plan(ensemble), waters()), 0.08 * KINETIC * 0.04 * np.arange(100)) is None
+    # 8 % a ps goes on, with a heat bath for ever, and at constant energy until half of K is passed.
+    for ensemble, interval, stopped in (("nve", 0.04, None), ("nvt", 0.04, None), ("npt", 5.0, None), ("nve", 5.0, 10)):
+        energies = 0.08 * KINETIC * interval * np.arange(100)
+        assert follow(Guard(plan(ensemble), waters()), energies, interval) == stopped
 
 
 def test_slow_change_stops_at_constant_energy_when_half_of_the_kinetic_energy_is_passed():
@@ -177,11 +180,11 @@ def test_other_errors_of_openmm_are_no_runaway(box, capsys, monkeypatch):
 # --- the warning in the table ---
 
 
-def fluctuating(rms, time=10.0, drift=0.0, walk=0.0):
+def fluctuating(rms, time=10.0, drift=0.0, walk=0.0, interval=0.04):
     """A made-up log: V of rms 60 kJ/mol and H of some rms, drift in 1/ps, and random walk in 1/sqrt(ps)."""
     rng = np.random.default_rng(3)
-    t = 0.04 * np.arange(round(time / 0.04) + 1)
-    walked = 0.2 * walk * np.cumsum(rng.normal(size=t.size))
+    t = interval * np.arange(round(time / interval) + 1)
+    walked = np.sqrt(interval) * walk * np.cumsum(rng.normal(size=t.size))
     H = rng.normal(0, rms, t.size) + drift * t + walked
     return {"time_ps": t, "conserved_kJ_per_mol": H, "potential_kJ_per_mol": rng.normal(-20000, 60, t.size)}
 
@@ -196,11 +199,12 @@ def fluctuating(rms, time=10.0, drift=0.0, walk=0.0):
         ("sier4g", fluctuating(0.015 * 60), True),
         # 0.005 kJ/mol/ps for 100 ns at 0.08 %: rms(H) is 144 kJ/mol, by drift alone.
         ("sier4g", fluctuating(0.0008 * 60, time=4000, drift=0.125), False),
+        ("sier4g", fluctuating(0.0008 * 60, time=4000, drift=0.125, interval=10), False),
         # SIER4G at 6 fs with a friction of 20/ps: 0.36 % after 3 ps.
         ("sier4g", fluctuating(0.0008 * 60, time=1000, walk=0.3), False),
         ("sier4g", fluctuating(1.0, time=0.2), False),
     ],
-    ids=["SIER2", "SIER2 long", "SIER4G", "SIER4G long", "drift", "bath", "few rows"],
+    ids=["SIER2", "SIER2 long", "SIER4G", "SIER4G long", "drift", "sparse drift", "bath", "few rows"],
 )
 def test_fluctuations_that_are_warned_about(scheme, log, warns):
     assert (runaway.fluctuation_warning(plan(scheme=scheme, dt=2.0), log) is not None) == warns
