@@ -176,10 +176,18 @@ def compare(directory: Path, one: str, two: str, steps: int) -> int:
         raise Lost(f"{one} and {two} differ, though their coordinates are the same")
     if logs[0] != logs[1] or logs[0].count(b"\n") != steps // ROWS + 2:
         raise Lost(f"the log of {one} is not that of {two}, or not all of it")
-    with h5py.File(directory / bodies_of(one)) as ours, h5py.File(directory / bodies_of(two)) as theirs:
-        if len(ours["step"]) != steps // BODIES or any(not np.array_equal(ours[key], theirs[key]) for key in theirs):
-            raise Lost(f"the body states of {one} are not those of {two}, or not all of them")
+    ours, theirs = (_datasets(directory / bodies_of(name)) for name in (one, two))
+    if len(ours["step"]) != steps // BODIES or any(not np.array_equal(ours[key], theirs[key]) for key in theirs):
+        raise Lost(f"the body states of {one} are not those of {two}, or not all of them")
     return steps // EVERY
+
+
+def _datasets(path: Path) -> dict[str, np.ndarray]:
+    """All datasets of an HDF5 file by name, those in groups too."""
+    found: dict[str, np.ndarray] = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+    return found
 
 
 def _content(path: Path) -> bytes:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from openmm import unit
 
 from openmm_sier.cli import records
-from openmm_sier.context.reporters import body_frame_values, create_datasets, frame_shapes
+from openmm_sier.context.body_states import body_frame_values, check_same, create_datasets, frame_shapes, import_extras
 from openmm_sier.dynamics.bodies import RigidBodies
 
 SUFFIX = ".h5"
@@ -20,25 +19,27 @@ CHUNK_BYTES = 2**24
 
 
 class BodyStates(records.GrowingFile):
-    """An HDF5 file as `BodyStateReporter` writes it.
+    """An HDF5 file as `openmm_sier.context.body_states` describes it, of centres that are continuous paths.
 
     An HDF5 file that is cut off while being written is lost, so that the frames are kept in a plain file beside it
     until the run ends. Both have all bits of the numbers: a finished file is taken apart again to be continued.
     """
 
-    def __init__(self, path: Path, bodies: RigidBodies, size: int = 0, count: int = 0):
+    def __init__(self, path: Path, bodies: RigidBodies, periodic: bool, size: int = 0, count: int = 0):
         """
         Args:
             path: of the HDF5 file.
             bodies: the rigid bodies.
+            periodic: whether there is a box.
             size: bytes of the plain file to keep.
             count: frames among them.
 
         Raises:
             RecordError: the file to continue is missing, or too short.
+            ValueError: it has another layout, or is of other bodies.
         """
-        self.target, self._bodies = path, bodies
-        shapes = frame_shapes(bodies.n).items()
+        self.target, self._bodies, self._periodic = path, bodies, periodic
+        shapes = frame_shapes(bodies.n, periodic).items()
         self._frame = np.dtype([(name, "<i8" if name == "step" else "<f8", shape) for name, shape in shapes])
         self._chunk = max(1, CHUNK_BYTES // self._frame.itemsize)
         frames = self._growing(path)
@@ -51,10 +52,12 @@ class BodyStates(records.GrowingFile):
     def write(self, context) -> None:
         """Append the bodies of a Context at its last completed step."""
         state = context.getState()
+        box = np.array(state.getPeriodicBoxVectors().value_in_unit(unit.nanometer)) if self._periodic else None
         values = body_frame_values(
             state.getStepCount(),
             state.getTime().value_in_unit(unit.picosecond),
             context.getIntegrator().getBodyState(),
+            box,
         )
         record = np.zeros((), self._frame)
         for name, value in values.items():
@@ -70,7 +73,7 @@ class BodyStates(records.GrowingFile):
         import h5py
 
         with h5py.File(path, "w", libver="earliest") as file:
-            create_datasets(file, self._bodies)
+            create_datasets(file, self._bodies, self._periodic)
             frames = np.memmap(self.path, self._frame, "r") if self.count else np.zeros(0, self._frame)
             for name in self._frame.names or ():
                 file[name].resize(self.count, axis=0)
@@ -84,6 +87,7 @@ class BodyStates(records.GrowingFile):
 
         temporary = records.unfinished(frames)
         with h5py.File(self.target, "r") as file, records.naming(frames), open(temporary, "wb") as out:
+            check_same(file, self.target, self._bodies, self._periodic)
             for first in range(0, len(file["step"]), self._chunk):
                 count = min(self._chunk, len(file["step"]) - first)
                 some = np.zeros(count, self._frame)
@@ -106,9 +110,9 @@ class BodyStates(records.GrowingFile):
         """Refuse a name or an installation that no such file can have.
 
         Raises:
-            RecordError: the name does not end in .h5, or a package is missing.
+            RecordError: the name does not end in .h5.
+            ModuleNotFoundError: h5py or scipy is missing.
         """
         if path.suffix != SUFFIX:
             raise records.RecordError(f"body states go to a file that ends in {SUFFIX}, got {path.name}")
-        if missing := [name for name in ("h5py", "scipy") if find_spec(name) is None]:
-            raise records.RecordError(f"body states need {' and '.join(missing)}: pip install 'openmm-sier[hdf5]'")
+        import_extras()

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from openmm import unit
 
-from openmm_sier.cli.summary import GRAMS_PER_CM3
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.cli.console import note, table
+from openmm_sier.context.conservation import density
+from openmm_sier.context.find_bodies import RigidBodies
+from openmm_sier.dynamics.bodies import Species
 from openmm_sier.measure.forcefields import Box, read_box
-from openmm_sier.studies.console import note, table
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
@@ -31,9 +32,8 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
         RigidityError: constraints make no rigid bodies, or a named residue cannot be one.
         ValueError: there is no residue of that name.
     """
-    positions = box.positions.value_in_unit(unit.nanometer)
     named = dict.fromkeys(rigid, "rigid") if rigid else None
-    return RigidBodies.from_system(box.system, box.topology, named, np.array(positions))
+    return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
 
 def info(path: Path, files: Sequence[str] | None = None, rigid: Sequence[str] | None = None) -> None:
@@ -53,7 +53,7 @@ def info(path: Path, files: Sequence[str] | None = None, rigid: Sequence[str] | 
     riders = _riders(box.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
     table(f"{path}, {' '.join(box.choice.files)} ({box.choice.reason})", COLUMNS, rows)
-    counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.degrees_of_freedom} degrees of freedom"
+    counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
     note(counts + _extent(box))
 
 
@@ -68,7 +68,7 @@ def _row(species: Species, atoms, riders: dict[int, list[int]]) -> list[str]:
         f"{species.mass:.4f}",
         " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",
         kind(species.moments),
-        str(species.degrees_of_freedom),
+        str(species.dof),
     ]
 
 
@@ -104,5 +104,4 @@ def _extent(box) -> str:
     edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
     masses = [box.system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(box.system.getNumParticles())]
     volume = abs(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer))))
-    density = sum(masses) / volume * GRAMS_PER_CM3
-    return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density:.3f} g/cm3"
+    return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density(sum(masses), volume):.3f} g/cm3"

@@ -34,8 +34,8 @@ RIGID_HELP = "names of residues that are rigid bodies of the geometry that they 
 
 FORCEFIELD_HELP = (
     "force-field files, OpenMM's or your own. Without it the file named in a record 'REMARK  99 FORCEFIELD file.xml' "
-    "of the PDB file, and without that the water model with the nearest geometry: tip3p.xml, spce.xml, tip4p.xml, "
-    "tip5p.xml or another"
+    "of the PDB file, and without that the water model whose geometry the file has, if that is one alone; else the "
+    "error says which to choose from"
 )
 
 
@@ -150,7 +150,11 @@ def _add_run(commands) -> argparse.ArgumentParser:
         "--temperature", metavar="K", type=_not_negative, help="default: 297, or that of the run of --start"
     )
     parser.add_argument(
-        "--equilibrate", metavar="PS", type=_not_negative, help="how long (default: 1, and not at all with --start)"
+        "--equilibrate",
+        metavar="PS",
+        type=_not_negative,
+        help="how long (default: until temperatures and potential energy have settled, 3 to 20; not at all with "
+        "--start)",
     )
     parser.add_argument(
         "--minimize",
@@ -231,9 +235,10 @@ def _add_paper(commands) -> argparse.ArgumentParser:
 
 
 def _paper(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import paper
 
-    paper.run(options.experiment, options.quick, options.out, options.seed)
+    paper.run(options.experiment, options.quick, options.out, options.seed, REPORT)
 
 
 # --- comparisons ---
@@ -295,14 +300,15 @@ def _add_equipartition(commands) -> argparse.ArgumentParser:
 
 
 def _equipartition(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import equipartition
 
     if options.pool:
         if options.box is not None:
             raise ValueError(f"--pool reads what earlier runs wrote: it takes no box, got {options.box}")
-        equipartition.pool(options.pool, options.out)
+        equipartition.pool(options.pool, options.out, REPORT)
     else:
-        equipartition.run(_settings(equipartition.Settings, options), options.out)
+        equipartition.run(_settings(equipartition.EquipartitionSettings, options), options.out, REPORT)
 
 
 def _add_schemes(commands) -> argparse.ArgumentParser:
@@ -323,9 +329,10 @@ def _add_schemes(commands) -> argparse.ArgumentParser:
 
 
 def _schemes(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import scheme_comparison
 
-    scheme_comparison.run(_settings(scheme_comparison.Settings, options), options.out)
+    scheme_comparison.run(_settings(scheme_comparison.SchemesSettings, options), options.out, REPORT)
 
 
 def _add_bench(commands) -> argparse.ArgumentParser:
@@ -348,9 +355,10 @@ def _add_bench(commands) -> argparse.ArgumentParser:
 
 
 def _bench(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import bench
 
-    bench.run(_settings(bench.Settings, options), options.out)
+    bench.run(_settings(bench.BenchSettings, options), options.out, REPORT)
 
 
 # --- values ---

@@ -12,9 +12,10 @@ from typing import Any
 import openmm
 from openmm import app, unit
 
-from openmm_sier.cli import records, summary
+from openmm_sier.cli import records
 from openmm_sier.cli.body_states import BodyStates
 from openmm_sier.cli.plan import Plan, RunError
+from openmm_sier.context import conservation
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure.forcefields import Box
 
@@ -24,6 +25,7 @@ def output_paths(plan: Plan, checkpoint: Path) -> dict[str, Path]:
 
     Raises:
         RecordError: a name has the wrong ending, or a package that its format needs is missing.
+        ModuleNotFoundError: a package that body states need is missing.
     """
     records.trajectory_format(Path(plan.out))
     paths = {"checkpoint": checkpoint, "trajectory": Path(plan.out), "log": Path(plan.report)}
@@ -120,11 +122,12 @@ class Outputs:
         topology = _subset(box.topology, box.listed)
         make = records.trajectory_format(out)
         self.trajectory = make(out, topology, plan.dt / 1000, every, **notes.get("trajectory", {}))
-        self.log = records.Log(Path(plan.report), summary.COLUMNS, **notes.get("log", {}))
+        self.log = records.Log(Path(plan.report), conservation.COLUMNS, **notes.get("log", {}))
         self._growing: dict[str, records.GrowingFile] = {"trajectory": self.trajectory, "log": self.log}
         self._intervals = {"frame": every, "row": plan.interval(plan.report_every)}
         if plan.bodies:
-            self.bodies = BodyStates(Path(plan.bodies), bodies, **notes.get("bodies", {}))
+            periodic = box.system.usesPeriodicBoundaryConditions()
+            self.bodies = BodyStates(Path(plan.bodies), bodies, periodic, **notes.get("bodies", {}))
             self._growing["bodies"] = self.bodies
             self._intervals["bodies"] = plan.interval(plan.bodies_every)
         self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
@@ -154,9 +157,11 @@ class Outputs:
         """
         writers: dict[str, Callable] = {
             "frame": lambda: self._write_frame(context),
-            "row": lambda: self.log.write([(values or {})[name] for name in summary.COLUMNS]),
+            "row": lambda: self.log.write([(values or {})[name] for name in conservation.COLUMNS]),
             "bodies": lambda: self.bodies.write(context),
-            "checkpoint": lambda: self._write_checkpoint(context, (values or {})["potential_kJ_per_mol"], start_energy),
+            "checkpoint": lambda: self._write_checkpoint(
+                context, (values or {})["Potential Energy (kJ/mole)"], start_energy
+            ),
         }
         due = set(due)
         for what, write in writers.items():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,34 +11,26 @@ import openmm
 from openmm import unit
 
 from openmm_sier.cli import records, runaway, summary
+from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
 from openmm_sier.cli.info import rigid_bodies
 from openmm_sier.cli.outputs import Outputs, check_outputs, output_paths
 from openmm_sier.cli.plan import Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
+from openmm_sier.context import conservation
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
+from openmm_sier.context.temperature import degrees_of_freedom
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box, describe, first_line, locate, read_box
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
-from openmm_sier.studies.console import StepProgress, clock, note, table
 
 #: Steps, and seconds that they may take, between two looks at temperatures and signals.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
 
 #: How far the energy of a checkpoint's positions may be from the one noted in it: platforms differ by single precision.
 ENERGY_TOLERANCE = 1e-4
-
-
-@dataclass(frozen=True)
-class _Preparation:
-    """How a new run begins, as `prepare` wants it."""
-
-    temperature: float
-    equilibrate: float
-    seed: int
-    platform: str | None
 
 
 def run(options: Options) -> None:
@@ -93,10 +84,11 @@ def _run(options: Options, requests: StopRequests) -> None:
             path.unlink(missing_ok=True)
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
     outputs = Outputs(plan, box, bodies, checkpoint, notes)
-    guard = runaway.Guard(plan, bodies, notes.get("start_energy"))
+    dof = degrees_of_freedom(bodies, context.getIntegrator().conservesMomentum)
+    guard = runaway.Guard(plan, dof, notes.get("start_energy"))
     cost = _advance(context, plan, outputs, guard, requests)
     outputs.finish()
-    _report(plan, outputs, cost, box)
+    _report(plan, outputs, cost)
     note(f"wrote {', '.join(str(path) for path in paths.values())}")
 
 
@@ -128,11 +120,10 @@ def _length(plan: Plan, steps: int) -> str:
     return f"{steps} ({steps * plan.dt / 1000:g} ps)"
 
 
-def _report(plan: Plan, outputs: Outputs, cost: summary.Cost, box: Box) -> None:
+def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
     log = outputs.log.read()
     warning = runaway.fluctuation_warning(plan, log)
-    rows = summary.conservation_rows(log, plan.ensemble != "nve")
-    rows += summary.density_rows(log, box.system) if plan.ensemble == "npt" else []
+    rows = summary.conservation_rows(log)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
     table(f"{plan.title}, {plan.steps * plan.dt / 1000:g} ps", ("", ""), rows + cost.rows())
 
@@ -160,10 +151,9 @@ def _begin(context, box: Box, state, options: Options, plan: Plan) -> None:
             raise RunError(f"{options.start} does not fit {options.box}: {first_line(error)}") from error
         note(f"starts from the positions, velocities and box of {options.start}")
     if options.equilibrates:
-        time = 1.0 if options.equilibrate is None else options.equilibrate
         minimize = options.minimize if state is None else bool(options.minimize)
         try:
-            prepare(context, positions, _Preparation(plan.temperature, time, plan.seed, options.platform), minimize)
+            prepare(context, positions, plan.temperature, plan.seed, options.equilibrate, minimize, REPORT)
         except openmm.OpenMMException as error:
             if not runaway.is_runaway(error):
                 raise
@@ -221,7 +211,7 @@ def _advance(context, plan: Plan, outputs: Outputs, guard: runaway.Guard, reques
     begun = step = context.getStepCount()
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
     evaluations, longest = integrator.forceEvaluations, 1
-    progress = StepProgress(CATALOGUE[plan.scheme].name, plan.steps, plan.dt / 1000, begun)
+    progress = ProgressBar(CATALOGUE[plan.scheme].name, plan.steps, plan.dt / 1000, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if not outputs.log.count:
             _write(["row", "checkpoint"], context, outputs, guard)
@@ -268,13 +258,12 @@ def _saying_how_to_go_on(context, plan: Plan, outputs: Outputs) -> Iterator[None
 
 def _write(due: list[str], context, outputs: Outputs, guard: runaway.Guard) -> None:
     """Write what is due after the bounds have been looked at."""
-    integrator = context.getIntegrator()
     values = None
     if "row" in due or "checkpoint" in due:
-        values = dict(zip(summary.COLUMNS, summary.row(context, integrator), strict=True))
+        values = dict(zip(conservation.COLUMNS, conservation.row(context), strict=True))
         guard.look(values)
     else:
-        guard.look_at_temperatures(*integrator.bodies.temperatures(integrator.getBodyState()))
+        guard.look_at_temperatures(*context.getIntegrator().computeTemperatures()[1:])
     outputs.write(due, context, values, guard.start)
 
 

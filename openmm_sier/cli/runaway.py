@@ -14,8 +14,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from openmm_sier.cli.plan import Plan, usual_step
-from openmm_sier.dynamics.bodies import NotFiniteError, RigidBodies
+from openmm_sier.context.temperature import DegreesOfFreedom
+from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.measure.observables import energy_error, number_of_windows
+from openmm_sier.measure.statistics import rms
 
 #: Exit code of a run that was stopped here.
 EXIT_CODE = 3
@@ -55,17 +58,16 @@ class Guard:
         start: H at the start of the run, kJ/mol; None before the first look.
     """
 
-    def __init__(self, plan: Plan, bodies: RigidBodies, start: float | None = None):
+    def __init__(self, plan: Plan, dof: DegreesOfFreedom, start: float | None = None):
         """
         Args:
             plan: of the run.
-            bodies: the rigid bodies.
+            dof: degrees of freedom that share the heat.
             start: H at the start of a run that is continued.
         """
         self.start = start
         self._plan = plan
-        freedoms = 3 * bodies.n, bodies.degrees_of_freedom - 3 * bodies.n
-        self._bounds = [max(HOTTEST, _by_chance(plan.temperature, number)) for number in freedoms]
+        self._bounds = [max(HOTTEST, _by_chance(plan.temperature, number)) for number in dof]
         self._recent: deque[tuple[float, float]] = deque()
         self._kinetic_sum, self._looks = 0.0, 0
 
@@ -75,11 +77,11 @@ class Guard:
         Raises:
             Runaway: one of them is passed.
         """
-        time, energy, kinetic = (values[name] for name in ("time_ps", "conserved_kJ_per_mol", "kinetic_kJ_per_mol"))
-        self.look_at_temperatures(values["T_trans_K"], values["T_rot_K"])
+        time, energy = values["Time (ps)"], values["Conserved Energy (kJ/mole)"]
+        self.look_at_temperatures(values["Translational Temperature (K)"], values["Rotational Temperature (K)"])
         if not math.isfinite(energy):
             raise Runaway("the energy is not finite")
-        self._kinetic_sum, self._looks = self._kinetic_sum + kinetic, self._looks + 1
+        self._kinetic_sum, self._looks = self._kinetic_sum + values["Kinetic Energy (kJ/mole)"], self._looks + 1
         typical = self._kinetic_sum / self._looks
         self.start = energy if self.start is None else self.start
         self._recent.append((time, energy))
@@ -142,33 +144,22 @@ def likely_cause(plan: Plan) -> str:
 def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None:
     """A warning where the energy fluctuates more than it does with the scheme's usual step; None where it does not.
 
-    Fluctuations are those about a straight line within windows of 1 ps, so that neither a slow drift nor the random
-    walk on which a heat bath sends the conserved energy counts.
+    H is taken about a straight line in each window, so that neither a slow drift nor the random walk on which a heat
+    bath sends it counts; see `energy_fluctuation`.
 
     Args:
         plan: of the run.
-        log: columns of it.
+        log: columns of it, see `openmm_sier.context.conservation.COLUMNS`.
     """
-    H, V, t = (log[name] for name in ("conserved_kJ_per_mol", "potential_kJ_per_mol", "time_ps"))
-    if len(t) < FEWEST_ROWS:
-        return None
-    rows = max(FEWEST_ROWS, round(WINDOW / (t[1] - t[0])))
-    windows = [slice(i, i + rows) for i in range(0, len(t) - rows + 1, rows)] or [slice(None)]
-    of_total = math.sqrt(np.mean([_around_line(t[window], H[window]) for window in windows]))
-    of_potential = math.sqrt(np.mean([V[window].var() for window in windows]))
+    t, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
     # Rounding to single precision tells nothing where the potential energy hardly changes.
-    if of_potential < 1e-6 * (1 + np.abs(V).mean()):
+    if len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
         return None
     bound = LARGEST_FLUCTUATION[2 if CATALOGUE[plan.scheme].order == 2 else 4]
     if plan.ensemble != "nve":
-        bound *= math.sqrt(max(1.0, (t[windows[0]][-1] - t[0]) / WINDOW))
-    found = of_total / of_potential
+        # The random walk goes further in the longer windows of sparse rows.
+        bound *= math.sqrt(max(1.0, (t[-1] - t[0]) / number_of_windows(t)))
+    found = energy_error(t, H, V)
     if found <= bound:
         return None
     return f"{100 * found:.2g} %, more than the {100 * bound:.2g} % of a good step; {likely_cause(plan)}"
-
-
-def _around_line(t: np.ndarray, values: np.ndarray) -> float:
-    """Mean square deviation from a straight line."""
-    line = np.polyval(np.polyfit(t - t.mean(), values, 1), t - t.mean())
-    return float(((values - line) ** 2).mean())

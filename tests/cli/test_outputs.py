@@ -12,7 +12,7 @@ import pytest
 
 from openmm_sier.cli import main, records
 from openmm_sier.measure import starts
-from tests.support.runs import SMALL, complaint, frames, write_lattice
+from tests.support.commands import SMALL, complaint, frames, write_lattice
 
 LIMIT = 120
 
@@ -33,7 +33,7 @@ def box(tmp_path, monkeypatch, lattice):
 @pytest.fixture
 def no_equilibration(monkeypatch):
     """Fails where something that could be refused at once is not."""
-    monkeypatch.setattr(starts, "thermalize", lambda *_: pytest.fail("the equilibration was begun"))
+    monkeypatch.setattr(starts, "equilibrate", lambda *_: pytest.fail("the equilibration was begun"))
 
 
 # --- inputs are not destroyed ---
@@ -228,9 +228,9 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
     notes = records.read_checkpoint(Path("box.chk"))[1]
     assert f"of step {notes['step']};" in message
     assert not list(Path().glob("*.tmp"))
-    # No half of a frame is left: of 3 numbers and 13 a molecule, or of a box and three times 81 numbers with marks.
+    # No half of a frame is left: of 12 numbers and 13 a molecule, or of a box and three times 81 numbers with marks.
     size = Path(name).stat().st_size
-    assert (size - 276) % (56 + 3 * (81 * 4 + 8)) == 0 if name == "box.dcd" else size % (8 * (3 + 27 * 13)) == 0
+    assert (size - 276) % (56 + 3 * (81 * 4 + 8)) == 0 if name == "box.dcd" else size % (8 * (12 + 27 * 13)) == 0
     more = notes["step"] + 5
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", str(more)]) == 0
     if name == "box.dcd":

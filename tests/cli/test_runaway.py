@@ -7,13 +7,13 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.cli import main, records, runaway, summary
+from openmm_sier.cli import main, records, runaway
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.runaway import Guard, Runaway
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.context import conservation
+from openmm_sier.context.temperature import DegreesOfFreedom
 from openmm_sier.measure import starts
-from tests.support.molecules import WATER, species
-from tests.support.runs import SMALL, complaint, frames, log, write_lattice
+from tests.support.commands import SMALL, complaint, frames, log, write_lattice
 
 #: kJ/mol, of the made-up runs: K of 500 waters at 297 K is 3700.
 KINETIC = 3700.0
@@ -33,12 +33,18 @@ def plan(ensemble="nve", **options):
     return new_plan(Options(Path("box.pdb"), ensemble=ensemble, **options))
 
 
-def waters(n=500):
-    return RigidBodies([species(WATER, np.arange(3 * n).reshape(n, 3))], 3 * n)
+#: Of 500 waters, where momentum is not conserved.
+WATERS = DegreesOfFreedom(1500, 1500)
 
 
 def row(time, energy, kinetic=KINETIC, T=297.0):
-    names = ("time_ps", "conserved_kJ_per_mol", "kinetic_kJ_per_mol", "T_trans_K", "T_rot_K")
+    names = (
+        "Time (ps)",
+        "Conserved Energy (kJ/mole)",
+        "Kinetic Energy (kJ/mole)",
+        "Translational Temperature (K)",
+        "Rotational Temperature (K)",
+    )
     return dict(zip(names, (time, energy, kinetic, T, T), strict=True))
 
 
@@ -59,9 +65,9 @@ def test_sane_runs_go_on():
     rng = np.random.default_rng(1)
     # SIER2 at 8 fs: rms(H) of 20 kJ/mol, and H drifts by 1.6 % of K in a ps for a while.
     noisy = rng.normal(0, 20, 1000) + np.minimum(60 * 0.04 * np.arange(1000), 300)
-    assert follow(Guard(plan(), waters()), noisy) is None
+    assert follow(Guard(plan(), WATERS), noisy) is None
     # With a heat bath 0.44 % of K in a ps, for ever: after 100 ns the sum is 400 times K.
-    assert follow(Guard(plan("nvt"), waters()), 16.0 * np.arange(100_000), interval=1.0) is None
+    assert follow(Guard(plan("nvt"), WATERS), 16.0 * np.arange(100_000), interval=1.0) is None
 
 
 def test_fast_change_stops_with_any_ensemble():
@@ -69,23 +75,23 @@ def test_fast_change_stops_with_any_ensemble():
         # 10 % of K in a ps is the bound, for rows of whatever distance; 12 % a ps comes to it after 0.833 ps.
         for interval, expected in ((0.04, 0.84), (0.5, 1.0), (5.0, 5.0)):
             energies = -0.12 * KINETIC * interval * np.arange(100)
-            assert follow(Guard(plan(ensemble), waters()), energies, interval) == pytest.approx(expected)
+            assert follow(Guard(plan(ensemble), WATERS), energies, interval) == pytest.approx(expected)
     # 8 % a ps goes on, with a heat bath for ever, and at constant energy until half of K is passed.
     for ensemble, interval, stopped in (("nve", 0.04, None), ("nvt", 0.04, None), ("npt", 5.0, None), ("nve", 5.0, 10)):
         energies = 0.08 * KINETIC * interval * np.arange(100)
-        assert follow(Guard(plan(ensemble), waters()), energies, interval) == stopped
+        assert follow(Guard(plan(ensemble), WATERS), energies, interval) == stopped
 
 
 def test_slow_change_stops_at_constant_energy_when_half_of_the_kinetic_energy_is_passed():
     slow = 0.05 * KINETIC * np.arange(50)
-    assert follow(Guard(plan(), waters()), slow, interval=1.0) == 11
-    assert follow(Guard(plan("nvt"), waters()), slow, interval=1.0) is None
+    assert follow(Guard(plan(), WATERS), slow, interval=1.0) == 11
+    assert follow(Guard(plan("nvt"), WATERS), slow, interval=1.0) is None
     # What was gained before a restart counts.
-    assert follow(Guard(plan(), waters(), start=-0.3 * KINETIC), slow, interval=1.0) == 5
+    assert follow(Guard(plan(), WATERS, start=-0.3 * KINETIC), slow, interval=1.0) == 5
 
 
 def test_temperatures_that_stop():
-    guard = Guard(plan(), waters())
+    guard = Guard(plan(), WATERS)
     guard.look(row(0, 0, T=2900))
     for T in (3100, math.inf):
         with pytest.raises(Runaway, match=r"T_trans is .* K, above 3000 K"):
@@ -93,13 +99,12 @@ def test_temperatures_that_stop():
     with pytest.raises(Runaway, match="not finite"):
         guard.look(row(0, math.nan))
     # Nothing that turns has no temperature.
-    Guard(plan(), waters()).look_at_temperatures(297, math.nan)
+    Guard(plan(), WATERS).look_at_temperatures(297, math.nan)
 
 
 def test_few_degrees_of_freedom_may_be_hot_by_chance():
     """Of 3 degrees of freedom at 297 K, 10^7 samples; the bound's own claim is a chance of e^-50."""
-    one = RigidBodies([Species.from_coordinates([[0]], [18.0], np.zeros((1, 3)))], 1)
-    guard = Guard(plan(), one)
+    guard = Guard(plan(), DegreesOfFreedom(3, 0))
     hottest = 297 * np.random.default_rng(2).chisquare(3, 10**7).max() / 3
     assert hottest > 3000
     guard.look_at_temperatures(hottest, math.nan)
@@ -109,7 +114,7 @@ def test_few_degrees_of_freedom_may_be_hot_by_chance():
 
 def test_start_at_rest_may_warm_up():
     """From 0 K the potential energy of a lattice becomes heat, and H is constant to the noise of single precision."""
-    guard = Guard(plan(temperature=0.0), waters())
+    guard = Guard(plan(temperature=0.0), WATERS)
     for i in range(100):
         guard.look(row(0.04 * i, -20_000 + 0.005 * (-1) ** i, kinetic=20.0 * i, T=6.0 * i))
 
@@ -125,32 +130,32 @@ def test_long_step_ends_with_its_code_and_a_good_checkpoint(box, capsys):
     rows, (_, notes) = log("box.csv"), records.read_checkpoint(Path("box.chk"))
     assert f"The last good checkpoint is box.chk, of step {notes['step']}; --start begins a new run" in message
     # Nothing that is out of bounds has got to a file.
-    H = rows["conserved_kJ_per_mol"]
-    assert np.abs(H - H[0]).max() < runaway.LARGEST * rows["kinetic_kJ_per_mol"].max()
-    assert rows["T_K"].max() < runaway.HOTTEST
-    assert notes["step"] in (rows["step"][-1], rows["step"][-1] + 1)
+    H = rows["Conserved Energy (kJ/mole)"]
+    assert np.abs(H - H[0]).max() < runaway.LARGEST * rows["Kinetic Energy (kJ/mole)"].max()
+    assert rows["Temperature (K)"].max() < runaway.HOTTEST
+    assert notes["step"] in (rows["Step"][-1], rows["Step"][-1] + 1)
     # The way on that the message names.
     again = ["run", str(box), "--start", "box.chk", "--out", "again.dcd", "--scheme", "sier2", "--dt", "2"]
     assert main.main([*again, "--steps", "20", "--platform", "Reference"]) == 0
 
 
-@pytest.mark.parametrize("column", ["conserved_kJ_per_mol", "T_trans_K"])
+@pytest.mark.parametrize("column", ["Conserved Energy (kJ/mole)", "Translational Temperature (K)"])
 def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatch, column):
     """Frames at every 5th step, rows at every 10th and checkpoints at every 25th; 50 is a step for all of them."""
-    honest = summary.row
+    honest = conservation.row
 
-    def run_away(context, integrator):
-        values = dict(zip(summary.COLUMNS, honest(context, integrator), strict=True))
+    def run_away(context):
+        values = dict(zip(conservation.COLUMNS, honest(context), strict=True))
         values[column] += 1e4 * (context.getStepCount() >= 50)
         return tuple(values.values())
 
-    monkeypatch.setattr(summary, "row", run_away)
+    monkeypatch.setattr(conservation, "row", run_away)
     message = complaint(capsys, "run", box, *SMALL, "--time", "0.4", code=runaway.EXIT_CODE)
     assert "of step 25" in message
     assert "4 fs is not above the 4 fs that is usual for SIER4" in message
     _, notes = records.read_checkpoint(Path("box.chk"))
     assert notes["step"] == 25
-    assert log("box.csv")["step"][-1] == 40
+    assert log("box.csv")["Step"][-1] == 40
     assert frames(Path("box.dcd"), box).n_frames == 9
 
 
@@ -163,7 +168,7 @@ def test_hot_bodies_stop_between_rows(box, capsys):
 
 
 def test_equilibration_that_breaks_down(box, capsys, monkeypatch):
-    monkeypatch.setattr(starts, "EQUILIBRATION_STEP", 0.2)
+    monkeypatch.setattr(starts, "STEP", 0.2)
     message = complaint(capsys, "run", box, *SMALL, "--equilibrate", "200", code=runaway.EXIT_CODE)
     assert "the equilibration broke down" in message
     assert not list(Path().iterdir())
@@ -186,7 +191,11 @@ def fluctuating(rms, time=10.0, drift=0.0, walk=0.0, interval=0.04):
     t = interval * np.arange(round(time / interval) + 1)
     walked = np.sqrt(interval) * walk * np.cumsum(rng.normal(size=t.size))
     H = rng.normal(0, rms, t.size) + drift * t + walked
-    return {"time_ps": t, "conserved_kJ_per_mol": H, "potential_kJ_per_mol": rng.normal(-20000, 60, t.size)}
+    return {
+        "Time (ps)": t,
+        "Conserved Energy (kJ/mole)": H,
+        "Potential Energy (kJ/mole)": rng.normal(-20000, 60, t.size),
+    }
 
 
 @pytest.mark.parametrize(

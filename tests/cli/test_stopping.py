@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main, outputs, records, run
-from tests.support.runs import SMALL, frames, log, wait_for, write_lattice
+from tests.support.commands import SMALL, datasets, frames, log, wait_for, write_lattice
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
 LIMIT = 120
@@ -112,11 +112,9 @@ def test_run_that_was_stopped_goes_on_bit_for_bit(box, monkeypatch):
     assert main.main([*options, "--restart", "cut.chk"]) == 0
     assert Path("cut.csv").read_bytes() == Path("whole.csv").read_bytes()
     np.testing.assert_array_equal(frames(Path("cut.dcd"), box).xyz, frames(Path("whole.dcd"), box).xyz)
-    h5py = pytest.importorskip("h5py")
-    with h5py.File("cut.h5") as ours, h5py.File("whole.h5") as theirs:
-        assert len(theirs["step"]) == 10
-        for name in theirs:
-            np.testing.assert_array_equal(ours[name], theirs[name], err_msg=name)
+    ours, theirs = datasets("cut.h5"), datasets("whole.h5")
+    assert len(theirs["step"]) == 10
+    np.testing.assert_equal(ours, theirs)
 
 
 def test_ignored_signals_stay_ignored(box, monkeypatch):
@@ -182,7 +180,7 @@ def test_signal_that_is_sent_twice_at_once_is_one(box):
     assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == step
     more = ["run", str(box), "--restart", "cut.chk", "--steps", str(step + 10), "--platform", "Reference"]
     assert main.main(more) == 0
-    np.testing.assert_array_equal(log("cut.csv")["step"], np.arange(0, step + 11, 10))
+    np.testing.assert_array_equal(log("cut.csv")["Step"], np.arange(0, step + 11, 10))
 
 
 def test_closed_terminal(box):
@@ -202,7 +200,7 @@ def test_closed_terminal(box):
         time.sleep(0.05)
     assert os.waitstatus_to_exitcode(status[1]) == 129
     # Nothing was written after this checkpoint.
-    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] >= log("cut.csv")["step"][-1]
+    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] >= log("cut.csv")["Step"][-1]
 
 
 def test_stopped_writing_of_a_frame_is_completed(box, monkeypatch):

@@ -8,7 +8,15 @@ import pytest
 from openmm import app, unit
 
 import openmm_sier
-from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERIntegrator
+from openmm_sier import (
+    SIER2,
+    SIER4,
+    SIER2Integrator,
+    SIER4Integrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+)
+from tests.support.integrators import constrained_velocity_verlet
 from tests.support.waters import (
     cluster_system,
     context_at,
@@ -75,21 +83,6 @@ def test_force_evaluations_a_step(box, make, evaluations):
         integrator.step(count)
     # One more at the very start; no more where `step` is called again.
     assert integrator.forceEvaluations == 5 * evaluations + 1
-
-
-def constrained_velocity_verlet(h):
-    """The peer that starts from the same phase point: RATTLE as a CustomIntegrator (OpenMM's documentation)."""
-    verlet = openmm.CustomIntegrator(h)
-    verlet.addPerDofVariable("x1", 0)
-    verlet.addUpdateContextState()
-    verlet.addComputePerDof("v", "v+0.5*dt*f/m")
-    verlet.addComputePerDof("x", "x+dt*v")
-    verlet.addComputePerDof("x1", "x")
-    verlet.addConstrainPositions()
-    verlet.addComputePerDof("v", "v+0.5*dt*f/m+(x-x1)/dt")
-    verlet.addConstrainVelocities()
-    verlet.setConstraintTolerance(1e-10)
-    return verlet
 
 
 def test_agrees_with_constrained_velocity_verlet_as_the_step_shrinks(cluster):
@@ -381,7 +374,7 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
     assert rows["Step"].tolist() == [5, 10, 15, 20]
     integrator = simulation.integrator
     translation, rotation = integrator.bodies.kinetic_energies(integrator.getBodyState())
-    freedoms = integrator.bodies.degrees_of_freedom - 3
+    freedoms = integrator.bodies.dof - 3
     temperature = 2 * (translation + rotation) / (freedoms * openmm_sier.dynamics.bodies.GAS_CONSTANT)
     # The reporter counts degrees of freedom from particles and constraints, and writes 16 digits.
     assert rows["Temperature_K"][-1] == pytest.approx(temperature, rel=1e-9)
@@ -425,7 +418,7 @@ def test_impossible_step_counts(cluster, steps):
     assert context.getStepCount() == 0
 
 
-@pytest.mark.parametrize("size", [0, -0.001, float("nan"), float("inf"), "long", 1 * unit.nanometer])
+@pytest.mark.parametrize("size", [-0.001, float("nan"), float("inf"), "long", 1 * unit.nanometer])
 def test_impossible_step_sizes(size):
     with pytest.raises((ValueError, TypeError), match="stepSize"):
         SIER2Integrator(size)
@@ -433,6 +426,22 @@ def test_impossible_step_sizes(size):
     with pytest.raises((ValueError, TypeError), match="stepSize"):
         integrator.setStepSize(size)
     assert integrator.getStepSize() == 0.001 * unit.picosecond
+
+
+@pytest.mark.parametrize("make", [lambda: SIER2Integrator(0), lambda: SIERLangevinIntegrator(300, 1, 0)])
+def test_a_step_of_zero_moves_nothing(cluster, make):
+    """OpenMM's users give it to the integrators of Contexts that only evaluate forces."""
+    system, point = cluster
+    integrator = make()
+    context = context_at(system, integrator, point)
+    assert np.isfinite(energies(context)).all()
+    before = integrator.getBodyState()
+    integrator.step(3)
+    # The atoms are placed anew on their bodies: SETTLE left them up to 5e-9 nm off.
+    assert phase_point(context)[0] == pytest.approx(point[0], abs=1e-8)
+    after = integrator.getBodyState()
+    assert all(np.array_equal(getattr(after, name), getattr(before, name)) for name in "qpL")
+    assert (context.getStepCount(), context.getTime()) == (3, 0 * unit.picosecond)
 
 
 def test_scheme_must_be_a_scheme():
