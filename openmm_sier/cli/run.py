@@ -124,6 +124,7 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
     log = outputs.log.read()
     warning = runaway.fluctuation_warning(plan, log)
     rows = summary.conservation_rows(log)
+    rows += summary.density_rows(log) if plan.ensemble == "npt" else []
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
     table(f"{plan.title}, {plan.steps * plan.dt / 1000:g} ps", ("", ""), rows + cost.rows())
 
