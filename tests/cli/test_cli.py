@@ -49,6 +49,7 @@ def frames_in_header(path):
 # --- a run ---
 
 
+@pytest.mark.slow
 def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--scheme", "sier2"]) == 0
     out = capsys.readouterr().out
@@ -76,6 +77,7 @@ def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
     assert Path("box.chk").exists()
 
 
+@pytest.mark.slow
 def test_run_conserves_energy_and_momentum(whole_run):
     rows = log(whole_run / "whole.csv")
     H, V = rows["Total Energy (kJ/mole)"], rows["Potential Energy (kJ/mole)"]
@@ -97,6 +99,7 @@ def test_temperatures_are_those_of_the_atoms(whole_run, box):
     np.testing.assert_allclose(parts * R / 2, K, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_start_with_overlaps_is_minimized_and_others_are_not(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--steps", "1", "--out", "first.dcd"]) == 0
     assert "minimized" not in capsys.readouterr().out
@@ -110,6 +113,7 @@ def test_start_with_overlaps_is_minimized_and_others_are_not(box, capsys):
     assert "minimized: the largest force" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_trajectory_has_the_atoms_of_the_pdb_file_for_a_model_with_virtual_sites(capsys):
     box = write_lattice(Path("four.pdb"), file="tip4p.xml")
     assert main.main(["run", str(box), *SMALL, "--time", "0.04"]) == 0
@@ -129,6 +133,7 @@ def test_one_molecule_without_a_box_tumbles_freely(capsys):
     assert rows["Total Energy (kJ/mole)"][0] > 0
 
 
+@pytest.mark.slow
 def test_same_seed_same_trajectory_and_another_seed_another(box, whole_run):
     for seed, same in (("1", True), ("2", False)):
         assert main.main(["run", str(box), *SMALL, "--time", "0.04", "--seed", seed, "--out", f"{seed}.dcd"]) == 0
@@ -137,6 +142,7 @@ def test_same_seed_same_trajectory_and_another_seed_another(box, whole_run):
         assert (np.abs(ours - theirs).max() < 1e-5) == same
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".xtc", ".h5"])
 def test_formats_hold_the_same_frames(box, whole_run, suffix):
     out = Path("same").with_suffix(suffix)
@@ -227,6 +233,7 @@ sys.exit(main.main(arguments))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "place", "after", "checkpoint", "left"),
     [
@@ -265,6 +272,7 @@ def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
     np.testing.assert_allclose(rows["Potential Energy (kJ/mole)"], all_rows["Potential Energy (kJ/mole)"], rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".dcd", ".xtc", ".h5"])
 def test_what_was_written_after_the_checkpoint_is_cut_off(box, suffix):
     """The killed run had 13 frames, the checkpoint at step 50 has 10; the two steps from there write nothing."""
@@ -280,6 +288,7 @@ def test_what_was_written_after_the_checkpoint_is_cut_off(box, suffix):
         assert frames_in_header(out) == 10
 
 
+@pytest.mark.slow
 def test_killed_when_nothing_but_the_hdf5_file_is_missing(box, whole_run):
     command = ["run", str(box), *SMALL, "--time", "0.4", "--out", "cut.h5"]
     killed = subprocess.run([sys.executable, "-c", KILLER, "end", "0", *command], capture_output=True, check=False)
@@ -291,6 +300,7 @@ def test_killed_when_nothing_but_the_hdf5_file_is_missing(box, whole_run):
     assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.h5"]
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_again_and_again(tmp_path):
     """What benchmarks/kill_loop.py does fifty times: not a bit may differ from a run that nothing disturbed."""
     met = load_program("benchmarks/kill_loop.py").kill_loop(tmp_path, ".dcd", kills=3, signals=("KILL", "TERM"))
@@ -299,6 +309,7 @@ def test_killed_at_random_moments_again_and_again(tmp_path):
     assert met["frames"] == met["steps"] // 4
 
 
+@pytest.mark.slow
 def test_killed_from_outside_and_continued(box):
     command = [sys.executable, "-m", "openmm_sier.cli", "run", str(box), *SMALL, "--out", "cut.dcd"]
     process = subprocess.Popen([*command, "--time", "1000"], stdout=subprocess.DEVNULL)
@@ -313,6 +324,7 @@ def test_killed_from_outside_and_continued(box):
     np.testing.assert_array_equal(log("cut.csv")["Step"], np.arange(0, step + 26, 10))
 
 
+@pytest.mark.slow
 def test_finished_run_goes_on_with_more_time(box, whole_run):
     half = ["run", str(box), *SMALL, "--out", "two.dcd"]
     assert main.main([*half, "--steps", "45"]) == 0
@@ -322,6 +334,7 @@ def test_finished_run_goes_on_with_more_time(box, whole_run):
     assert frames_in_header(Path("two.dcd")) == FRAMES
 
 
+@pytest.mark.slow
 def test_run_can_be_moved_to_another_directory_and_continued(box):
     Path("there").mkdir()
     Path("moved").mkdir()
@@ -334,6 +347,7 @@ def test_run_can_be_moved_to_another_directory_and_continued(box):
     assert frames(Path("moved/a.dcd"), box).n_frames == 8
 
 
+@pytest.mark.slow
 def test_failed_checkpoint_leaves_the_old_one(box, monkeypatch):
     assert main.main(["run", str(box), *SMALL, "--steps", "20", "--out", "a.dcd"]) == 0
     before = Path("a.chk").read_bytes()
@@ -375,6 +389,7 @@ def test_continuation_with_another_force_field_is_refused(whole_run, box, capsys
     assert "another system or force field" in complaint(capsys, *command)
 
 
+@pytest.mark.slow
 def test_continuation_of_a_shortened_trajectory_is_refused(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--steps", "20", "--out", "a.dcd"]) == 0
     os.truncate("a.dcd", 3000)
@@ -383,6 +398,7 @@ def test_continuation_of_a_shortened_trajectory_is_refused(box, capsys):
     assert "a.dcd has 3000 bytes, fewer than" in complaint(capsys, *again)
 
 
+@pytest.mark.slow
 def test_files_of_an_earlier_run_are_kept_unless_overwriting_is_allowed(box, capsys):
     Path("a.csv").write_text("mine\n")
     command = ["run", str(box), *SMALL, "--steps", "5", "--out", "a.dcd"]
