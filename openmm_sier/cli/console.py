@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 
 try:
@@ -25,9 +25,19 @@ SECONDS_PER_DAY = 86400.0
 LINE_AFTER = 30.0
 
 
+@contextmanager
+def _standard_output() -> Iterator[None]:
+    """Errors name it, when it goes to a full disk for instance."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, "standard output") from error
+
+
 def note(message: str) -> None:
     """A line about what is being done."""
-    print(message, flush=True)
+    with _standard_output():
+        print(message, flush=True)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
@@ -38,7 +48,8 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
     for row in rows:
         made.add_row(*row)
     # Lines are as long as they have to be where they go to a file.
-    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
+    with _standard_output():
+        Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 
 
 class _Amount(ProgressColumn):

@@ -54,7 +54,7 @@ def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     """
     time, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
     momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
-    rows = [
+    return [
         ("drift of the conserved energy H", _value(*energy_drift(time, H), "kJ/mol/ps", "+.3g", ".1g")),
         ("fluctuation rms(H)", _value(energy_fluctuation(time, H), math.nan, "kJ/mol")),
         ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), math.nan, "%")),
@@ -62,9 +62,11 @@ def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
         ("T_rot", _value(*mean_and_error(log["Rotational Temperature (K)"]), "K", ".1f", ".1f")),
         ("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"),
     ]
-    if np.ptp(log["Box Volume (nm^3)"]) > 0:
-        rows.append(("density", _value(*mean_and_error(log["Density (g/mL)"]), "g/ml", ".4f", ".4f")))
-    return rows
+
+
+def density_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    """The density, for the table at the end of a run at constant pressure; the argument is as above."""
+    return [("density", _value(*mean_and_error(log["Density (g/mL)"]), "g/ml", ".4f", ".4f"))]
 
 
 def _value(value: float, error: float, unit: str, form: str = ".3g", error_form: str = ".1g") -> str:

@@ -134,7 +134,7 @@ class BodyStateFile:
         self._file = h5py.File(path, "r+" if append else "w", libver="earliest")
         if append:
             try:
-                _check_same(self._file, Path(path), bodies, _wrapping(periodic, unwrapped))
+                check_same(self._file, Path(path), bodies, periodic, unwrapped)
             except BaseException:
                 self._file.close()
                 raise
@@ -158,13 +158,18 @@ class BodyStateFile:
         self._file.close()
 
 
-def _check_same(file, path: Path, bodies: RigidBodies, wrapping: str) -> None:
-    """Refuse a file to which frames of these bodies cannot be appended."""
+def check_same(file, path: Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
+    """Refuse a file to which frames of these bodies cannot be appended.
+
+    Raises:
+        ValueError: the file has another layout or wrapping, or is of other bodies.
+    """
     layout = file.attrs.get("layout")
     if layout != LAYOUT:
         raise ValueError(f"{path} cannot be continued: it has body states in layout {layout}, expected {LAYOUT}")
     if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
         raise ValueError(f"{path} cannot be continued: its {len(file['masses'])} bodies are not those of this System")
+    wrapping = _wrapping(periodic, unwrapped)
     if (there := file["q"].attrs["wrapped"]) != wrapping:
         raise ValueError(f"{path} cannot be continued: its centres are wrapped: {there}, expected: {wrapping}")
 

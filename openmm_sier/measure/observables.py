@@ -18,6 +18,11 @@ WINDOW = 1.0
 LEAST = 8
 
 
+def number_of_windows(time, window: float = WINDOW) -> int:
+    """Into how many windows of about this length in ps times (n,) are divided, each with `LEAST` of them or more."""
+    return max(1, min(round((time[-1] - time[0]) / window), len(time) // LEAST))
+
+
 def energy_fluctuation(time, total, window: float | None = WINDOW) -> float:
     """rms(H) in kJ/mol.
 
@@ -36,9 +41,9 @@ def energy_fluctuation(time, total, window: float | None = WINDOW) -> float:
     if window is None:
         return rms(total)
     time, total = np.asarray(time, dtype=float), np.asarray(total, dtype=float)
-    windows = max(1, min(round((time[-1] - time[0]) / window), len(total) // LEAST))
+    number = number_of_windows(time, window)
     rest = []
-    for x, y in zip(np.array_split(time, windows), np.array_split(total, windows), strict=True):
+    for x, y in zip(np.array_split(time, number), np.array_split(total, number), strict=True):
         x = x - x.mean()
         rest.append(y - np.polyval(np.polyfit(x, y, 1), x))
     return rms(np.concatenate(rest))

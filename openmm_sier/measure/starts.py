@@ -184,11 +184,13 @@ def equilibrate(
     integrator = bath.getIntegrator()
     dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
     steps = round((LONGEST if time is None else time) / STEP)
+    # Windows of nearly equal length, that none counts for more than it knows.
+    each = math.ceil(steps / max(1, round(steps * STEP / WINDOW)))
     windows: list[_Window] = []
     done, settled = 0, False
     with report.progress(f"equilibration at {temperature:g} K", steps, STEP) as advance:
         while done < steps and not (settled and time is None):
-            length = min(round(WINDOW / STEP), steps - done)
+            length = min(each, steps - done)
             windows.append(_window(bath, length, lambda taken, before=done: advance(before + taken)))
             done += length
             settled = _has_settled(windows, temperature, dof)
@@ -253,7 +255,8 @@ def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time:
         return
     pairs = [("T_trans", found.translation, dof[0]), ("T_rot", found.rotation, dof[1])]
     shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in pairs if n]
-    message = f"{found.time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {2 * WINDOW:g} ps"
+    averaged = min(2 * WINDOW, found.time)
+    message = f"{found.time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {averaged:.2g} ps"
     if time is None and not found.settled:
         warnings.warn(
             f"not equilibrated after {message}; the potential energy still changes or a temperature is out of bounds. "

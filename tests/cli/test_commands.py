@@ -23,6 +23,7 @@ def directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ensemble", [["nvt"], ["npt", "--pressure", "-500"]], ids=["NVT", "NPT"])
 def test_heat_bath_and_piston_are_restarted_bit_for_bit(box, ensemble):
     options = [*SMALL, "--ensemble", *ensemble, "--scheme", "sier2", "--dt", "2", "--friction", "5", "--seed", "3"]
@@ -36,6 +37,7 @@ def test_heat_bath_and_piston_are_restarted_bit_for_bit(box, ensemble):
     assert np.ptp(whole["Total Energy (kJ/mole)"]) > 10 * np.ptp(whole["Conserved Energy (kJ/mole)"])
 
 
+@pytest.mark.slow
 def test_constant_pressure_changes_the_box(box):
     run("run", box, *SMALL, "--ensemble", "npt", "--pressure", "-500", "--time", "0.4", "--scheme", "auto")
     volumes = log("box.csv")["Box Volume (nm^3)"]
@@ -53,6 +55,7 @@ def test_options_of_another_ensemble(capsys, box, arguments, message):
     assert message in complaint(capsys, "run", str(box), *arguments)
 
 
+@pytest.mark.slow
 def test_restart_keeps_the_ensemble(capsys, box):
     run("run", box, *SMALL, "--steps", "10")
     assert "--ensemble nvt differs from nve" in complaint(
@@ -60,6 +63,7 @@ def test_restart_keeps_the_ensemble(capsys, box):
     )
 
 
+@pytest.mark.slow
 def test_equipartition_in_miniature(box, capsys, monkeypatch):
     monkeypatch.setattr(equipartition, "SETTLING", 0.02)
     run(
@@ -105,6 +109,7 @@ def test_replicas_are_pooled_by_their_lengths():
     assert equipartition.pooled([row(1.0, 0.3, 30.0), broken]) == [broken]
 
 
+@pytest.mark.slow
 def test_equipartition_pools_directories(box, capsys, monkeypatch):
     monkeypatch.setattr(equipartition, "SETTLING", 0.02)
     short = ("--dt", "2", "--methods", "sier2", "--time", "0.1", "--equilibrate", "0.02", "--platform", "Reference")
@@ -126,6 +131,7 @@ def test_equipartition_pools_directories(box, capsys, monkeypatch):
     assert not Path("no").exists()
 
 
+@pytest.mark.slow
 def test_short_times_give_one_sample(box, monkeypatch):
     monkeypatch.setattr(equipartition, "SETTLING", 0.002)
     short = ("--dt", "2", "--methods", "sier2", "--time", "0.004", "--equilibrate", "0.02", "--platform", "Reference")

@@ -329,6 +329,7 @@ def test_velocities_to_temperature_have_it(kind, constrained):
     assert integrator.computeSystemTemperature()._value == pytest.approx(300.0, abs=70)
 
 
+@pytest.mark.slow
 def test_rigidity_after_a_hundred_thousand_steps():
     """Distances are those of the reference geometry as long as the attitudes are orthogonal, which nothing renews."""
     system, named, positions = openmm.System(), [], []

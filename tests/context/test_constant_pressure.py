@@ -51,6 +51,7 @@ def nitrogen(n=60, edge=1.65):
     return system, (lattice[:, None] + np.array([[0, 0, 0], [0.11, 0, 0]])).reshape(-1, 3)
 
 
+@pytest.mark.slow
 def test_volume_is_that_of_openmms_barostat():
     """A dense fluid at 150 K and 800 bar, less than half as dense without its energy.
 
@@ -80,6 +81,7 @@ def test_volume_is_that_of_openmms_barostat():
 # --- in a Context -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_energy_less_heat_is_conserved(box):
     """Moves of the box and the bath change the energy by 24 kJ/mol; what second order leaves is 1.3.
 

@@ -84,6 +84,7 @@ def assert_at(context, trajectory):
     return step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [Fault, KeyboardInterrupt])
 @pytest.mark.parametrize(
     "make",
@@ -110,6 +111,7 @@ def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
     assert reached == {0, 1, 2}
 
 
+@pytest.mark.slow
 def test_a_fault_at_any_line_at_constant_pressure():
     """The box is that of the completed step too, though each step changes it, or tries to."""
     topology, positions, system = periodic_system(molecules=27)
@@ -130,6 +132,7 @@ def test_a_fault_at_any_line_at_constant_pressure():
     test_a_fault_at_any_line_leaves_a_completed_step((topology, system, point), make, Fault)
 
 
+@pytest.mark.slow
 def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     """Three threads place atoms and sum forces: none may write any more when the last completed step is written."""
     shared = []
@@ -149,6 +152,7 @@ def after_new_positions(context, saved, positions):
     context.setPositions(positions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [after_a_checkpoint, after_new_positions])
 def test_a_fault_while_the_context_is_read(cluster, change):
     _, system, point = cluster
@@ -197,6 +201,7 @@ def crowded_start(system, positions):
     return phase_point(context)
 
 
+@pytest.mark.slow
 def test_a_fault_at_any_line_with_a_barostat():
     system, positions = crowded_system()
     point = crowded_start(system, positions)
@@ -351,6 +356,7 @@ def test_positions_and_velocities_that_are_not_finite(cluster, what, error, valu
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-14
 
 
+@pytest.mark.slow
 def test_position_that_is_not_finite_is_not_written(cluster):
     """In a scheme that ends with a drift no force would show it."""
     _, system, point = cluster
@@ -372,6 +378,7 @@ def test_position_that_is_not_finite_is_not_written(cluster):
     assert np.array_equal(phase_point(context)[0], before[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Reference", "CPU"])
 @pytest.mark.parametrize("scheme", [SIER2, SIER4], ids=lambda s: s.name)
 def test_step_that_is_much_too_long(name, scheme):

@@ -16,6 +16,7 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.integrators import constrained_velocity_verlet
 from tests.support.waters import (
     cluster_system,
@@ -41,6 +42,7 @@ def box():
     return topology, system, relaxed(topology, positions, system)
 
 
+@pytest.mark.slow
 def test_isolated_cluster_conserves_momentum_and_angular_momentum(cluster):
     system, point = cluster
     integrator = SIER2Integrator(0.001)
@@ -74,6 +76,7 @@ def test_reversed_momenta_lead_back(cluster, make):
     assert np.abs(end[1] + start[1]).max() < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "evaluations"), [(SIER2Integrator, 1), (SIER4Integrator, 4)])
 def test_force_evaluations_a_step(box, make, evaluations):
     _, system, point = box
@@ -346,6 +349,7 @@ def test_andersen_thermostat_acts(box):
     assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p", "ions"])
 def test_stock_simulation_with_stock_reporters(tmp_path, model):
     mdtraj = pytest.importorskip("mdtraj")
@@ -375,7 +379,7 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
     integrator = simulation.integrator
     translation, rotation = integrator.bodies.kinetic_energies(integrator.getBodyState())
     freedoms = integrator.bodies.dof - 3
-    temperature = 2 * (translation + rotation) / (freedoms * openmm_sier.dynamics.bodies.GAS_CONSTANT)
+    temperature = 2 * (translation + rotation) / (freedoms * GAS_CONSTANT)
     # The reporter counts degrees of freedom from particles and constraints, and writes 16 digits.
     assert rows["Temperature_K"][-1] == pytest.approx(temperature, rel=1e-9)
     assert mdtraj.load(str(tmp_path / "t.h5")).n_frames == 4
@@ -449,6 +453,7 @@ def test_scheme_must_be_a_scheme():
         SIERIntegrator(0.001, "sier2")
 
 
+@pytest.mark.slow
 @every_barostat
 def test_barostats_need_no_velocities(box, barostat):
     """Where barostats alone act on the Context, it is read back only after they did: to the bit the same trajectory.

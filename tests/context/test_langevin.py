@@ -67,6 +67,7 @@ def test_chunks_of_steps_do_not_matter(cluster, make):
         assert np.array_equal(end[1], ends[0][1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", [SIER2, SIER4], ids=lambda s: s.name)
 def test_energy_less_heat_is_conserved(cluster, scheme):
     system, point = cluster
@@ -145,6 +146,7 @@ def test_impossible_settings(arguments, name):
         SIERLangevinIntegrator(*arguments)
 
 
+@pytest.mark.slow
 def test_temperature_of_a_box():
     topology, positions, system = periodic_system()
     integrator = thermostat(0.004, 20.0, SIER4)

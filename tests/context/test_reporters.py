@@ -34,6 +34,7 @@ def simulation_at(box, integrator):
     return simulation_of(topology, system, integrator, "CPU", point)
 
 
+@pytest.mark.slow
 def test_conservation_report(tmp_path, box):
     integrator = SIERLangevinIntegrator(297, 5, 0.001, scheme=SIER2)
     simulation = simulation_at(box, integrator)
@@ -236,6 +237,7 @@ def test_body_states_are_continued(tmp_path, box):
         other.step(1)
 
 
+@pytest.mark.slow
 def test_body_states_survive_a_kill(tmp_path):
     path = tmp_path / "bodies.h5"
     with subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, cwd=os.getcwd()) as run:

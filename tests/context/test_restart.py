@@ -76,6 +76,7 @@ def test_restart_needs_the_stored_state(cluster):
     assert 0 < difference < 1e-12
 
 
+@pytest.mark.slow
 @every_integrator
 def test_restart_of_a_periodic_box(tmp_path, box, make):
     topology, system, point = box
@@ -94,6 +95,7 @@ def test_restart_of_a_periodic_box(tmp_path, box, make):
 ON_A_BOX = {**MAKERS, "SIER4 NPT": lambda: langevin(SIER4, pressure=1e3, barostatInterval=4)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", ON_A_BOX.values(), ids=ON_A_BOX.keys())
 @pytest.mark.parametrize(("save", "load"), WAYS, ids=lambda value: getattr(value, "__name__", value))
 def test_restart_on_the_cpu_platform_with_a_cutoff(tmp_path, box, make, save, load):
@@ -520,6 +522,7 @@ def chiral_system(constrained):
     return system, named, np.concatenate(positions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constrained", [False, True], ids=["named", "constrained"])
 @pytest.mark.parametrize("way", ["checkpoint", "state"])
 def test_geometry_from_positions_is_stored_too(constrained, way):

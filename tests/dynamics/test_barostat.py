@@ -35,6 +35,7 @@ def volumes(n, moves, energy, centres):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_ideal_gas(rng):
     """p(V) ~ V^n exp(-PV/kT): mean (n + 1) kT/P, and a variance of n + 1 of its squares.
 
@@ -47,6 +48,7 @@ def test_ideal_gas(rng):
     assert found.var() * (PRESSURE / KT) ** 2 == pytest.approx(n + 1, rel=0.15)
 
 
+@pytest.mark.slow
 def test_points_held_by_springs(rng):
     """p(q, V) ~ exp(-(PV + kq^2/2)/kT): the volume does not matter to the points, and has the mean kT/P.
 

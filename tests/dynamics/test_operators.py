@@ -103,6 +103,7 @@ def test_a_step_of_two_waters_is_symplectic(rng, pair, scheme, h):
     assert symplectic_defect(lambda s: run(pair, scheme, s, h, 1), state) < SYMPLECTIC
 
 
+@pytest.mark.slow
 def test_the_form_is_that_of_the_exact_flow(rng, pair):
     """The true motion keeps the form, interacting or free; with the sign of the last term changed it does not."""
     state = pair.start(rng)
@@ -149,6 +150,7 @@ def test_time_reversal(rng, mixture, scheme, h):
     assert distance(run(mixture, scheme, there, -h, 50), start) < 1e-11
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", [SIER2, SIER4])
 def test_momentum_and_angular_momentum_are_constant(rng, mixture, scheme):
     start = mixture.start(rng)

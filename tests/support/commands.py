@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import time
 from pathlib import Path
 
+import mdtraj
 import numpy as np
 import pytest
 from openmm import unit
@@ -15,7 +17,6 @@ from openmm_sier.context import conservation
 from openmm_sier.measure import forcefields
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
-
 
 SMALL = ["--platform", "Reference", "--equilibrate", "0.1", "--every", "0.02", "--checkpoint-every", "0.1"]
 
@@ -44,8 +45,20 @@ def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
     return path
 
 
+def frames(path, box):
+    return mdtraj.load(str(path)) if path.suffix == ".h5" else mdtraj.load(str(path), top=str(box))
+
+
 def log(path):
     return records.Log(Path(path), conservation.COLUMNS, Path(path).stat().st_size).read()
+
+
+def datasets(path):
+    """All datasets of an HDF5 file by name, those in groups too."""
+    found = {}
+    with pytest.importorskip("h5py").File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]} if hasattr(item, "shape") else {}))
+    return found
 
 
 def complaint(capsys, *arguments, code=1):
@@ -56,7 +69,9 @@ def complaint(capsys, *arguments, code=1):
         assert stop.value.code == code
     else:
         assert main.main([str(argument) for argument in arguments]) == code
-    err = capsys.readouterr().err
+    # Lines about progress come from slow machines.
+    said = capsys.readouterr().err.splitlines(keepends=True)
+    err = "".join(line for line in said if not line.endswith(" left\n"))
     assert err.count("\n") == 1
     assert err.endswith("\n")
     assert err.startswith("openmm-sier")
@@ -65,3 +80,14 @@ def complaint(capsys, *arguments, code=1):
 
 def run(*arguments):
     assert main.main([str(argument) for argument in arguments]) == 0
+
+
+def wait_for(condition, process, limit=120.0):
+    """Wait until something is true of what a process has done, but not for more than `limit` s."""
+    end = time.monotonic() + limit
+    while not condition():
+        assert process.poll() is None, "the command ended by itself"
+        if time.monotonic() > end:
+            process.kill()
+            pytest.fail(f"the command did not come so far in {limit:g} s")
+        time.sleep(0.02)

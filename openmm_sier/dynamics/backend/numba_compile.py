@@ -14,6 +14,9 @@ from typing import Any
 #: Sums and products may be contracted, but not reordered: NumPy and Numba agree to rounding.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
+#: Formulas that Numba knows by now.
+_formulas: dict[FunctionType, Any] = {}
+
 
 def compiled(loop: FunctionType, replaced: Mapping[Any, Any]):
     """A loop compiled, and kept on disk where a directory for it can be written.
@@ -28,15 +31,16 @@ def compiled(loop: FunctionType, replaced: Mapping[Any, Any]):
     """
     import numba
 
-    linked: dict[FunctionType, Any] = {}
+    helpers: dict[FunctionType, Any] = {}
 
     def link(function: FunctionType) -> FunctionType:
         """The function, calling compiled functions."""
         namespace = dict(_globals_of(function, replaced))
         for name, value in namespace.items():
             if isinstance(value, FunctionType):
+                formula = value.__module__ != loop.__module__
+                linked = _formulas if formula else helpers
                 if value not in linked:
-                    formula = value.__module__ != loop.__module__
                     linked[value] = numba.njit(link(value), forceinline=formula, **OPTIONS)
                 namespace[name] = linked[value]
         clone = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__)

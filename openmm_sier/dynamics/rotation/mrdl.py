@@ -27,8 +27,8 @@ def mrdl(A, L, moments, h):
 
     >>> A, L = np.eye(3)[:, :, None], np.array([[0.3], [0.2], [0.1]])
     >>> errors = [abs(mrdl(A, L, (1, 2, 2.5), h)[0] - exact(A, L, (1, 2, 2.5), h)[0]).max() for h in (0.2, 0.1)]
-    >>> round(errors[0] / errors[1], 1)  # of one step: third order
-    8.0
+    >>> round(errors[0] / errors[1])  # of one step: third order
+    8
     """
     bodies, A, L, h = checked(A, L, moments, h)
     demand_finite(L)

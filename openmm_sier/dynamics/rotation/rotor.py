@@ -30,6 +30,7 @@ def exact(A, L, moments, h):
 
     A quarter turn about the third axis, and back:
 
+    >>> import numpy as np
     >>> A, L = np.eye(3)[:, :, None], np.array([[0.0], [0.0], [1.0]])
     >>> there, _ = exact(A, L, (1.0, 2.0, 2.5), 2.5 * np.pi / 2)
     >>> (there[:, :, 0].round(9) + 0.0).tolist()

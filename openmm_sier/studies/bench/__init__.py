@@ -1,7 +1,7 @@
 """What a step costs beyond its forces, and what accuracy costs: the measurements behind `openmm-sier bench`.
 
 All timings of one table come from one run. What is compared takes turns, several rounds of it, and ratios are taken
-within a round, so that the drift of a machine's speed cancels; medians over the rounds are shown with their standard
+within a round, so that changes of a machine's speed cancel; medians over the rounds are shown with their standard
 errors.
 """
 

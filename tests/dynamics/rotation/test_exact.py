@@ -38,6 +38,7 @@ def check(A, L, moments, angle, h):
 # --- accuracy ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_million_bodies(rng, family):
     """20 families of 50 000 bodies, each body with its own moments."""

@@ -46,6 +46,7 @@ def by_the_paper(A, L, moments, h, terms, frame=in_paper_frame):
     return matmul(U.transpose(1, 0, 2), matmul(paper_propagator(l, final, psi), matmul(U, A)))
 
 
+@pytest.mark.slow
 def test_propagator(rng):
     """P(h) = R1(L~*) R2(psi) R1(L~)^T for every order of the moments and both cases of Iy, either way in time."""
     A, L, moments = states(rng, 500)
@@ -55,6 +56,7 @@ def test_propagator(rng):
         assert np.abs(rotation.exact(A, L, moments, h)[0] - expected).max() < 2e-14
 
 
+@pytest.mark.slow
 def test_hermite_sum_converges(rng):
     """Corrections of order h^(2n+1): more terms bring the paper's sum to the package's rotation."""
     A, L, moments = states(rng, 100)
