@@ -8,6 +8,7 @@ import math
 import os
 import signal
 import sys
+import warnings
 from pathlib import Path
 from typing import TextIO
 
@@ -52,7 +53,9 @@ def main(arguments: list[str] | None = None) -> int:
     if not _standard_streams():
         return _complain("standard output is closed; send it to a file, or to /dev/null")
     try:
-        options.execute(options)
+        with warnings.catch_warnings():
+            warnings.showwarning = _note_warning
+            options.execute(options)
     except KeyboardInterrupt as stop:
         return _complain(str(stop) or "interrupted", SIGNALLED + getattr(stop, "signum", signal.SIGINT))
     except BrokenPipeError:
@@ -65,6 +68,11 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         return _complain(_said_of(error), getattr(error, "exit_code", FAILED))
     return 0
+
+
+def _note_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    """A warning on one line among the notes, without the line of our code that gave it."""
+    print(f"warning: {' '.join(str(message).split())}", flush=True)
 
 
 def _standard_streams() -> bool:

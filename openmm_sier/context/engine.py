@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 
 from openmm_sier.context import checks, neighbour_list, stored_state
+from openmm_sier.context.host import Host
 from openmm_sier.context.native_program import PART
 from openmm_sier.context.snapshot import Snapshot, read_vectors
 from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures
@@ -17,9 +18,6 @@ from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import VolumeMove
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
-
-if TYPE_CHECKING:
-    from openmm_sier.context.integrator import SIERIntegrator
 
 #: Per-atom and global variables of the CustomIntegrator in which the bodies' state travels.
 STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(stored_state.VARIABLES))
@@ -48,7 +46,7 @@ class Engine:
     #: What `SIERIntegrator.engine` says.
     name = "exact"
 
-    def __init__(self, integrator: SIERIntegrator, context):
+    def __init__(self, integrator: Host, context):
         # The Context owns its integrator, so that a strong reference back would keep both alive.
         self._context_ref = weakref.ref(context)
         self._integrator_ref = weakref.ref(integrator)
@@ -88,7 +86,7 @@ class Engine:
         return context
 
     @property
-    def _integrator(self) -> SIERIntegrator:
+    def _integrator(self) -> Host:
         integrator = self._integrator_ref()
         if integrator is None:
             raise openmm.OpenMMException("The integrator of this Context no longer exists")

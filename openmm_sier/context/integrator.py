@@ -7,7 +7,6 @@ import inspect
 import math
 import numbers
 import operator
-from collections.abc import Sequence
 
 import numpy as np
 import openmm
@@ -16,6 +15,7 @@ from openmm import unit
 from openmm_sier.context import native_program, stored_settings
 from openmm_sier.context.engine import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
+from openmm_sier.context.host import Bodies
 from openmm_sier.context.native_engine import TOLERANCE, NativeEngine
 from openmm_sier.context.native_program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
 from openmm_sier.context.temperature import Temperatures
@@ -31,9 +31,6 @@ ENGINES = ("auto", "exact", "native")
 
 #: Steps of RATTLE in each drift of a native program, see docs/native.md.
 SUBSTEPS = 3
-
-#: What users may give as bodies.
-Bodies = RigidBodies | Sequence[Sequence[int]] | None
 
 
 class SIERIntegrator(openmm.CustomIntegrator):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import weakref
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import openmm
@@ -13,15 +12,13 @@ import openmm
 from openmm_sier.context import checks, neighbour_list
 from openmm_sier.context.constraint_errors import Constraints
 from openmm_sier.context.engine import HEAT
+from openmm_sier.context.host import Host
 from openmm_sier.context.native_program import WORK
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures, thermal_energies
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-
-if TYPE_CHECKING:
-    from openmm_sier.context.integrator import SIERIntegrator
 
 #: Tolerance of constraints, relative. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, which costs more energy than the schemes do.
@@ -60,7 +57,7 @@ class NativeEngine:
     #: What `SIERIntegrator.engine` says.
     name = "native"
 
-    def __init__(self, integrator: SIERIntegrator, context):
+    def __init__(self, integrator: Host, context):
         """
         Raises:
             openmm.OpenMMException: the integrator asks for what only the exact engine has, or the System has a Force
@@ -95,7 +92,7 @@ class NativeEngine:
         return context
 
     @property
-    def _integrator(self) -> SIERIntegrator:
+    def _integrator(self) -> Host:
         integrator = self._integrator_ref()
         if integrator is None:
             raise openmm.OpenMMException("The integrator of this Context no longer exists")
@@ -217,7 +214,7 @@ def _points(system) -> RigidBodies:
     )
 
 
-def _refuse(integrator: SIERIntegrator, system) -> None:
+def _refuse(integrator: Host, system) -> None:
     """Refuse what only the exact engine can do.
 
     Raises:
@@ -257,7 +254,7 @@ def _unheld_bodies(given, system) -> str | None:
     return None
 
 
-def _loosen_for_single_precision(integrator: SIERIntegrator, context) -> None:
+def _loosen_for_single_precision(integrator: Host, context) -> None:
     platform = context.getPlatform()
     single = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision") == "single"
     if single and integrator.getConstraintTolerance() < SINGLE_TOLERANCE:
