@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Stars of up to so many leaves have compiled formulas of their own; larger ones are graphs like others.
-MOST_LEAVES = 4
+#: Stars of up to so many leaves have formulas of their own, each compiled separately; larger ones are graphs like others.
+MOST_LEAVES = 3
 
 
 class Stars(NamedTuple):

@@ -183,7 +183,8 @@ class Constraints:
 
     def project(self, q, p) -> np.ndarray:
         """Momenta or forces, (3, n), tangent to the constraints at q; those of unconstrained bodies are unchanged."""
-        new_p = np.array(p)
+        q, p = _plain(q), _plain(p)
+        new_p = p.copy()
         for stars in self.stars:
             if self._is_compiled:
                 _star_loops(stars).project_stars(q, p, *stars, new_p)
@@ -203,6 +204,7 @@ class Constraints:
         Raises:
             ConstraintError: there is no such place.
         """
+        q, force, shift = _plain(q), _plain(force), float(shift)
         new_q = q + (shift / self.masses) * force
         for stars in self.stars:
             self._demand_star(
@@ -243,7 +245,8 @@ class Constraints:
         Raises:
             ConstraintError: a RATTLE step has no solution near: momenta are far too large for t.
         """
-        new_q, new_p = q + (t / self.masses) * p, np.array(p)
+        q, p, t = _plain(q), _plain(p), float(t)
+        new_q, new_p = q + (t / self.masses) * p, p.copy()
         if t == 0:
             return new_q, new_p
         times = t * np.asarray(fractions, dtype=float)
@@ -288,10 +291,10 @@ class Constraints:
     def _solved(self, x, v, d):
         with np.errstate(all="ignore"):
             reached, v, residuals = self._arrays.constrain(x, v, d)
-        wrong = np.flatnonzero(residuals >= graph_loops.GRAPH_CLOSE)
-        if len(wrong):
+        worst = int(residuals.argmax())
+        if not residuals[worst] < graph_loops.GRAPH_CLOSE:
             assert self.graphs is not None
-            self._demand_graph(int(np.searchsorted(self.graphs.starts[:, 3], wrong[0], side="right")))
+            self._demand_graph(int(np.searchsorted(self.graphs.starts[:, 3], worst, side="right")))
         return reached, v
 
     def _put_positions(self, q, x, new_q) -> None:
@@ -320,6 +323,11 @@ class Constraints:
             f"the constraints of {atoms} have no solution near: they contradict each other, their atoms are far from "
             "where they belong, or they move too fast for this time"
         )
+
+
+def _plain(vectors) -> np.ndarray:
+    """Vectors (3, n) as contiguous doubles: for another layout Numba would compile everything once more."""
+    return np.ascontiguousarray(vectors, dtype=float)
 
 
 def _star_loops(stars: Stars):

@@ -38,7 +38,8 @@ class Points:
         self.masses = np.array(masses, dtype=float)
         n = len(self.masses)
         self.pairs, self.lengths = np.array(pairs, dtype=int).reshape(-1, 2), np.array(lengths, dtype=float)
-        self.springs = springs
+        table = np.array(springs, dtype=float).reshape(-1, 4).T
+        self.springs = table[0].astype(int), table[1].astype(int), table[2], table[3]
         self.charges = 0.3 * (-1.0) ** np.arange(n) if charges is None else np.array(charges)
         self.molecules = np.zeros(n, int) if molecules is None else np.array(molecules)
         self.products = self.COULOMB * np.outer(self.charges, self.charges)
@@ -72,14 +73,12 @@ class Points:
         return F + (strength * apart).sum(axis=2)
 
     def fast_forces(self, q):
-        F = np.zeros_like(q)
-        for i, j, length, constant in self.springs:
-            apart = q[:, i] - q[:, j]
-            distance = np.linalg.norm(apart)
-            pull = constant * (distance - length) / distance * apart
-            F[:, i] -= pull
-            F[:, j] += pull
-        return F
+        i, j, length, constant = self.springs
+        apart = q[:, i] - q[:, j]
+        distance = np.sqrt((apart**2).sum(axis=0))
+        pull = constant * (distance - length) / distance * apart
+        n = q.shape[1]
+        return np.array([np.bincount(j, row, n) - np.bincount(i, row, n) for row in pull])
 
     def forces(self, q):
         return self.slow_forces(q) + self.fast_forces(q)
@@ -90,8 +89,8 @@ class Points:
         V = (self.charges * self.field * np.sin(phase)).sum()
         square = ((q[:, :, None] - q[:, None]) ** 2).sum(axis=0)
         V += 0.5 * (self.products / np.sqrt(square + self.SOFTENING**2)).sum()
-        for i, j, length, constant in self.springs:
-            V += 0.5 * constant * (np.linalg.norm(q[:, i] - q[:, j]) - length) ** 2
+        i, j, length, constant = self.springs
+        V += 0.5 * (constant * (np.linalg.norm(q[:, i] - q[:, j], axis=0) - length) ** 2).sum()
         return V + 0.5 * (state.p**2 / self.masses).sum()
 
     # --- an independent solution ---
@@ -112,8 +111,8 @@ class Points:
             bonds = (q[:, i] - q[:, j]).T
             rows[np.arange(len(i)), :, i] = bonds
             rows[np.arange(len(i)), :, j] = -bonds
-            G = rows.reshape(len(i), -1)
-            weighted = (rows / self.masses).reshape(len(i), -1)
+            G = rows.reshape(len(i), 3 * n)
+            weighted = (rows / self.masses).reshape(len(i), 3 * n)
             bending = ((v[:, i] - v[:, j]) ** 2).sum(axis=0)
             multipliers = -np.linalg.pinv(weighted @ G.T, rcond=1e-10) @ (weighted @ F.ravel() + bending)
             return np.concatenate([v.ravel(), ((F + (multipliers @ G).reshape(3, n)) / self.masses).ravel()])
@@ -137,9 +136,10 @@ def ring(size=6, **options):
     pucker = 0.025 * (-1.0) ** np.arange(size)
     heavy = np.stack([0.15 * np.cos(angles), 0.15 * np.sin(angles), pucker], axis=1)
     light = heavy + BOND * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    bond = np.linalg.norm(heavy[0] - heavy[1])
+    bonds = np.linalg.norm(heavy - np.roll(heavy, -1, axis=0), axis=1)
     pairs = [(i, (i + 1) % size) for i in range(size)] + [(i, size + i) for i in range(size)]
-    return Points(np.vstack([heavy, light]), size * [CARBON] + size * [HYDROGEN], pairs, size * [bond] + size * [BOND], **options)
+    masses, lengths = size * [CARBON] + size * [HYDROGEN], [*bonds, *size * [BOND]]
+    return Points(np.vstack([heavy, light]), masses, pairs, lengths, **options)
 
 
 def cage(**options):
@@ -151,25 +151,27 @@ def cage(**options):
 
 
 def chains(constrained=True, **options):
-    """Two interacting chains C-C-C with a hydrogen on each carbon: springs between carbons, hydrogens constrained or springs too."""
+    """Two interacting chains of three CH2: springs for bonds and angles; bonds of hydrogen are constrained or springs too."""
     x, masses, pairs, lengths, springs, molecules = [], [], [], [], [], []
-    for molecule, origin in enumerate(([0, 0, 0], [0.05, 0.35, 0.1])):
+    for molecule, origin in enumerate(([0, 0, 0], [0.05, 0.4, 0.1])):
         first = len(x)
         for i in range(3):
             place = np.array(origin) + [0.13 * i, 0.07 * (i % 2), 0.02 * i]
-            x += [place, place + BOND * np.array([0.1 * i, (-1) ** (i + 1), 0.5]) / np.linalg.norm([0.1 * i, 1, 0.5])]
-            masses += [CARBON, HYDROGEN]
-            molecules += 2 * [molecule]
-            at = first + 2 * i
-            if constrained:
-                pairs.append((at, at + 1))
-                lengths.append(BOND)
-            else:
-                springs.append((at, at + 1, BOND, 2.8e5))
-            # Distances between hydrogens and the next carbons stand for angles.
+            side = np.array([0, 0.58 * (-1) ** (i + 1), 0])
+            x += [place, place + BOND * (side + [0, 0, 0.815]), place + BOND * (side - [0, 0, 0.815])]
+            masses += [CARBON, HYDROGEN, HYDROGEN]
+            molecules += 3 * [molecule]
+            at = first + 3 * i
+            # Springs between atoms two bonds apart stand for angles.
+            springs.append((at + 1, at + 2, 0.178, 1e4))
+            for hydrogen in (at + 1, at + 2):
+                if constrained:
+                    pairs.append((at, hydrogen))
+                    lengths.append(BOND)
+                else:
+                    springs.append((at, hydrogen, BOND, 2.8e5))
+                springs += [(other, hydrogen, 0.21, 4e4) for other in (at - 3, at + 3) if first <= other < first + 9]
             if i:
-                springs.append((at - 2, at, 0.15, 2.6e5))
-                springs.append((at - 2, at + 1, 0.21, 4e4))
-                springs.append((at - 1, at, 0.21, 4e4))
-        springs.append((first, first + 4, 0.26, 5e4))
+                springs.append((at - 3, at, 0.15, 2.6e5))
+        springs.append((first, first + 6, 0.26, 5e4))
     return Points(x, masses, pairs, lengths, springs, molecules=molecules, **options)

@@ -27,47 +27,47 @@ def available() -> bool:
 @cache
 def compiled_stars(leaves: int) -> SimpleNamespace:
     """The `LOOPS` of `star_loops`, compiled for stars of so many leaves."""
-    import numba
 
-    def itself(value):
+    def largest(value):
         return value
 
-    def number(array):
+    def leaves_of(array):
         return leaves
 
-    special = {"largest": numba.njit(itself, **OPTIONS), "leaves_of": numba.njit(number, **OPTIONS)}
-    return _compiled(star_loops, special, f"of_{leaves}")
+    return _compiled(star_loops, (largest, leaves_of), f"of_{leaves}")
 
 
 @cache
 def compiled_graphs() -> SimpleNamespace:
     """The `LOOPS` of `graph_loops`, compiled."""
-    return _compiled(graph_loops, {}, "")
+    return _compiled(graph_loops, (), "of_graphs")
 
 
-def _compiled(module: ModuleType, special: dict[str, Any], suffix: str) -> SimpleNamespace:
+def _compiled(module: ModuleType, special: tuple[FunctionType, ...], suffix: str) -> SimpleNamespace:
+    """The loops of a module, in which some functions are replaced.
+
+    Every function that is compiled gets a name of its own: code from the cache on disk is linked by names, and functions of one
+    name that were compiled for different stars, in different processes, would be taken for each other.
+    """
     import numba
 
     constants = {name: value for name, value in vars(module).items() if name.isupper() and not isinstance(value, tuple)}
-    namespace: dict[str, Any] = {"np": np, "__builtins__": __builtins__, **constants, **special}
-    for helper in module.HELPERS:
-        namespace[helper.__name__] = numba.njit(_with_globals(helper, namespace), **OPTIONS)
-    # The cache on disk knows of the file of a loop alone, so that the names tell of all else.
+    namespace: dict[str, Any] = {"np": np, "__builtins__": __builtins__, **constants}
+    # The cache knows of the file of a loop alone, so that the names tell of this one as well.
     digest = hashlib.sha256(getsource(sys.modules[__name__]).encode()).hexdigest()[:12]
+
+    def clone(function, own):
+        copy = FunctionType(function.__code__, own, function.__name__, function.__defaults__, function.__closure__)
+        copy.__module__, copy.__qualname__ = function.__module__, f"{function.__name__}_{suffix}_{digest}"
+        return copy
+
+    for function in (*special, *module.HELPERS):
+        namespace[function.__name__] = numba.njit(clone(function, namespace), **OPTIONS)
     found = SimpleNamespace()
     for loop in module.LOOPS:
-        clone = _with_globals(loop, namespace)
-        clone.__qualname__ = f"{loop.__name__}_{suffix}_{digest}"
         try:
-            function = numba.njit(clone, cache=True, **OPTIONS)
+            function = numba.njit(clone(loop, namespace), cache=True, **OPTIONS)
         except RuntimeError:  # There is no directory where compiled code could be kept.
-            function = numba.njit(clone, **OPTIONS)
+            function = numba.njit(clone(loop, namespace), **OPTIONS)
         setattr(found, loop.__name__, function)
     return found
-
-
-def _with_globals(function, namespace):
-    """The function, calling what stands in another namespace."""
-    clone = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__)
-    clone.__module__, clone.__qualname__ = function.__module__, function.__qualname__
-    return clone

@@ -17,7 +17,7 @@ from openmm_sier.dynamics.backend.graph_loops import GRAPH_CLOSE
 REDUCTION = 1e-3
 
 #: Linear and nonlinear iterations; reached only where there is no solution.
-LINEAR, NONLINEAR = 1000, 60
+LINEAR, NONLINEAR = 400, 30
 
 
 class GraphArrays:
@@ -41,20 +41,24 @@ class GraphArrays:
         """Velocities with which x + d v satisfies the constraints, changed along their gradients at x.
 
         Returns:
-            (positions reached, velocities, relative residuals before the last update).
+            (positions reached, velocities, relative residuals before the last update). Where there is no solution these are
+            the last finite ones, which tell what has none, or infinite where even free motion is not finite.
         """
         before = self.bonds(x)
+        residuals = np.zeros(0)
         for _ in range(NONLINEAR):
             reached = x + d * v
             after = self.bonds(reached)
             lacking = self.squares - np.einsum("ae,ae->e", after, after)
-            residuals = np.abs(lacking) / self.squares
-            if not np.isfinite(residuals).all():
+            found = np.abs(lacking) / self.squares
+            if not np.isfinite(found).all():
+                residuals = residuals if len(residuals) else np.where(np.isfinite(found), 0.0, np.inf)
                 break
+            residuals = found
             v = v + self._least_change(before, (0.5 / d) * lacking, REDUCTION)
             if residuals.max() < GRAPH_CLOSE:
                 return x + d * v, v, residuals
-        return reached, v, np.where(np.isfinite(residuals), residuals, np.inf)
+        return reached, v, residuals
 
     def project(self, x, v):
         """Velocities without what changes the lengths of the constraints; the second pass removes rounding."""
