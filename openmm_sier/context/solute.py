@@ -45,12 +45,12 @@ def solute_system(system, atoms, groups: Iterable[int], rigid=None) -> openmm.Sy
         system: openmm.System to copy from; it is not changed.
         atoms: particle indices, (m,), which become the particles 0 .. m-1.
         groups: force groups, each from 0 to 31.
-        rigid: for each particle of `system` the number of its rigid body, -1 for one that is in none. Terms within one rigid
-            body do no work and are left out. None: no particle is in a rigid body.
+        rigid: for each particle of `system` the number of its rigid body, -1 for one that is in none. Terms within
+            one rigid body do no work and are left out. None: no particle is in a rigid body.
 
     Raises:
-        SoluteError: an atom is out of range, named twice or a virtual site; a Force of the groups is no bonded force, or one of its
-            terms acts on an atom that is not among the atoms.
+        SoluteError: an atom is out of range, named twice or a virtual site; a Force of the groups is no bonded force,
+            or one of its terms acts on an atom that is not among the atoms.
     """
     atoms = np.asarray(atoms, dtype=np.int64)
     n = system.getNumParticles()
@@ -77,7 +77,9 @@ def _numbers(system, atoms) -> np.ndarray:
         if number[atom] >= 0:
             raise SoluteError(f"fast forces are to act on atom {atom}, which is named twice")
         if system.isVirtualSite(atom):
-            raise SoluteError(f"fast forces are to act on atom {atom}, which is a virtual site: name the atoms it depends on")
+            raise SoluteError(
+                f"fast forces are to act on atom {atom}, which is a virtual site: name the atoms it depends on"
+            )
         number[atom] = place
     return number
 
@@ -88,8 +90,8 @@ def _renumbered(force, number, rigid) -> openmm.Force:
     if kind is None:
         possible = ", ".join(kind.__name__ for kind in TERMS)
         raise SoluteError(
-            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}; only {possible} can be. "
-            "Put it into another group with setForceGroup"
+            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}; only "
+            f"{possible} can be. Put it into another group with setForceGroup"
         )
     tag, attributes = TERMS[kind]
     root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
@@ -112,16 +114,17 @@ def _demand_rigid(force, tag: str, old, new, rigid) -> None:
         return
     outside = old[new < 0][0]
     raise SoluteError(
-        f"a {tag.lower()} of {force.getName()} acts on the atoms {', '.join(map(str, old.tolist()))}; atom {outside} is not among those "
-        f"that move flexibly. Put that force into another group than {force.getForceGroup()} with setForceGroup"
+        f"a {tag.lower()} of {force.getName()} acts on the atoms {', '.join(map(str, old.tolist()))}; atom {outside} "
+        f"is not among those that move flexibly. Put that force into another group than {force.getForceGroup()} with "
+        "setForceGroup"
     )
 
 
 class SoluteForces:
     """Fast forces on some atoms: a function of their positions.
 
-    A Context keeps copies of the Forces, so that changes of parameters, box, or Forces do not reach it by themselves: `follow`
-    takes over parameters and box; after `updateParametersInContext` a new object is needed.
+    A Context keeps copies of the Forces, so that changes of parameters, box, or Forces do not reach it by themselves:
+    `follow` takes over parameters and box; after `updateParametersInContext` a new object is needed.
 
     Attributes:
         atoms: particle indices of the System, (m,).

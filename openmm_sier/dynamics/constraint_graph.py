@@ -1,4 +1,4 @@
-"""The graph of constraints: connected components, stars among them, and the order in which the others are eliminated."""
+"""The graph of constraints: connected components, stars among them, and the order of elimination of the others."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Stars of up to so many leaves have formulas of their own, each compiled separately; larger ones are graphs like others.
+#: Stars of up to so many leaves have formulas of their own, each compiled separately; larger ones are graphs like
+#: others.
 MOST_LEAVES = 3
 
 
@@ -62,6 +63,10 @@ class Graphs(NamedTuple):
     def tables(self):
         """What the loops of `backend.graph_loops` take as `graph`."""
         return self.ends, self.squares, self.inverse_masses, tuple(self.pattern)
+
+    def component(self, number: int) -> np.ndarray:
+        """Columns of the state of one component."""
+        return self.atoms[self.starts[number, 0] : self.starts[number, 1]]
 
 
 def components(pairs) -> list[list[int]]:
@@ -158,7 +163,9 @@ def _weights(ends, inverse_masses, rows, columns) -> np.ndarray:
 
 
 def eliminate(members) -> tuple[list[int], list[list[int]]]:
-    """An order of elimination by least degree, which fills little in molecules (Tinney and Walker, Proc. IEEE 55, 1801 (1967)).
+    """An order of elimination by least degree, which fills little in molecules.
+
+    Source: Tinney and Walker, Proc. IEEE 55, 1801 (1967).
 
     Args:
         members: atoms of each constraint, (e, 2); constraints that share one are neighbours.

@@ -1,25 +1,27 @@
 """Distance constraints between point bodies: projections, moves on the constraint manifold, and its geodesics.
 
-The constraints g_c = (|x_i - x_j|^2 - l^2) / 2 = 0 have gradients G whose row c is the bond vector at i and its negative at j.
-Momenta are tangent to the manifold where G M^-1 p = 0. The projection P p = p - G^T (G M^-1 G^T)^-1 G M^-1 p is orthogonal in the
-metric M^-1, and makes of a force the one that acts on the constrained motion. Forces along bonds are central and act on pairs, so
-that nothing here changes the total momentum or the total angular momentum.
+The constraints g_c = (|x_i - x_j|^2 - l^2) / 2 = 0 have gradients G whose row c is the bond vector at i and its
+negative at j. Momenta are tangent to the manifold where G M^-1 p = 0. The projection
 
-Geodesics are composed of RATTLE steps (Andersen, J. Comput. Phys. 52, 24 (1983)): the atoms move freely for a time d, are brought
-back along the gradients at the start, x' = x + d M^-1 (p + G(x)^T mu), and the momenta p + G(x)^T mu are projected at the end.
-This map is symmetric and symplectic. All equations are solved to rounding, so that it stays so.
+    P p = p - G^T (G M^-1 G^T)^-1 G M^-1 p
+
+is orthogonal in the metric M^-1, and makes of a force the one that acts on the constrained motion. Forces along bonds
+are central and act on pairs, so that nothing here changes the total momentum or the total angular momentum.
+
+Geodesics are composed of RATTLE steps (Andersen, J. Comput. Phys. 52, 24 (1983)): the atoms move freely for a time d,
+are brought back along the gradients at the start, x' = x + d M^-1 (p + G(x)^T mu), and the momenta p + G(x)^T mu are
+projected at the end. This map is symmetric and symplectic. All equations are solved to rounding, so that it stays so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 
 import numpy as np
 
-from openmm_sier.dynamics.backend import constraint_loops, graph_loops, star_loops
-from openmm_sier.dynamics.backend.graph_arrays import GraphArrays
-from openmm_sier.dynamics.constraint_graph import Stars, components, gather_graphs, gather_stars, star_centre
+from openmm_sier.dynamics.backend import constraint_loops, graph_loops
+from openmm_sier.dynamics.constraint_graph import components, gather_graphs, gather_stars, star_centre
+from openmm_sier.dynamics.constraint_solvers import NumbaSolver, NumpySolver
 
 #: Lengths given twice for a pair may differ by this much, nm.
 SAME_LENGTH = 1e-6
@@ -60,32 +62,42 @@ class Constraints:
             compiled: whether Numba executes; None: where it is installed and allowed.
 
         Raises:
-            ConstraintError: a pair is out of range or joins a body to itself, a length or mass is not positive, or a pair has
-                two lengths.
+            ConstraintError: a pair is out of range or joins a body to itself, a length or mass is not positive, or a
+                pair has two lengths.
         """
         self.masses = np.array(masses, dtype=float)
         self._describe = describe or (lambda body: f"body {body}")
-        self._is_compiled = constraint_loops.available() if compiled is None else compiled
         self._given = describe, compiled
-        self.pairs, self.lengths = self._distinct(np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(lengths, float))
+        self.pairs, self.lengths = self._distinct(
+            np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(lengths, float)
+        )
         self.components = components(self.pairs)
         self.members = np.unique(self.pairs)
         self._sort()
+        compiled = constraint_loops.available() if compiled is None else compiled
+        self._solver = (NumbaSolver if compiled else NumpySolver)(self.stars, self.graphs)
 
     def _distinct(self, pairs, lengths):
         n = len(self.masses)
         if lengths.shape != (len(pairs),):
-            raise ConstraintError(f"{len(pairs)} constraints need as many lengths, got an array of shape {lengths.shape}")
+            raise ConstraintError(
+                f"{len(pairs)} constraints need as many lengths, got an array of shape {lengths.shape}"
+            )
         known: dict[tuple[int, int], float] = {}
         for (i, j), length in zip(pairs.tolist(), lengths.tolist(), strict=True):
             if not (0 <= i < n and 0 <= j < n) or i == j:
-                raise ConstraintError(f"a constraint joins the bodies {i} and {j}; it must join two different ones of {n}")
+                raise ConstraintError(
+                    f"a constraint joins the bodies {i} and {j}; it must join two different ones of {n}"
+                )
             if not 0 < length < np.inf:
-                raise ConstraintError(f"the constraint of {self._name(i, j)} has the length {length}, not a positive one")
+                raise ConstraintError(
+                    f"the constraint of {self._name(i, j)} has the length {length}, not a positive one"
+                )
             for body in (i, j):
                 if not 0 < self.masses[body] < np.inf:
                     raise ConstraintError(
-                        f"{self._describe(body)} is constrained and has the mass {self.masses[body]}, not a positive one"
+                        f"{self._describe(body)} is constrained and has the mass {self.masses[body]}, not a positive "
+                        "one"
                     )
             other = known.setdefault((min(i, j), max(i, j)), length)
             if abs(other - length) > SAME_LENGTH:
@@ -111,7 +123,7 @@ class Constraints:
         self.graphs = gather_graphs(others, self.pairs, self.lengths, self.masses)
 
     def restricted(self, bodies) -> Constraints:
-        """The constraints in the numbering of a subset of the bodies, which must have all that are constrained to each other.
+        """The constraints in the numbering of a subset of the bodies, which breaks up no component.
 
         Args:
             bodies: ascending columns of this state, (m,), that become the columns 0 .. m-1.
@@ -125,7 +137,9 @@ class Constraints:
         ends = number[self.pairs]
         cut = np.flatnonzero((ends < 0).any(axis=1) & (ends >= 0).any(axis=1))
         if len(cut):
-            raise ConstraintError(f"the constraint of {self._name(*self.pairs[cut[0]])} leaves the subset of the bodies")
+            raise ConstraintError(
+                f"the constraint of {self._name(*self.pairs[cut[0]])} leaves the subset of the bodies"
+            )
         kept = (ends >= 0).all(axis=1)
         describe, compiled = self._given
         named = describe and (lambda body: describe(int(bodies[body])))
@@ -147,8 +161,8 @@ class Constraints:
             q: positions, (3, n); without them the rank that almost all positions have.
 
         Raises:
-            ConstraintError: the rank at q is smaller, as where a planar cage or three constrained atoms on a line are: there
-                constrained motion is undefined. The message names the atoms.
+            ConstraintError: the rank at q is smaller, as where a planar cage or three constrained atoms on a line
+                are: there constrained motion is undefined. The message names the atoms.
         """
         rank = sum(stars.leaves.size for stars in self.stars)
         if self.graphs is None:
@@ -156,8 +170,9 @@ class Constraints:
         generic = self._ranks(np.random.default_rng(1).normal(size=(3, len(self.masses))))
         if q is not None and len(lower := np.flatnonzero(self._ranks(q) < generic)):
             raise ConstraintError(
-                f"the constraints of {self._component(lower[0])} do not determine their motion where these atoms are, in a "
-                "plane or on a line. Make them one rigid body, or give fewer constraints and virtual sites"
+                f"the constraints of {self._name(*self.graphs.component(lower[0]))} do not determine their motion "
+                "where these atoms are, in a plane or on a line. Make them one rigid body, or give fewer constraints "
+                "and virtual sites"
             )
         return rank + int(generic.sum())
 
@@ -175,27 +190,13 @@ class Constraints:
             ]
         )
 
-    def _component(self, number: int) -> str:
-        low, high = self.graphs.starts[number, :2]  # type: ignore[union-attr]
-        return self._name(*self.graphs.atoms[low:high])  # type: ignore[union-attr]
-
     # --- the algebra ---
 
     def project(self, q, p) -> np.ndarray:
         """Momenta or forces, (3, n), tangent to the constraints at q; those of unconstrained bodies are unchanged."""
         q, p = _plain(q), _plain(p)
         new_p = p.copy()
-        for stars in self.stars:
-            if self._is_compiled:
-                _star_loops(stars).project_stars(q, p, *stars, new_p)
-            else:
-                star_loops.project_star(q, p, stars, _scratch(stars), new_p)
-        if (graphs := self.graphs) is not None:
-            if self._is_compiled:
-                constraint_loops.compiled_graphs().project_graphs(q, p, graphs.atoms, graphs.starts, graphs.tables, new_p)
-            else:
-                x, v = self._taken(q, p)
-                self._put_momenta(p, self._arrays.project(x, v), new_p)
+        self._solver.project(q, p, new_p)
         return new_p
 
     def displaced(self, q, force, shift: float) -> np.ndarray:
@@ -204,23 +205,9 @@ class Constraints:
         Raises:
             ConstraintError: there is no such place.
         """
-        q, force, shift = _plain(q), _plain(force), float(shift)
+        q, force = _plain(q), _plain(force)
         new_q = q + (shift / self.masses) * force
-        for stars in self.stars:
-            self._demand_star(
-                stars,
-                _star_loops(stars).displace_stars(q, force, shift, *stars, new_q)
-                if self._is_compiled
-                else _first_failure(star_loops.displace_star, star_loops.displace_stars, (q, force, shift), stars, (new_q,)),
-            )
-        if (graphs := self.graphs) is not None:
-            if self._is_compiled:
-                self._demand_graph(
-                    constraint_loops.compiled_graphs().displace_graphs(q, force, shift, graphs.atoms, graphs.starts, graphs.tables, new_q)
-                )
-            else:
-                x, v = self._taken(q, force)
-                self._put_positions(q, self._solved(x, shift * v, 1.0)[0], new_q)
+        self._demand(self._solver.displace(q, force, float(shift), new_q))
         return new_q
 
     def satisfied(self, q) -> np.ndarray:
@@ -245,105 +232,21 @@ class Constraints:
         Raises:
             ConstraintError: a RATTLE step has no solution near: momenta are far too large for t.
         """
-        q, p, t = _plain(q), _plain(p), float(t)
+        q, p = _plain(q), _plain(p)
         new_q, new_p = q + (t / self.masses) * p, p.copy()
-        if t == 0:
-            return new_q, new_p
-        times = t * np.asarray(fractions, dtype=float)
-        for stars in self.stars:
-            self._demand_star(
-                stars,
-                _star_loops(stars).drift_stars(q, p, times, t, *stars, new_q, new_p)
-                if self._is_compiled
-                else _first_failure(star_loops.drift_star, star_loops.drift_stars, (q, p, times, t), stars, (new_q, new_p)),
-            )
-        if (graphs := self.graphs) is not None:
-            if self._is_compiled:
-                self._demand_graph(
-                    constraint_loops.compiled_graphs().drift_graphs(q, p, times, graphs.atoms, graphs.starts, graphs.tables, new_q, new_p)
-                )
-            else:
-                x, v = self._taken(q, p)
-                for d in times:
-                    x, v = self._solved(x, v, d)
-                self._put_positions(q, x, new_q)
-                self._put_momenta(p, self._arrays.project(x, v), new_p)
+        if t != 0:
+            times = t * np.asarray(fractions, dtype=float)
+            self._demand(self._solver.drift(q, p, times, float(t), new_q, new_p))
         return new_q, new_p
 
-    # --- execution ---
-
-    @cached_property
-    def _arrays(self) -> GraphArrays:
-        assert self.graphs is not None
-        return GraphArrays(self.graphs.ends, self.graphs.squares, self.graphs.inverse_masses)
-
-    @cached_property
-    def _firsts(self) -> np.ndarray:
-        """Of each atom of the graphs the first one of its component, as a column of the state."""
-        assert self.graphs is not None
-        low, high = self.graphs.starts[:, 0], self.graphs.starts[:, 1]
-        return np.repeat(self.graphs.atoms[low], high - low)
-
-    def _taken(self, q, p):
-        assert self.graphs is not None
-        return q[:, self.graphs.atoms] - q[:, self._firsts], p[:, self.graphs.atoms] * self.graphs.inverse_masses
-
-    def _solved(self, x, v, d):
-        with np.errstate(all="ignore"):
-            reached, v, residuals = self._arrays.constrain(x, v, d)
-        worst = int(residuals.argmax())
-        if not residuals[worst] < graph_loops.GRAPH_CLOSE:
-            assert self.graphs is not None
-            self._demand_graph(int(np.searchsorted(self.graphs.starts[:, 3], worst, side="right")))
-        return reached, v
-
-    def _put_positions(self, q, x, new_q) -> None:
-        assert self.graphs is not None
-        new_q[:, self.graphs.atoms] = q[:, self._firsts] + x
-
-    def _put_momenta(self, p, v, new_p) -> None:
-        graphs = self.graphs
-        assert graphs is not None
-        new = v / graphs.inverse_masses
-        low = graphs.starts[:, 0]
-        # The first atom's is what conserves the total to rounding.
-        new[:, low] += np.add.reduceat(p[:, graphs.atoms] - new, low, axis=1)
-        new_p[:, graphs.atoms] = new
-
-    def _demand_star(self, stars: Stars, failed: int) -> None:
-        if failed >= 0:
-            self._refuse(self._name(stars.centres[failed], *stars.leaves[:, failed]))
-
-    def _demand_graph(self, failed: int) -> None:
-        if failed >= 0:
-            self._refuse(self._component(failed))
-
-    def _refuse(self, atoms: str) -> None:
-        raise ConstraintError(
-            f"the constraints of {atoms} have no solution near: they contradict each other, their atoms are far from "
-            "where they belong, or they move too fast for this time"
-        )
+    def _demand(self, unsolved) -> None:
+        if unsolved is not None:
+            raise ConstraintError(
+                f"the constraints of {self._name(*unsolved)} have no solution near: they contradict each other, their "
+                "atoms are far from where they belong, or they move too fast for this time"
+            )
 
 
 def _plain(vectors) -> np.ndarray:
     """Vectors (3, n) as contiguous doubles: for another layout Numba would compile everything once more."""
     return np.ascontiguousarray(vectors, dtype=float)
-
-
-def _star_loops(stars: Stars):
-    return constraint_loops.compiled_stars(len(stars.leaves))
-
-
-def _scratch(stars: Stars):
-    """Arrays to work in for all stars at once, as `star_loops.scratch_of` makes for one."""
-    k, m = stars.leaves.shape
-    vectors, numbers = np.empty((3, k, 3, m)), np.empty((3, k, m))
-    return (*vectors, *numbers, np.empty((k, k, m)))
-
-
-def _first_failure(together, one_by_one, arguments, stars: Stars, outputs) -> int:
-    """Executes all stars together, and one by one only to find the first that fails; -1 where none does."""
-    with np.errstate(all="ignore"):
-        if together(*arguments, stars, _scratch(stars), *outputs):
-            return -1
-        return one_by_one(*arguments, *stars, *outputs)

@@ -1,12 +1,12 @@
 """Symmetric compositions of RATTLE steps, which follow geodesics of the constraint manifold to higher order.
 
-Free motion with constraints costs no forces, so that its error may be made negligible. A RATTLE step is symmetric and of
-second order, and any symmetric composition for such maps applies (Hairer, Lubich and Wanner, Geometric Numerical Integration,
-2nd ed., section V.3.2). A star of one bond, as C-H, moves exactly whatever the composition.
+Free motion with constraints costs no forces, so that its error may be made negligible. A RATTLE step is symmetric and
+of second order, and any symmetric composition for such maps applies (Hairer, Lubich and Wanner, Geometric Numerical
+Integration, 2nd ed., section V.3.2). A star of one bond, as C-H, moves exactly whatever the composition.
 
-Errors of one drift of methyl groups (C-H 0.109 nm, no H-C-H constraints) with velocities of 300 K, 200 of them: the largest one of a
-velocity over the thermal velocity of H, and the relative change of the kinetic energy, which geodesics conserve and RATTLE
-does not. CH2 groups have up to 1.6 times these errors.
+Errors of one drift of methyl groups (C-H 0.109 nm, no H-C-H constraints) with velocities of 300 K, 200 of them: the
+largest one of a velocity over the thermal velocity of H, and the relative change of the kinetic energy, which
+geodesics conserve and RATTLE does not. CH2 groups have up to 1.6 times these errors.
 
 | composition | RATTLE steps | order | 1 fs | 2 fs | 3 fs | kinetic energy, 3 fs |
 |---|---|---|---|---|---|---|
@@ -17,8 +17,8 @@ does not. CH2 groups have up to 1.6 times these errors.
 | `RATTLE.repeated(8)` | 8 | 2 | 1e-6 | 8e-6 | 3e-5 | 1e-8 |
 | `KAHAN_LI` | 9 | 6 | 4e-12 | 6e-10 | 1e-8 | 7e-12 |
 
-`SUZUKI` is the default: the first whose error is far below that of any scheme, at 5/4 the cost of four plain steps. Within nested
-steps, which are short, `TRIPLE_JUMP` does as well.
+`SUZUKI` is the default: the first whose error is far below that of any scheme, at 5/4 the cost of four plain steps.
+Within nested steps, which are short, `TRIPLE_JUMP` does as well.
 """
 
 from __future__ import annotations
@@ -69,7 +69,9 @@ def _palindrome(*wing: float) -> tuple[float, ...]:
 
 RATTLE = Composition("RATTLE", 2, (1.0,), "Andersen, J. Comput. Phys. 52, 24 (1983)")
 
-TRIPLE_JUMP = Composition("triple jump", 4, _palindrome(1 / (2 - 2 ** (1 / 3))), "Yoshida, Phys. Lett. A 150, 262 (1990)")
+TRIPLE_JUMP = Composition(
+    "triple jump", 4, _palindrome(1 / (2 - 2 ** (1 / 3))), "Yoshida, Phys. Lett. A 150, 262 (1990)"
+)
 
 SUZUKI = Composition("Suzuki", 4, _palindrome(*2 * (1 / (4 - 4 ** (1 / 3)),)), "Suzuki, Phys. Lett. A 146, 319 (1990)")
 

@@ -146,18 +146,24 @@ def test_terms_within_a_rigid_body_are_left_out(positions):
     solute = SoluteForces(system, FLEXIBLE, {FAST}, rigid, reference(system))
     expected = forces_in(whole_context(system, positions))[FLEXIBLE].T
     assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
-    with pytest.raises(SoluteError, match="angle of HarmonicAngleForce acts on the atoms 1, 0, 2; atom 1 is not among those"):
+    with pytest.raises(
+        SoluteError, match="angle of HarmonicAngleForce acts on the atoms 1, 0, 2; atom 1 is not among those"
+    ):
         solute_system(system, FLEXIBLE, {FAST})
     joined = openmm.HarmonicBondForce()
     joined.addBond(0, FLEXIBLE[0], 0.3, 100)
-    with pytest.raises(SoluteError, match="bond of HarmonicBondForce acts on the atoms 0, 9; atom 0 is not among those"):
+    with pytest.raises(
+        SoluteError, match="bond of HarmonicBondForce acts on the atoms 0, 9; atom 0 is not among those"
+    ):
         solute_system(whole_system([joined]), FLEXIBLE, {FAST}, rigid)
 
 
 def test_what_is_refused():
     external = openmm.CustomExternalForce("x")
     external.setName("trap")
-    with pytest.raises(SoluteError, match=r"trap \(CustomExternalForce\) is in the fast force group 3; only HarmonicBondForce"):
+    with pytest.raises(
+        SoluteError, match=r"trap \(CustomExternalForce\) is in the fast force group 3; only HarmonicBondForce"
+    ):
         solute_system(whole_system([external]), FLEXIBLE, {FAST})
     system = whole_system([])
     with pytest.raises(SoluteError, match="atom 13, the System has 13"):

@@ -127,7 +127,7 @@ def test_numpy_and_numba_agree_to_rounding(rng):
         (one.displaced(q, p, 0.01), other.displaced(q, p, 0.01)),
         *zip(one.drift(q, p, 0.004, SUZUKI.fractions), other.drift(q, p, 0.004, SUZUKI.fractions), strict=True),
     ):
-        # Elimination and conjugate gradients: rounding times the condition of the cage, velocities over the shortest time.
+        # Elimination and conjugate gradients: rounding times the condition of the cage.
         assert np.abs(a - b).max() < 1e-12 * np.abs(a).max()
 
 
@@ -182,7 +182,7 @@ def test_geodesics_have_the_order_of_their_composition(make, composition, compil
     steps = (2, 4) if composition.order == 6 else (4, 8)
     errors = []
     for n in steps:
-        q, p = constraints.drift(start.q, start.p, time, composition.repeated(n).fractions)
+        q, _ = constraints.drift(start.q, start.p, time, composition.repeated(n).fractions)
         errors.append(np.abs(q - exact.q).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(composition.order, abs=0.3)
 
@@ -293,7 +293,9 @@ def test_a_singular_geometry_is_named():
     pairs = [(i, j) for i in range(4) for j in range(i)]
     flat = Constraints(pairs, [np.linalg.norm(square[i] - square[j]) for i, j in pairs], 4 * [12.0])
     assert flat.rank() == 6
-    with pytest.raises(ConstraintError, match=r"constraints of body 0, body 1, body 2, body 3 do not determine .* plane"):
+    with pytest.raises(
+        ConstraintError, match=r"constraints of body 0, body 1, body 2, body 3 do not determine .* plane"
+    ):
         flat.rank(square.T)
     line = np.array([[0, 0, 0], [0.116, 0, 0], [0.232, 0, 0]])
     straight = Constraints([(0, 1), (1, 2), (0, 2)], [0.116, 0.116, 0.232], [16.0, 12.0, 16.0])
@@ -305,7 +307,8 @@ def test_a_singular_geometry_is_named():
 def test_a_rigid_tetrahedron_by_constraints_moves_as_a_rigid_body(rng, leaves, compiled):
     """All distances of a cluster: its geodesic is free rotation. Of five or six atoms many are redundant."""
     system = rotor(min(leaves, 4))
-    x = np.vstack([system.x.T, *[system.x.T[:1] + [0.05, 0.11, 0.02]] * (leaves - 4)])
+    further = np.add(system.x.T[:1], [0.05, 0.11, 0.02])
+    x = np.vstack([system.x.T, *[further] * (leaves - 4)])
     masses = [*system.masses, *[2.0] * (leaves - 4)]
     pairs = [(i, j) for i in range(len(x)) for j in range(i)]
     constraints = Constraints(pairs, [np.linalg.norm(x[i] - x[j]) for i, j in pairs], masses, compiled=compiled)
@@ -336,7 +339,12 @@ def describe(body):
         ([(0, 1)], [-0.1], [1.0, 1.0], "the constraint of atom 100, atom 101 has the length -0.1"),
         ([(0, 1)], [np.nan], [1.0, 1.0], "has the length nan"),
         ([(0, 1)], [0.1], [1.0, 0.0], "atom 101 is constrained and has the mass 0.0"),
-        ([(0, 1), (1, 0)], [0.1, 0.2], [1.0, 1.0], r"atom 101, atom 100 contradict each other: 0.100000 and 0.200000 nm"),
+        (
+            [(0, 1), (1, 0)],
+            [0.1, 0.2],
+            [1.0, 1.0],
+            r"atom 101, atom 100 contradict each other: 0.100000 and 0.200000 nm",
+        ),
         ([(0, 1)], [0.1, 0.2], [1.0, 1.0], "1 constraints need as many lengths"),
     ],
 )
@@ -355,7 +363,9 @@ def test_contradictory_lengths_raise(compiled):
     """A triangle that does not close, and a tenth distance that the nine others forbid."""
     triangle = Constraints([(0, 1), (1, 2), (0, 2)], [0.1, 0.1, 0.3], [1.0, 2.0, 3.0], describe, compiled)
     x = np.array([[0, 0, 0], [0.1, 0.01, 0], [0.25, 0, 0.02]]).T
-    with pytest.raises(ConstraintError, match="constraints of atom 100, atom 101, atom 102 have no solution near: they contr"):
+    with pytest.raises(
+        ConstraintError, match="constraints of atom 100, atom 101, atom 102 have no solution near: they contr"
+    ):
         triangle.satisfied(x)
     system = cage()
     system.lengths[0] *= 1.001
@@ -398,7 +408,7 @@ def test_a_subset_has_numbers_of_its_own(rng, compiled):
 
 
 def test_elimination_fills_little_and_includes_all_neighbours(rng):
-    """A random tree of 300 atoms with some rings closed: the pattern holds what elimination makes, and not much more."""
+    """A random tree of 300 atoms with rings: the pattern holds what elimination makes, and not much more."""
     members = [(i, int(rng.integers(max(0, i - 4), i))) for i in range(1, 300)]
     members += [(i, i + 5) for i in range(0, 290, 30)]
     sequence, rows = eliminate(np.array(members))

@@ -19,8 +19,8 @@ CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt
 class Points:
     """Points with constraints in a smooth potential.
 
-    V = sum_i c_i E sin(k_i.x_i + i) of an external field, + 1/2 k (|x_i - x_j| - l)^2 of springs, + Q c_i c_j / sqrt(r^2 + s^2) between
-    points of different molecules.
+    V is the sum of an external field, c_i E sin(k_i.x_i + i), of springs, k (|x_i - x_j| - l)^2 / 2, and of soft
+    charges on different molecules, Q c_i c_j / sqrt(r^2 + s^2).
     """
 
     FIELD, WAVES = 60.0, 12.0
@@ -151,14 +151,15 @@ def cage(**options):
 
 
 def chains(constrained=True, **options):
-    """Two interacting chains of three CH2: springs for bonds and angles; bonds of hydrogen are constrained or springs too."""
+    """Two interacting chains of three CH2 with springs for bonds and angles; C-H is constrained or a spring too."""
     x, masses, pairs, lengths, springs, molecules = [], [], [], [], [], []
     for molecule, origin in enumerate(([0, 0, 0], [0.05, 0.4, 0.1])):
         first = len(x)
         for i in range(3):
-            place = np.array(origin) + [0.13 * i, 0.07 * (i % 2), 0.02 * i]
+            place = np.add(origin, [0.13 * i, 0.07 * (i % 2), 0.02 * i])
             side = np.array([0, 0.58 * (-1) ** (i + 1), 0])
-            x += [place, place + BOND * (side + [0, 0, 0.815]), place + BOND * (side - [0, 0, 0.815])]
+            up = np.array([0, 0, 0.815])
+            x += [place, place + BOND * (side + up), place + BOND * (side - up)]
             masses += [CARBON, HYDROGEN, HYDROGEN]
             molecules += 3 * [molecule]
             at = first + 3 * i

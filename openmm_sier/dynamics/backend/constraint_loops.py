@@ -46,8 +46,9 @@ def compiled_graphs() -> SimpleNamespace:
 def _compiled(module: ModuleType, special: tuple[FunctionType, ...], suffix: str) -> SimpleNamespace:
     """The loops of a module, in which some functions are replaced.
 
-    Every function that is compiled gets a name of its own: code from the cache on disk is linked by names, and functions of one
-    name that were compiled for different stars, in different processes, would be taken for each other.
+    Every function that is compiled gets a name of its own: code from the cache on disk is linked by names, and
+    functions of one name that were compiled for different stars, in different processes, would be taken for each
+    other.
     """
     import numba
 

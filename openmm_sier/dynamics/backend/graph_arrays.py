@@ -1,8 +1,8 @@
 """Constraint graphs executed by NumPy: conjugate gradients on all components at once, in place of sparse elimination.
 
-Velocities that satisfy the constraints to first order are a least-squares problem, which conjugate gradients on the normal
-equations (CGLS; Paige and Saunders, ACM Trans. Math. Softw. 8, 43 (1982), section 7.1) solve for redundant constraints as well.
-Rows are scaled to length one; bonds of molecules then need some 20 to 40 iterations for 12 digits.
+Velocities that satisfy the constraints to first order are a least-squares problem, which conjugate gradients on the
+normal equations (CGLS; Paige and Saunders, ACM Trans. Math. Softw. 8, 43 (1982), section 7.1) solve for redundant
+constraints as well. Rows are scaled to length one; bonds of molecules then need some 20 to 40 iterations for 12 digits.
 
 Vectors are component-first, (3, atoms) and (3, constraints).
 """
@@ -41,8 +41,9 @@ class GraphArrays:
         """Velocities with which x + d v satisfies the constraints, changed along their gradients at x.
 
         Returns:
-            (positions reached, velocities, relative residuals before the last update). Where there is no solution these are
-            the last finite ones, which tell what has none, or infinite where even free motion is not finite.
+            (positions reached, velocities, relative residuals before the last update). Where there is no solution
+            these are the last finite ones, which tell what has none, or infinite where even free motion is not
+            finite.
         """
         before = self.bonds(x)
         residuals = np.zeros(0)
@@ -69,8 +70,10 @@ class GraphArrays:
         return v
 
     def _least_change(self, bonds, wanted, reduction):
-        """Velocities (3, atoms), least in the metric of the masses, that change half the squared lengths at a wanted rate."""
-        scale = 1 / np.sqrt(np.einsum("ae,ae->e", bonds, bonds) * (self.inverse_masses[self.i] + self.inverse_masses[self.j]))
+        """Least velocities (3, atoms), in the metric of the masses, that change half the squared lengths as wanted."""
+        scale = 1 / np.sqrt(
+            np.einsum("ae,ae->e", bonds, bonds) * (self.inverse_masses[self.i] + self.inverse_masses[self.j])
+        )
         rows = scale * bonds
         z = np.zeros((3, len(self.roots)))
         residual = scale * wanted

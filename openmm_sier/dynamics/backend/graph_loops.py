@@ -1,12 +1,13 @@
 """Constraint graphs of any shape, for Numba to compile: sparse elimination and the iterations that use it.
 
 Atoms and constraints of all connected components stand one after another; `starts` say where each component begins.
-Constraints are in the order of elimination. Row e of the matrix G_1 M^-1 G_0^T has elements at `columns[rows[e]:rows[e + 1]]`,
-ascending, its diagonal at `diagonal[e]`; the pattern is symmetric and includes what elimination fills. An element is
-`weights` times the scalar product of two bond vectors: the sum of +-1/m of the atoms that the constraints share.
+Constraints are in the order of elimination. Row e of the matrix G_1 M^-1 G_0^T has elements at
+`columns[rows[e]:rows[e + 1]]`, ascending, its diagonal at `diagonal[e]`; the pattern is symmetric and includes what
+elimination fills. An element is `weights` times the scalar product of two bond vectors: the sum of +-1/m of the atoms
+that the constraints share.
 
-Redundant constraints, as in a cage with more bonds than freedoms, give pivots that are zero to rounding: their multipliers
-are set to zero, and the others do the work. NumPy executes `factor` alone, to count those.
+Redundant constraints, as in a cage with more bonds than freedoms, give pivots that are zero to rounding: their
+multipliers are set to zero, and the others do the work. NumPy executes `factor` alone, to count those.
 """
 
 from __future__ import annotations

@@ -4,10 +4,10 @@ A star is described by its bond vectors r_b = x_b - x_centre and their rates u_b
 freely. With B_bc = delta_bc / m_b + 1 / m_centre, forces of multipliers lambda_b along the bonds change the rates by
 sum_c B_bc lambda_c r_c; rounding depends on bond lengths alone, not on where in the box the star is.
 
-NumPy and Numba execute the same functions: they index arrays whose shapes NumPy extends by an axis of m stars. So
-r and u have the shape (k, 3) or (k, 3, m), multipliers (k,) or (k, m), matrices (k, k) or (k, k, m), and what belongs
-to the centre is a scalar or (m,). Two functions differ: `largest`, so that NumPy goes on until all stars have converged, and
-`leaves_of`, so that Numba compiles the loops anew for each k and unrolls them.
+NumPy and Numba execute the same functions: they index arrays whose shapes NumPy extends by an axis of m stars. So r
+and u have the shape (k, 3) or (k, 3, m), multipliers (k,) or (k, m), matrices (k, k) or (k, k, m), and what belongs
+to the centre is a scalar or (m,). Two functions differ: `largest`, so that NumPy goes on until all stars have
+converged, and `leaves_of`, so that Numba compiles the loops anew for each k and unrolls them.
 """
 
 from __future__ import annotations
@@ -194,7 +194,8 @@ def turn(r, u, t, squares):
 def drift_star(q, p, times, total, star, scratch, new_q, new_p):
     """Geodesic motion of a star by RATTLE steps, or exactly where it has one bond.
 
-    Between two steps the velocity is not projected: the multipliers of the next one take up what it has along the bonds.
+    Between two steps the velocity is not projected: the multipliers of the next one take up what it has along the
+    bonds.
 
     Args:
         q, p: (3, n).
