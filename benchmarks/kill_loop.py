@@ -1,22 +1,28 @@
-"""`openmm-sier run` on a small box of water, killed (SIGKILL) at random moments and continued again and again.
+"""`openmm-sier run` on a small box of water, ended by signals at random moments and continued again and again.
 
-    python benchmarks/kill_loop.py [--kills N] [--suffix .dcd] [--ensemble npt] [--directory DIR]
+    python benchmarks/kill_loop.py [--kills N] [--suffix .dcd] [--ensemble npt] [--signals KILL TERM] [--directory DIR]
 
 At the end the trajectory must have every frame once, in order, and be that of a run that nothing disturbed, as must the
-log: byte for byte for .dcd (but for its date), .xtc and .csv files, number by number for .h5. The status is 1 if not.
+log and the body states: byte for byte for .dcd (but for its date), .xtc and .csv files, number by number for .h5. A
+signal that can be handled must leave its exit code and, after the first step, a checkpoint of the step that the message
+names. The status is 1 if not.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import re
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
+import h5py
 import mdtraj
 import numpy as np
 from openmm import unit
@@ -26,15 +32,32 @@ from openmm_sier.measure import forcefields
 
 SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
 
-#: A frame every 4 steps, a row every 6 and a checkpoint every 10, so that many kills come while something is written.
-EVERY, ROWS, CHECKPOINTS = 4, 6, 10
-COMMAND = [sys.executable, "-m", "openmm_sier.cli", "run", "box.pdb", "--platform", "Reference"]
+#: A frame every 4 steps, a row every 6, body states every 5 and a checkpoint every 10, so that many kills come while
+#: something is written.
+EVERY, ROWS, BODIES, CHECKPOINTS = 4, 6, 5, 10
+
+#: The command, with the signals handled as where a terminal starts it: a script's background jobs ignore SIGINT.
+LAUNCH = """
+import signal, sys
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+from openmm_sier.cli.main import main
+sys.exit(main())
+"""
+COMMAND = [sys.executable, "-c", LAUNCH, "run", "box.pdb", "--platform", "Reference"]
 PLAN = ["--scheme", "sier2", "--dt", "1", "--equilibrate", "0.05"]
 PLAN += ["--every", "0.004", "--report-every", "0.006", "--checkpoint-every", "0.01"]
+PLAN += ["--bodies-every", "0.005"]
+
+#: Signals by the names that `kill` has for them.
+SIGNALS = ("KILL", "TERM", "INT", "HUP")
 
 #: Longest times in seconds to a kill: from the start of the program, which one kill in so many is counted from, and
 #: from the first checkpoint.
 EARLY, ONE_IN, LATE = 4.0, 4, 0.4
+
+#: Seconds in which a run has to end after a signal. Steps take a few ms.
+PATIENCE = 60.0
 
 #: Bytes of a DCD file that hold the time of its creation, among others.
 TITLE = slice(92, 264)
@@ -63,13 +86,23 @@ def write_box(path: Path, molecules: int = 27) -> None:
 def command(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
     """The command that begins a run, or goes on from its checkpoint if there is one."""
     checkpoint = Path(out).with_suffix(".chk")
-    begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out]
+    begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out, "--bodies", bodies_of(out)]
     way = ["--restart", str(checkpoint)] if (directory / checkpoint).exists() else begin
     return [*COMMAND, *way, "--steps", str(steps)]
 
 
-def killed_at(directory: Path, out: str, rng, early: bool, ensemble: str) -> None:
-    """Start or continue the endless run and kill it."""
+def bodies_of(out: str) -> str:
+    """Name of the body states' file of a run."""
+    return f"{Path(out).stem}-bodies.h5"
+
+
+def killed_at(directory: Path, out: str, rng, early: bool, ensemble: str, name: str) -> None:
+    """Start or continue the endless run and end it by a signal.
+
+    Raises:
+        Lost: the run ended by itself, or did not end as the signal says.
+    """
+    number = getattr(signal, f"SIG{name}")
     checkpoint = (directory / out).with_suffix(".chk")
     before = _changed(checkpoint)
     with open(directory / "said.txt", "w") as said:
@@ -79,8 +112,21 @@ def killed_at(directory: Path, out: str, rng, early: bool, ensemble: str) -> Non
             raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
         time.sleep(0.002)
     time.sleep(rng.uniform(0, EARLY if early else LATE))
-    process.kill()
-    process.wait()
+    process.send_signal(number)
+    try:
+        code = process.wait(PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise Lost(f"SIG{name} did not end the run within {PATIENCE:g} s") from None
+    message = (directory / "said.txt").read_text()
+    # A signal that comes before the command handles it ends Python as it ends any program; Ctrl-C is said by `main`.
+    if number == signal.SIGKILL or (early and (code == -number or "interrupted" in message)):
+        return
+    if code != 128 + number or f"stopped by SIG{name}" not in message:
+        raise Lost(f"SIG{name} ended the run with the code {code}: {message}")
+    named = re.search(r"at step (\d+)", message)
+    if named and int(named.group(1)) != last_step(directory, out):
+        raise Lost(f"the checkpoint is of step {last_step(directory, out)}, but: {message}")
 
 
 def _changed(path: Path) -> int:
@@ -130,7 +176,18 @@ def compare(directory: Path, one: str, two: str, steps: int) -> int:
         raise Lost(f"{one} and {two} differ, though their coordinates are the same")
     if logs[0] != logs[1] or logs[0].count(b"\n") != steps // ROWS + 2:
         raise Lost(f"the log of {one} is not that of {two}, or not all of it")
+    ours, theirs = (_datasets(directory / bodies_of(name)) for name in (one, two))
+    if len(ours["step"]) != steps // BODIES or any(not np.array_equal(ours[key], theirs[key]) for key in theirs):
+        raise Lost(f"the body states of {one} are not those of {two}, or not all of them")
     return steps // EVERY
+
+
+def _datasets(path: Path) -> dict[str, np.ndarray]:
+    """All datasets of an HDF5 file by name, those in groups too."""
+    found: dict[str, np.ndarray] = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+    return found
 
 
 def _content(path: Path) -> bytes:
@@ -140,7 +197,9 @@ def _content(path: Path) -> bytes:
     return bytes(content)
 
 
-def kill_loop(directory: Path, suffix: str, kills: int, ensemble: str = "npt", seed: int = 1) -> Counter:
+def kill_loop(
+    directory: Path, suffix: str, kills: int, ensemble: str = "npt", seed: int = 1, signals: Sequence[str] = SIGNALS
+) -> Counter:
     """Kill and continue a run, then compare it with one that was let alone.
 
     Args:
@@ -149,6 +208,7 @@ def kill_loop(directory: Path, suffix: str, kills: int, ensemble: str = "npt", s
         kills: how many.
         ensemble: nve, nvt or npt.
         seed: of the moments.
+        signals: names, which take turns.
 
     Returns:
         Numbers of steps, frames and kills, by what they met.
@@ -159,7 +219,10 @@ def kill_loop(directory: Path, suffix: str, kills: int, ensemble: str = "npt", s
     write_box(directory / "box.pdb")
     rng, out, met = np.random.default_rng(seed), f"killed{suffix}", Counter(kills=kills)
     for number in range(kills):
-        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, ensemble)
+        # One more than the turns of early kills, so that these meet all signals.
+        name = signals[(number + number // ONE_IN) % len(signals)]
+        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, ensemble, name)
+        met[f"by SIG{name}"] += 1
         met.update(trace(directory, out))
     steps = last_step(directory, out) + CHECKPOINTS
     finish(directory, out, steps, ensemble)
@@ -174,12 +237,13 @@ def main(arguments=None) -> int:
     parser.add_argument("--suffix", choices=list(records.FORMATS), default=".dcd", help="default: %(default)s")
     parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), default="npt", help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=1, help="of the moments (default: %(default)s)")
+    parser.add_argument("--signals", choices=SIGNALS, nargs="+", default=SIGNALS, help="default: all, by turns")
     parser.add_argument("--directory", type=Path, help="where the files are left (default: they are removed)")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as temporary:
         directory = options.directory or Path(temporary)
         try:
-            met = kill_loop(directory, options.suffix, options.kills, options.ensemble, options.seed)
+            met = kill_loop(directory, options.suffix, options.kills, options.ensemble, options.seed, options.signals)
         except Lost as error:
             print(f"kill_loop.py: {error}", file=sys.stderr)
             return 1

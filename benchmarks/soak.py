@@ -20,11 +20,13 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier import RigidBodies, SIERIntegrator
-from openmm_sier.cli.run import Options
+from openmm_sier.cli.console import REPORT, clock, note, table
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure import forcefields, sampling
+from openmm_sier.measure.observables import energy_error
+from openmm_sier.measure.report import duration
 from openmm_sier.measure.starts import make_context, prepare
-from openmm_sier.studies.console import clock, duration, note, table
+from openmm_sier.measure.statistics import mean_and_error
 
 SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
 
@@ -106,7 +108,7 @@ def drift(parts: list[sampling.Series]) -> tuple[float, float]:
     precision let the energy walk at random, and the scatter about a straight line would make the slope look too sure.
     """
     time, total = np.array([[part.time.mean(), part.total.mean()] for part in parts]).T
-    return sampling.mean_and_error(np.diff(total) / np.diff(time), blocks=len(parts))
+    return mean_and_error(np.diff(total) / np.diff(time))
 
 
 def soak(options) -> dict:
@@ -114,14 +116,7 @@ def soak(options) -> dict:
     system, positions = water(options.molecules, options.temperature, options.seed)
     integrator = SIERIntegrator(options.dt / 1000, CATALOGUE[options.scheme])
     context = make_context(system, integrator, options.platform)
-    settings = Options(
-        Path(),
-        temperature=options.temperature,
-        equilibrate=EQUILIBRATION,
-        seed=options.seed,
-        platform=options.platform,
-    )
-    prepare(context, positions, settings)
+    prepare(context, positions, options.temperature, options.seed, EQUILIBRATION, report=REPORT)
     looks, parts, start = [look(context)], [], clock()
     for _ in range(LOOKS):
         parts.append(sampling.sample(context, integrator.bodies, options.steps // LOOKS, EVERY))
@@ -131,10 +126,10 @@ def soak(options) -> dict:
         "openmm": openmm.__version__,
         "settings": {**vars(options), "out": str(options.out)},
         "seconds_per_step": seconds / looks[-1]["step"],
-        "degrees_of_freedom": integrator.bodies.degrees_of_freedom,
+        "degrees_of_freedom": integrator.bodies.dof,
         "drift_kJ_per_mol_per_ps": drift(parts),
         "kinetic_kJ_per_mol": float(np.mean([part.kinetic.mean() for part in parts])),
-        "rms_H_over_rms_V": float(np.mean([sampling.fluctuation(part) for part in parts])),
+        "rms_H_over_rms_V": float(np.mean([energy_error(p.time, p.total, p.potential) for p in parts])),
         "energies_kJ_per_mol": [float(part.total.mean()) for part in parts],
         "looks": looks,
     }
@@ -149,7 +144,7 @@ def show(figures: dict) -> None:
     rows = [
         ("energy drift", f"{slope:+.2e} ± {error:.1e} kJ/mol/ps"),
         ("the same in kT per degree of freedom", f"{1e3 * slope / thermal:+.2e} ± {1e3 * error / thermal:.1e} per ns"),
-        ("rms(H)/rms(V) of a twentieth of the run", f"{100 * figures['rms_H_over_rms_V']:.3f} %"),
+        ("rms(H)/rms(V)", f"{100 * figures['rms_H_over_rms_V']:.3f} %"),
         ("largest |A A^T - 1|", f"{max(each['orthogonality'] for each in looks):.1e}"),
         ("largest error of a distance in a molecule", f"{max(each['deformation_nm'] for each in looks):.1e} nm"),
         (

@@ -9,7 +9,7 @@ import argparse
 
 import numpy as np
 
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics import rotation
 
 MOMENTS = np.array([1.0, 2.0, 3.0])  #: dalton nm^2
 TILT = 1e-3  #: radian between the angular momentum and the middle axis at the start
@@ -43,11 +43,11 @@ def main():
         flips += cosine * sign < 0
         sign = np.sign(cosine)
         if i < steps:
-            A, L = rotor.exact(A, L, MOMENTS, options.step)
+            A, L = rotation.exact(A, L, MOMENTS, options.step)
 
-    at_once, _ = rotor.exact(first_A, first_L, MOMENTS, steps * options.step)
+    at_once, _ = rotation.exact(first_A, first_L, MOMENTS, steps * options.step)
     print(f"\nThe body turned over {flips} times in {steps * options.step:g} ps.")
-    print(f"Its energy changed by {energy(A, L) - energy(first_A, first_L):.1e} of {energy(A, L):.4f} kJ/mol,")
+    print(f"Its energy changed by {abs(energy(A, L) - energy(first_A, first_L)):.1e} of {energy(A, L):.4f} kJ/mol,")
     print(f"its angular momentum by {np.abs(L - first_L).max():.1e} of {np.linalg.norm(L):.1f} dalton nm^2/ps.")
     print(f"One step of {steps * options.step:g} ps ends in the same attitude within {np.abs(A - at_once).max():.1e}.")
 

@@ -51,7 +51,7 @@ balance_pme(system)  # a fifth of OpenMM's error in the forces and less of a ste
 bodies = RigidBodies.from_system(system, modeller.topology)
 for species in bodies.species:
     name = list(modeller.topology.atoms())[species.atoms[0, 0]].residue.name
-    freedoms = species.degrees_of_freedom
+    freedoms = species.dof
     print(f"{len(species.atoms):4d} x {name:3}  {species.mass:7.3f} dalton, {freedoms} degrees of freedom")
 
 integrator = SIER4Integrator(4 * femtosecond, bodies)
@@ -62,7 +62,7 @@ simulation.reporters.append(DCDReporter(options.out, max(1, options.steps // 10)
 simulation.step(options.steps)
 
 state = simulation.context.getState(energy=True)
-translation, rotation = bodies.temperatures(integrator.getBodyState(), removed=3)
+_, translation, rotation = integrator.computeTemperatures()
 potential = state.getPotentialEnergy().value_in_unit(kilojoule_per_mole)
 print(f"after {options.steps} steps the potential energy is {potential:.0f} kJ/mol,")
 print(f"translation at {translation:.0f} K, rotation at {rotation:.0f} K; the trajectory is in {options.out}")

@@ -19,10 +19,10 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier import RigidBodies
+from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.measure import forcefields
 
 HERE = Path(__file__).parent
-DALTONS_PER_NM3 = 602.214076  #: in 1 g/cm^3
 KG_PER_MOL = 0.0180153  #: water
 
 
@@ -197,7 +197,7 @@ def write(path: Path, topology, positions, edge: float | None, remarks: list[str
 def box_edge(topology, density: float) -> float:
     """Edge in nm of the cubic box, to the 0.001 A that a PDB file has."""
     mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in topology.atoms())
-    return round(float(np.cbrt(mass / (density * DALTONS_PER_NM3))), 4)
+    return round(float(np.cbrt(mass / (density * GRAM_PER_CM3))), 4)
 
 
 def make(name: str, n_bodies: int, salt: float, options) -> Path:

@@ -1,10 +1,25 @@
+import signal
 from importlib import util
 
 import numpy as np
 import pytest
 
-from openmm_sier.dynamics import bodies
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics import backend
+
+
+@pytest.fixture(scope="session", autouse=True)
+def signals_reach_children():
+    """Commands that tests start obey signals, also where the suite itself was started with them ignored.
+
+    Scripts start background jobs with SIGINT ignored, `nohup` ignores SIGHUP, and children inherit that. They do not
+    inherit handlers: a signal that is handled here has its default effect there.
+    """
+    ignored = [s for s in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM) if signal.getsignal(s) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else lambda *_: None)
+    yield
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @pytest.fixture
@@ -13,10 +28,11 @@ def rng():
     return np.random.default_rng(20070518)
 
 
-@pytest.fixture(params=["numpy", "numba"] if util.find_spec("numba") else ["numpy"])
-def executed_by(request, monkeypatch):
+@pytest.fixture(params=["NumPy", "Numba"] if util.find_spec("numba") else ["NumPy"])
+def executed_by(request):
     """Runs a test with NumPy and, where it is installed, with the code that Numba compiles."""
-    if request.param == "numpy":
-        for module in (rotor, bodies):
-            monkeypatch.setattr(module, "executor", lambda: None)
-    return request.param
+    with backend.using(backend.NUMPY if request.param == "NumPy" else NUMBA):
+        yield request.param
+
+
+NUMBA = backend.NumbaBackend()

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies, Species
-from openmm_sier.measure.forcefields import read_box
-from openmm_sier.studies.console import table
+from openmm_sier.cli.console import note, table
+from openmm_sier.context.conservation import density
+from openmm_sier.context.find_bodies import RigidBodies
+from openmm_sier.dynamics.bodies import Species
+from openmm_sier.measure.forcefields import Box, read_box
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
@@ -19,24 +21,40 @@ EQUAL = 1e-6
 COLUMNS = ("residues", "bodies", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
 
 
-def info(path: Path, files: Sequence[str] | None = None) -> None:
+def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
+    """The rigid bodies of a box.
+
+    Args:
+        box: as `forcefields.read_box` gives it.
+        rigid: names of residues that are rigid bodies, of the geometry that they have in the PDB file.
+
+    Raises:
+        RigidityError: constraints make no rigid bodies, or a named residue cannot be one.
+        ValueError: there is no residue of that name.
+    """
+    named = dict.fromkeys(rigid, "rigid") if rigid else None
+    return RigidBodies.from_system(box.system, box.topology, named, box.positions)
+
+
+def info(path: Path, files: Sequence[str] | None = None, rigid: Sequence[str] | None = None) -> None:
     """Print the kinds of body of a PDB file, masses in dalton and moments in dalton nm^2.
 
     Args:
         path: the PDB file.
         files: force-field files; None picks one, see `forcefields.pick`.
+        rigid: see `rigid_bodies`.
 
     Raises:
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
     box = read_box(path, files)
-    bodies = RigidBodies.from_system(box.system, box.topology)
+    bodies = rigid_bodies(box, rigid)
     atoms = list(box.topology.atoms())
     riders = _riders(box.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
     table(f"{path}, {' '.join(box.choice.files)} ({box.choice.reason})", COLUMNS, rows)
-    counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.degrees_of_freedom} degrees of freedom"
-    print(counts + _extent(box))
+    counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
+    note(counts + _extent(box))
 
 
 def _row(species: Species, atoms, riders: dict[int, list[int]]) -> list[str]:
@@ -50,7 +68,7 @@ def _row(species: Species, atoms, riders: dict[int, list[int]]) -> list[str]:
         f"{species.mass:.4f}",
         " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",
         kind(species.moments),
-        str(species.degrees_of_freedom),
+        str(species.dof),
     ]
 
 
@@ -86,5 +104,4 @@ def _extent(box) -> str:
     edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
     masses = [box.system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(box.system.getNumParticles())]
     volume = abs(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer))))
-    density = sum(masses) / volume / 602.214076
-    return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density:.3f} g/cm3"
+    return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density(sum(masses), volume):.3f} g/cm3"

@@ -3,21 +3,40 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
+import os
+import signal
 import sys
+import warnings
 from pathlib import Path
+from typing import TextIO
 
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.version import __version__
 
 PROGRAM = "openmm-sier"
 SCHEMES = tuple(CATALOGUE)
-FAILED, MISUSED, INTERRUPTED = 1, 2, 130
+
+#: Exit codes; further ones are an error's own `exit_code`, and 128 + n after signal n.
+FAILED, MISUSED, SIGNALLED = 1, 2, 128
+
+EXIT_CODES = """exit codes:
+  0    done
+  1    an error, in one line on standard error
+  2    wrong arguments
+  3    energy or temperature ran away: the step is too long, say. The last good checkpoint is kept
+  129, 130, 143
+       ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,
+       and --restart goes on. A second signal ends the run at once
+"""
+
+RIGID_HELP = "names of residues that are rigid bodies of the geometry that they have in the PDB file, besides water"
 
 FORCEFIELD_HELP = (
     "force-field files, OpenMM's or your own. Without it the file named in a record 'REMARK  99 FORCEFIELD file.xml' "
-    "of the PDB file, and without that the water model with the nearest geometry: tip3p.xml, spce.xml, tip4p.xml, "
-    "tip5p.xml or another"
+    "of the PDB file, and without that the water model whose geometry the file has, if that is one alone; else the "
+    "error says which to choose from"
 )
 
 
@@ -31,33 +50,70 @@ class Parser(argparse.ArgumentParser):
 def main(arguments: list[str] | None = None) -> int:
     """Carry out a command line; returns the exit code."""
     options = build_parser().parse_args(arguments)
+    if not _standard_streams():
+        return _complain("standard output is closed; send it to a file, or to /dev/null")
     try:
-        options.execute(options)
+        with warnings.catch_warnings():
+            warnings.showwarning = _note_warning
+            options.execute(options)
     except KeyboardInterrupt as stop:
-        return _complain(str(stop) or "interrupted", INTERRUPTED)
+        return _complain(str(stop) or "interrupted", SIGNALLED + getattr(stop, "signum", signal.SIGINT))
     except BrokenPipeError:
         # The reader of our output has gone, as `head` does: nothing is left to be said.
-        sys.stderr.close()
+        _discard(sys.stdout)
+        _discard(sys.stderr)
         return FAILED
     except Exception as error:
         if options.debug:
             raise
-        expected = isinstance(error, (ValueError, OSError, ImportError)) or type(error).__module__.startswith("openmm")
-        return _complain(
-            _one_line(error) if expected else f"{type(error).__name__}: {_one_line(error)} (--debug shows where)"
-        )
+        return _complain(_said_of(error), getattr(error, "exit_code", FAILED))
     return 0
 
 
+def _note_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    """A warning on one line among the notes, without the line of our code that gave it."""
+    print(f"warning: {' '.join(str(message).split())}", flush=True)
+
+
+def _standard_streams() -> bool:
+    """Make sure that no file of ours gets the number of a closed standard stream; whether standard output is open."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest number that is free, which is this one.
+            os.open(os.devnull, os.O_RDWR)
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    return sys.stdout is not None
+
+
 def _complain(message: str, code: int = FAILED) -> int:
-    print(f"{PROGRAM}: {message}", file=sys.stderr)
+    try:
+        print(f"{PROGRAM}: {message}", file=sys.stderr, flush=True)
+    except OSError:
+        # A terminal that was closed, say. The code tells it too.
+        _discard(sys.stderr)
     return code
 
 
-def _one_line(error: BaseException) -> str:
+def _discard(stream: TextIO) -> None:
+    """Send what a stream could not write to the null device, or Python would fail over it at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())
+        os.close(null)
+
+
+def _said_of(error: Exception) -> str:
+    """An error in one line."""
+    message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return " ".join(str(error).split()) or type(error).__name__
+    known = isinstance(error, (ValueError, OSError, ImportError)) or type(error).__module__.startswith("openmm")
+    return (
+        message if known or hasattr(error, "exit_code") else f"{type(error).__name__}: {message} (--debug shows where)"
+    )
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -79,12 +135,15 @@ def _add_run(commands) -> argparse.ArgumentParser:
         help="simulate a PDB file",
         description="Read a PDB file, equilibrate it at a temperature and simulate it at constant energy, temperature "
         "or pressure. Writes a trajectory of the atoms that the PDB file lists, a log (CSV) and a checkpoint, from "
-        "which --restart goes on without a gap.",
+        "which --restart goes on without a gap and --start begins a new run, in another ensemble say.",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "box", metavar="BOX.pdb", type=Path, help="whole molecules with hydrogens; virtual sites are added"
     )
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
+    parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
     parser.add_argument("--scheme", choices=("auto", *SCHEMES), help="default: sier4; auto takes the recommended one")
     parser.add_argument("--dt", metavar="FS", type=_positive, help="step in fs (default: 1 per force evaluation)")
     parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
@@ -95,20 +154,42 @@ def _add_run(commands) -> argparse.ArgumentParser:
         "--steps", type=_whole, help="length of the whole trajectory, of which a restart does what is left"
     )
     length.add_argument("--time", metavar="PS", type=_positive, help="the same in ps (default: 10)")
-    parser.add_argument("--temperature", metavar="K", type=_not_negative, default=297.0, help="default: 297")
-    parser.add_argument("--equilibrate", metavar="PS", type=_not_negative, default=1.0, help="how long (default: 1)")
+    parser.add_argument(
+        "--temperature", metavar="K", type=_not_negative, help="default: 297, or that of the run of --start"
+    )
+    parser.add_argument(
+        "--equilibrate",
+        metavar="PS",
+        type=_not_negative,
+        help="how long (default: until temperatures and potential energy have settled, 3 to 20; not at all with "
+        "--start)",
+    )
     parser.add_argument(
         "--minimize",
         action=argparse.BooleanOptionalAction,
         help="minimize the energy first (default: if the start has forces that a liquid has not)",
     )
     parser.add_argument("--out", metavar="FILE", type=Path, help="trajectory, .dcd, .xtc or .h5 (default: BOX.dcd)")
+    parser.add_argument(
+        "--unwrapped", action="store_true", default=None, help="frames have molecules where they went, not in the box"
+    )
     parser.add_argument("--report", metavar="CSV", type=Path, help="log (default: as the trajectory, with .csv)")
     parser.add_argument("--every", metavar="PS", type=_positive, help="between frames (default: 0.1)")
     parser.add_argument("--report-every", metavar="PS", type=_positive, help="between rows of the log (default: 0.04)")
     parser.add_argument("--checkpoint-every", metavar="PS", type=_positive, help="between checkpoints (default: 1)")
-    parser.add_argument("--seed", type=_whole, default=1, help="of velocities and equilibration (default: 1)")
+    parser.add_argument(
+        "--bodies", metavar="FILE.h5", type=Path, help="write centres, quaternions and momenta of the bodies there"
+    )
+    parser.add_argument("--bodies-every", metavar="PS", type=_positive, help="between them (default: as --every)")
+    parser.add_argument("--seed", type=_whole, help="of velocities, equilibration and heat bath (default: 1)")
     parser.add_argument("--platform", help="of OpenMM (default: the fastest)")
+    parser.add_argument(
+        "--start",
+        metavar="FILE",
+        type=Path,
+        help="checkpoint (.chk) of any run, whose positions, velocities and box a new run begins with; unless given, "
+        "force field, --rigid and temperature are taken from it too",
+    )
     parser.add_argument("--restart", metavar="FILE", type=Path, help="checkpoint (.chk) to go on from")
     parser.add_argument("--overwrite", action="store_true", help="replace files of an earlier run")
     parser.set_defaults(execute=_run)
@@ -116,10 +197,10 @@ def _add_run(commands) -> argparse.ArgumentParser:
 
 
 def _run(options) -> None:
-    from openmm_sier.cli import run
+    from openmm_sier.cli import plan, run
 
-    names = run.Options.__dataclass_fields__
-    run.run(run.Options(**{name: getattr(options, name) for name in names}))
+    names = plan.Options.__dataclass_fields__
+    run.run(plan.Options(**{name: getattr(options, name) for name in names}))
 
 
 # --- info ---
@@ -133,6 +214,7 @@ def _add_info(commands) -> argparse.ArgumentParser:
     )
     parser.add_argument("box", metavar="BOX.pdb", type=Path)
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
+    parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
     parser.set_defaults(execute=_info)
     return parser
 
@@ -140,7 +222,7 @@ def _add_info(commands) -> argparse.ArgumentParser:
 def _info(options) -> None:
     from openmm_sier.cli import info
 
-    info.info(options.box, options.forcefield)
+    info.info(options.box, options.forcefield, options.rigid)
 
 
 # --- paper ---
@@ -161,9 +243,10 @@ def _add_paper(commands) -> argparse.ArgumentParser:
 
 
 def _paper(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import paper
 
-    paper.run(options.experiment, options.quick, options.out, options.seed)
+    paper.run(options.experiment, options.quick, options.out, options.seed, REPORT)
 
 
 # --- comparisons ---
@@ -225,14 +308,15 @@ def _add_equipartition(commands) -> argparse.ArgumentParser:
 
 
 def _equipartition(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import equipartition
 
     if options.pool:
         if options.box is not None:
             raise ValueError(f"--pool reads what earlier runs wrote: it takes no box, got {options.box}")
-        equipartition.pool(options.pool, options.out)
+        equipartition.pool(options.pool, options.out, REPORT)
     else:
-        equipartition.run(_settings(equipartition.Settings, options), options.out)
+        equipartition.run(_settings(equipartition.EquipartitionSettings, options), options.out, REPORT)
 
 
 def _add_schemes(commands) -> argparse.ArgumentParser:
@@ -253,9 +337,10 @@ def _add_schemes(commands) -> argparse.ArgumentParser:
 
 
 def _schemes(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import scheme_comparison
 
-    scheme_comparison.run(_settings(scheme_comparison.Settings, options), options.out)
+    scheme_comparison.run(_settings(scheme_comparison.SchemesSettings, options), options.out, REPORT)
 
 
 def _add_bench(commands) -> argparse.ArgumentParser:
@@ -278,9 +363,10 @@ def _add_bench(commands) -> argparse.ArgumentParser:
 
 
 def _bench(options) -> None:
+    from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import bench
 
-    bench.run(_settings(bench.Settings, options), options.out)
+    bench.run(_settings(bench.BenchSettings, options), options.out, REPORT)
 
 
 # --- values ---

@@ -13,7 +13,9 @@ import os
 import struct
 import tempfile
 import zipfile
-from collections.abc import Sequence
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -37,6 +39,15 @@ class RecordError(ValueError):
     """A file of a run is missing, damaged, or not of this run."""
 
 
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Errors of the operating system name this file."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
 class GrowingFile:
     """A file that only grows, by whole records.
 
@@ -54,31 +65,52 @@ class GrowingFile:
             count: records among the bytes kept.
 
         Raises:
-            RecordError: the file has fewer bytes than are to be kept.
+            RecordError: the file is missing, or has fewer bytes than are to be kept.
+            OSError: it cannot be written.
         """
         self.path, self.size, self.count = path, size, count
         if size:
-            there = path.stat().st_size if path.exists() else 0
+            if not path.exists():
+                raise RecordError(f"{path} is missing; a restart continues the file that its checkpoint belongs to")
+            there = path.stat().st_size
             if there < size:
                 raise RecordError(f"{path} has {there} bytes, fewer than the {size} that it had at the checkpoint")
-        self._file = open(path, "r+b" if size else "wb", buffering=0)  # noqa: SIM115
-        self._file.truncate(size)
-        self._file.seek(size)
+        with naming(path):
+            self._file = open(path, "r+b" if size else "wb", buffering=0)  # noqa: SIM115
+            self._file.truncate(size)
+            self._file.seek(size)
 
     def append(self, record: bytes, counts: bool = True) -> None:
-        # One system call, so that a kill leaves whole records, but for an accident that cutting back mends.
-        self._file.write(record)
+        """Write a record.
+
+        Raises:
+            OSError: it does not fit on the disk, say. The file then ends with the record before.
+        """
+        with naming(self.path):
+            try:
+                # One system call, so that a kill leaves whole records, but for an accident that cutting back mends.
+                written = self._file.write(record)
+                # A disk that is nearly full takes a part of the record, and refuses only the next one.
+                while written < len(record):
+                    written += self._file.write(record[written:])
+            except OSError:
+                with suppress(OSError):
+                    self._file.truncate(self.size)
+                    self._file.seek(self.size)
+                raise
         self.size += len(record)
         self.count += counts
 
     def patch(self, offset: int, value: bytes) -> None:
-        self._file.seek(offset)
-        self._file.write(value)
-        self._file.seek(self.size)
+        with naming(self.path):
+            self._file.seek(offset)
+            self._file.write(value)
+            self._file.seek(self.size)
 
     def sync(self) -> None:
         """Return when the bytes are on the disk."""
-        os.fsync(self._file.fileno())
+        with naming(self.path):
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
         self._file.close()
@@ -86,6 +118,11 @@ class GrowingFile:
     def length(self) -> dict[str, int]:
         """What the checkpoint notes."""
         return {"size": self.size, "count": self.count}
+
+    @staticmethod
+    def companions(path: Path) -> list[Path]:
+        """Further files that are written for one of this path."""
+        return []
 
 
 class Log(GrowingFile):
@@ -184,20 +221,24 @@ class HDF5Trajectory(DCDTrajectory):
             raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
         super().__init__(path.with_name(path.name + ".dcd"), topology, dt, interval, size, count)
 
+    @staticmethod
+    def companions(path: Path) -> list[Path]:
+        return [path.with_name(path.name + ".dcd"), unfinished(path)]
+
     def finish(self) -> None:
         """Put the frames in the HDF5 file and remove the other."""
+        self.close()
+        convert(self.path, self.target, self._write_frames)
+
+    def _write_frames(self, path: Path) -> None:
         import mdtraj
 
-        self.close()
-        unfinished = self.target.with_name(f"unfinished-{self.target.name}")
-        with mdtraj.formats.HDF5TrajectoryFile(str(unfinished), "w", force_overwrite=True) as file:
+        with mdtraj.formats.HDF5TrajectoryFile(str(path), "w", force_overwrite=True) as file:
             file.topology = mdtraj.Topology.from_openmm(self._topology)
             for first in range(0, self.count, CHUNK):
                 positions, lengths, angles = self._read(first, min(CHUNK, self.count - first))
                 steps = (np.arange(len(positions)) + first + 1) * self._interval
                 file.write(coordinates=positions, time=steps * self._dt, cell_lengths=lengths, cell_angles=angles)
-        os.replace(unfinished, self.target)
-        self.path.unlink()
 
     def _read(self, first: int, count: int):
         """Positions in nm, and lengths (nm) and angles (degrees) of the box, or None, of some frames."""
@@ -214,6 +255,34 @@ class HDF5Trajectory(DCDTrajectory):
         a, cos_gamma, b, cos_beta, cos_alpha, c = frames["box"].T
         angles = np.degrees(np.arccos([cos_alpha, cos_beta, cos_gamma]))
         return positions, np.transpose([a, b, c]) / 10, angles.T
+
+
+def unfinished(path: Path) -> Path:
+    """Where an HDF5 file is made before it takes its place."""
+    return path.with_name(f"unfinished-{path.name}")
+
+
+def convert(growing: Path, target: Path, write: Callable[[Path], None]) -> None:
+    """Make an HDF5 file of the frames of another file, which is then removed.
+
+    Args:
+        growing: holds the frames.
+        target: the HDF5 file.
+        write: writes the frames to a path.
+
+    Raises:
+        RecordError: the file could not be written. The frames are where they were.
+    """
+    temporary = unfinished(target)
+    try:
+        write(temporary)
+        os.replace(temporary, target)
+    # PyTables and h5py raise RuntimeErrors of their own where the disk is full.
+    except (OSError, RuntimeError) as error:
+        temporary.unlink(missing_ok=True)
+        reason = " ".join(str(error).split())[-200:]
+        raise RecordError(f"{target} could not be written: {reason}. Its frames are kept in {growing}") from error
+    growing.unlink()
 
 
 FORMATS: dict[str, type[DCDTrajectory] | type[XTCTrajectory]] = {
@@ -236,6 +305,11 @@ def trajectory_format(path: Path) -> type[DCDTrajectory] | type[XTCTrajectory]:
     return FORMATS[path.suffix]
 
 
+def temporary_checkpoint(path: Path) -> Path:
+    """Where a checkpoint is written before it takes the place of the last one."""
+    return path.with_name(path.name + ".tmp")
+
+
 def write_checkpoint(path: Path, state, notes: dict[str, Any]) -> None:
     """Replace the checkpoint: at any moment the file is either the old or the new one.
 
@@ -243,15 +317,25 @@ def write_checkpoint(path: Path, state, notes: dict[str, Any]) -> None:
         path: of the file, a zip archive with state.xml and notes.json.
         state: openmm.State with positions, velocities and parameters.
         notes: what JSON can hold.
+
+    Raises:
+        OSError: it cannot be written; the old one is there still, and nothing of the new one.
     """
-    temporary = path.with_name(path.name + ".tmp")
-    with open(temporary, "wb") as file:
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))
-            archive.writestr("notes.json", json.dumps({"format": FORMAT, **notes}, indent=1))
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))
+        archive.writestr("notes.json", json.dumps({"format": FORMAT, **notes}, indent=1))
+    temporary = temporary_checkpoint(path)
+    with naming(path):
+        try:
+            with open(temporary, "wb") as file:
+                file.write(content.getbuffer())
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
 
 
 def read_checkpoint(path: Path) -> tuple[Any, dict[str, Any]]:
@@ -265,7 +349,7 @@ def read_checkpoint(path: Path) -> tuple[Any, dict[str, Any]]:
         with zipfile.ZipFile(path) as archive:
             state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
             notes = json.loads(archive.read("notes.json"))
-    except (zipfile.BadZipFile, KeyError, ValueError, openmm.OpenMMException) as error:
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
         raise RecordError(f"{path} is no checkpoint of openmm-sier run") from error
     if notes.get("format") != FORMAT:
         raise RecordError(f"{path} was written by another version of openmm-sier, in format {notes.get('format')}")

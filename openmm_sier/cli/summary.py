@@ -1,4 +1,4 @@
-"""What a run tells about itself: the rows of its log, and the table at its end."""
+"""The table at the end of a run: what was conserved, and what it cost."""
 
 from __future__ import annotations
 
@@ -6,55 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from openmm import unit
 
-from openmm_sier.context.langevin import SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
-from openmm_sier.studies.console import duration
-
-#: Degrees of freedom that a centre of mass at rest takes. A heat bath sets it in motion.
-REMOVED = {False: 3, True: 0}
-
-COLUMNS = (
-    "step",
-    "time_ps",
-    "potential_kJ_per_mol",
-    "kinetic_kJ_per_mol",
-    "total_kJ_per_mol",
-    "conserved_kJ_per_mol",
-    "T_K",
-    "T_trans_K",
-    "T_rot_K",
-    "momentum_dalton_nm_per_ps",
-    "volume_nm3",
-)
-
-BLOCKS = 10
-
-
-def row(context, integrator) -> tuple[float, ...]:
-    """Values of `COLUMNS` at the last completed step. Costs one evaluation of the energy.
-
-    What is conserved is the total energy less the heat that a heat bath gave.
-    """
-    removed = REMOVED[isinstance(integrator, SIERLangevinIntegrator)]
-    observed = context.getState(energy=True)
-    bodies, state = integrator.bodies, integrator.getBodyState()
-    potential = observed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-    kinetic = sum(bodies.kinetic_energies(state))
-    freedoms = bodies.degrees_of_freedom - removed
-    return (
-        observed.getStepCount(),
-        observed.getTime().value_in_unit(unit.picosecond),
-        potential,
-        kinetic,
-        potential + kinetic,
-        potential + kinetic - state.heat,
-        2 * kinetic / (freedoms * GAS_CONSTANT) if freedoms > 0 else math.nan,
-        *bodies.temperatures(state, removed),
-        float(np.linalg.norm(bodies.total_momenta(state)[0])),
-        observed.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3),
-    )
+from openmm_sier.measure.observables import energy_drift, energy_error, energy_fluctuation
+from openmm_sier.measure.report import duration
+from openmm_sier.measure.statistics import mean_and_error
 
 
 @dataclass(frozen=True)
@@ -90,33 +45,31 @@ class Cost:
 
 
 def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    """Names and values for the table at the end, from the columns of a log.
+    """Names and values for the table at the end.
 
-    rms(X) is the root mean square deviation from the mean (van Zon and Schofield 2007, section IV). H is the total
-    energy, less the heat that a heat bath gave.
+    H is the conserved energy: the total energy less the heat that a thermostat or a volume move gave.
+
+    Args:
+        log: columns of the log by name, see `openmm_sier.context.conservation.COLUMNS`.
     """
-    H, V, t = log["conserved_kJ_per_mol"], log["potential_kJ_per_mol"], log["time_ps"]
-    momentum = log["momentum_dalton_nm_per_ps"]
-    slope = np.polyfit(t - t.mean(), H, 1)[0] if len(t) > 2 else math.nan
+    time, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
+    momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
     return [
-        ("energy drift", _with_unit(slope, "+.3g", "kJ/mol/ps")),
-        ("energy fluctuation rms(H)", _with_unit(H.std(), ".3g", "kJ/mol")),
-        ("rms(H)/rms(V)", _with_unit(100 * H.std() / V.std() if V.std() > 0 else math.nan, ".3g", "%")),
-        ("T_trans", _mean_and_error(log["T_trans_K"])),
-        ("T_rot", _mean_and_error(log["T_rot_K"])),
+        ("drift of the conserved energy H", _value(*energy_drift(time, H), "kJ/mol/ps", "+.3g", ".1g")),
+        ("fluctuation rms(H)", _value(energy_fluctuation(time, H), math.nan, "kJ/mol")),
+        ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), math.nan, "%")),
+        ("T_trans", _value(*mean_and_error(log["Translational Temperature (K)"]), "K", ".1f", ".1f")),
+        ("T_rot", _value(*mean_and_error(log["Rotational Temperature (K)"]), "K", ".1f", ".1f")),
         ("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"),
     ]
 
 
-def _with_unit(value: float, form: str, name: str) -> str:
-    return "-" if math.isnan(value) else f"{value:{form}} {name}"
+def density_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    """The density, for the table at the end of a run at constant pressure; the argument is as above."""
+    return [("density", _value(*mean_and_error(log["Density (g/mL)"]), "g/ml", ".4f", ".4f"))]
 
 
-def _mean_and_error(values: np.ndarray) -> str:
-    """Mean and its standard error from block averages, in K."""
-    if np.isnan(values).any():
+def _value(value: float, error: float, unit: str, form: str = ".3g", error_form: str = ".1g") -> str:
+    if math.isnan(value):
         return "-"
-    if len(values) < 2 * BLOCKS:
-        return f"{values.mean():.1f} K"
-    means = [block.mean() for block in np.array_split(values, BLOCKS)]
-    return f"{values.mean():.1f} ± {np.std(means, ddof=1) / math.sqrt(BLOCKS):.1f} K"
+    return f"{value:{form}} {unit}" if math.isnan(error) else f"{value:{form}} ± {error:{error_form}} {unit}"

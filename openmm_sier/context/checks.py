@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 import openmm
 
+from openmm_sier.context.geometries import RESOLUTION
+from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 
 #: These are known to do nothing; with any other kind in the System the Context is told and read each step.
@@ -106,3 +108,25 @@ def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
                 f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
                 "strength)"
             )
+
+
+def tell_of_misfit(bodies: RigidBodies, misfit) -> bool:
+    """Warn of atoms that are moved by more than the rounding of a PDB file when bodies are fitted to them.
+
+    Args:
+        bodies: the rigid bodies.
+        misfit: for each body the largest distance of an atom from its place, (n,), nm.
+
+    Returns:
+        Whether there were any.
+    """
+    off = int(np.count_nonzero(misfit > RESOLUTION))
+    if not off:
+        return False
+    worst = int(misfit.argmax())
+    tell(
+        f"{off} of {bodies.n} bodies are not quite in the shape of their constraints, or of the geometry that they "
+        f"were given, and are moved onto it: an atom by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. "
+        "Is it the force field that the positions were made with?"
+    )
+    return True

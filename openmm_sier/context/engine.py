@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 
-from openmm_sier.context import checks, stored_state
+from openmm_sier.context import checks, neighbour_list, stored_state
+from openmm_sier.context.host import Host
 from openmm_sier.context.snapshot import Snapshot, read_vectors
+from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures
+from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import VolumeMove
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, NotFiniteError, RigidBodies
-
-if TYPE_CHECKING:
-    from openmm_sier.context.integrator import SIERIntegrator
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 
 #: Per-atom and global variables of the CustomIntegrator in which the bodies' state travels.
 STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(stored_state.VARIABLES))
@@ -42,7 +42,7 @@ class Engine:
         forces: forces and torques on them, computed by the Context.
     """
 
-    def __init__(self, integrator: SIERIntegrator, context):
+    def __init__(self, integrator: Host, context):
         # The Context owns its integrator, so that a strong reference back would keep both alive.
         self._context_ref = weakref.ref(context)
         self._integrator_ref = weakref.ref(integrator)
@@ -57,13 +57,18 @@ class Engine:
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self._positions, self._velocities, self._atom_forces = np.zeros((3, n, 3))
         self._placed: tuple = (None, None)
+        self._remembers_list = neighbour_list.is_remembered(context)
+        self._starts_anew = False
         self._groups: int
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
         self.forces = operators.CachedForces(self._compute_forces)
         self.operators: dict[str, operators.Operator] = {}
         self._bodies: RigidBodies | None = None
+        self._momentum: MomentumConservation | None = None
         self._move_volume: VolumeMove
+        self._vibrations: Vibrations
+        self._told_of_misfit = False
         # Where positions tell nothing of the bodies they are settled now, and the plan takes more memory than they do.
         self._plan: Any = plan if plan.needs_positions else None
         if self._plan is None:
@@ -77,7 +82,7 @@ class Engine:
         return context
 
     @property
-    def _integrator(self) -> SIERIntegrator:
+    def _integrator(self) -> Host:
         integrator = self._integrator_ref()
         if integrator is None:
             raise openmm.OpenMMException("The integrator of this Context no longer exists")
@@ -109,6 +114,8 @@ class Engine:
 
     def _settle(self, bodies: RigidBodies) -> RigidBodies:
         integrator, context = self._integrator, self._context
+        vibrations = Vibrations(context.getSystem(), bodies)
+        self._check_step(vibrations)
         molecules = context.getMolecules()
         checks.refuse_deforming_barostats(context.getSystem(), molecules, bodies)
         if integrator._piston is not None:
@@ -116,23 +123,26 @@ class Engine:
             self._move_volume = integrator._piston.operator(bodies, molecules)
         found = operators.body_operators(bodies, self.forces, integrator.rotation)
         self.operators, self._bodies = found | integrator._extra_operators(bodies), bodies
+        self._vibrations = vibrations
         return bodies
 
-    @property
-    def removes_motion(self) -> bool:
-        """Whether the centre of mass is kept at rest."""
-        return bool(self._sweep_frequencies)
+    def _check_step(self, vibrations: Vibrations) -> None:
+        integrator = self._integrator
+        vibrations.check(integrator.scheme, integrator.getStepSize()._value, integrator.getIntegrationForceGroups())
 
     # --- stepping ---
 
     def run(self, count: int) -> None:
         """Advance by `count` steps; an error or interrupt leaves the Context at the last completed one."""
         self.adopt()
+        self._check_step(self._vibrations)
         integrator = self._integrator
         h = integrator.getStepSize()._value
         step = operators.stepper(integrator._active_scheme(), self.operators, h)
         alone = not self._has_actors and integrator._piston is None
         try:
+            if count and self._starts_anew:
+                self._forget_past()
             for _ in range(count):
                 if alone or not (self._has_actors or self._moves_volume_now()):
                     # The Context learns of the step when the last one is published.
@@ -142,8 +152,17 @@ class Engine:
             self._publish()
         except BaseException:
             # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
-            _whatever_interrupts(self._recover)
+            self.restore()
             raise
+
+    def start_anew(self) -> None:
+        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it to the bit."""
+        self._starts_anew = self._remembers_list
+
+    def _forget_past(self) -> None:
+        neighbour_list.forget(self._context)
+        self.forces.invalidate()
+        self._starts_anew = False
 
     def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
         """One step, after all that acts besides the scheme: barostats and thermostats of the System, our own piston."""
@@ -211,9 +230,9 @@ class Engine:
         if np.array_equal(self._box(), before):
             return state
         now = Snapshot(self._context)
-        q, A = self.bodies.fit(now.positions, state)
+        q, A = self._fit(now, state)
         self._take_positions(now)
-        self.forces.forget()
+        self.forces.invalidate()
         return replace(state, q=q, A=A)
 
     def _box(self) -> np.ndarray:
@@ -238,9 +257,12 @@ class Engine:
         # A barostat moves what belongs to no body too.
         self._positions[:] = mark.getPositions(asNumpy=True)._value
 
+    def restore(self) -> None:
+        """Write the last completed step to the Context, whatever was cut short and even if Ctrl-C comes meanwhile."""
+        _whatever_interrupts(self._recover)
+
     def _recover(self) -> None:
-        """Write the last completed step to the Context, whatever was cut short."""
-        self.forces.forget()
+        self.forces.invalidate()
         self._placed = (None, None)
         self._publish()
 
@@ -262,12 +284,16 @@ class Engine:
             "too long, or do atoms overlap? The Context is left at the last completed step."
         )
 
-    def temperature(self) -> float:
-        """In K, of all degrees of freedom; NaN where there are none."""
+    def conserves_momentum(self) -> bool:
+        """Whether the total momentum is conserved, see `MomentumConservation`."""
+        if self._momentum is None:
+            self._momentum = MomentumConservation.of_system(self._context.getSystem(), self.bodies)
+        return self._momentum.holds(self._integrator)
+
+    def temperatures(self) -> Temperatures:
+        """In K, see `openmm_sier.context.temperature`."""
         self.adopt()
-        freedoms = self.bodies.degrees_of_freedom - (3 if self.removes_motion else 0)
-        kinetic = sum(self.bodies.kinetic_energies(self.state))
-        return 2 * kinetic / (freedoms * GAS_CONSTANT) if freedoms > 0 else float("nan")
+        return temperatures(self.bodies, self.state, self.conserves_momentum())
 
     # --- agreement with the Context ---
 
@@ -280,9 +306,12 @@ class Engine:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now = Snapshot(self._context)
-        if self._point is None and len(now.positions) > 1 and not now.positions.any():
-            raise openmm.OpenMMException("Particle positions have not been set")
+        if self._point is None and not now.positions.any():
+            # All particles may be at the origin. OpenMM knows, and says so before it computes anything.
+            self._context.getState(energy=True, groups=0)
         moved = self._point is None or not now.same_positions(self._echo)
+        if moved:
+            self.start_anew()
         if moved and self._plan is not None:
             self._settle_by(now.positions)
         if moved or not now.same_velocities(self._echo):
@@ -293,7 +322,7 @@ class Engine:
         self._velocities[:] = now.velocities
         integrator = self._integrator
         self._groups = integrator.getIntegrationForceGroups()
-        heat, draws = integrator.getGlobalVariableByName(HEAT), int(integrator.getGlobalVariableByName(DRAWS))
+        heat, draws = integrator._counters(None if self._point is None else self._point.state)
         self._point, self._echo = _Point(replace(state, heat=heat, draws=draws), now.time, now.steps), now
 
     def _reconcile(self, before: Snapshot | None, now: Snapshot) -> BodyState:
@@ -301,22 +330,29 @@ class Engine:
         old = None if self._point is None else self._point.state
         self._notice_environment(before, now)
         if old is None or before is None:
-            q, A = self.bodies.fit(now.positions)
+            q, A = self._fit(now)
             self._take_positions(now)
             p, L = self._momenta(now.velocities, A)
             return BodyState(q, p, A, L)
         q, A = old.q, old.A
         if not now.same_positions(before):
-            q, A = self.bodies.fit(now.positions, old)
+            q, A = self._fit(now, old)
             self._take_positions(now)
         if now.same_velocities(before) and np.array_equal(A, old.A):
             return replace(old, q=q, A=A)
         p, L = self._momenta(now.velocities, A)
         return replace(old, q=q, p=p, A=A, L=L)
 
+    def _fit(self, now: Snapshot, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Bodies at the positions of a snapshot; those that do not quite have their shapes are said, once."""
+        q, A, misfit = self.bodies.fit_with_misfit(now.positions, previous)
+        if not self._told_of_misfit:
+            self._told_of_misfit = checks.tell_of_misfit(self.bodies, misfit)
+        return q, A
+
     def _notice_environment(self, before: Snapshot | None, now: Snapshot) -> None:
         if not now.same_environment(before):
-            self.forces.forget()
+            self.forces.invalidate()
 
     def _momenta(self, velocities, A):
         try:
@@ -343,7 +379,7 @@ class Engine:
         reproduced = np.array_equal(positions, now.positions)
         if not reproduced or not (moved or np.array_equal(velocities, now.velocities)):
             return None
-        self.forces.forget()
+        self.forces.invalidate()
         self._take_positions(now)
         if not np.array_equal(velocities, now.velocities):
             p, L = self._momenta(now.velocities, state.A)

@@ -2,75 +2,85 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import FIT_TOLERANCE, LINEAR_MOMENT, RigidBodies, RigidityError, Species, fit_attitudes
+from openmm_sier.context import geometries
+from openmm_sier.context.geometries import EMBEDDING_TOLERANCE, Cluster, Kind, KindCollector, Sharing
+from openmm_sier.context.notices import tell
+from openmm_sier.dynamics import bodies as dynamics
+from openmm_sier.dynamics.bodies import RigidityError, Species
 
-#: Largest error in nm of a constraint in the geometry that all constraints of a cluster define.
-EMBEDDING_TOLERANCE = 1e-4
+#: Names bodies of each heavy atom with its hydrogens.
+HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 
-#: Atoms of a named body this close in nm to a line or a plane lie on it; PDB files round to 1e-4 nm.
-RESOLUTION = 5e-4
-
-Cluster = tuple[int, ...]
+#: What users may name as rigid bodies.
+Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
 
 #: Constraint lengths in nm by ascending pairs of particles.
 Lengths = dict[tuple[int, int], float]
 
 
-class Kind(NamedTuple):
-    """Clusters of particles with the same masses, in their order, and the same constraints.
+class RigidBodies(dynamics.RigidBodies):
+    """The rigid and point bodies of an OpenMM System."""
 
-    Attributes:
-        masses: dalton.
-        clusters: particle indices of each body.
-        model: the bodies with the geometry that constraints give them; None where constraints do not.
-    """
+    @classmethod
+    def from_system(cls, system, topology=None, rigid: Rigid = None, positions=None) -> RigidBodies:
+        """Find the bodies of a System.
 
-    masses: tuple[float, ...]
-    clusters: list[Cluster]
-    model: Species | None
+        Particles that the user names form bodies of the geometry that they have. Of the others, those joined by
+        constraints form bodies whose geometry the constraint lengths define, and every massive particle that is left
+        is a point body. Virtual sites ride along. Massless particles that are no virtual sites stay where they are.
 
-    @property
-    def needs_positions(self) -> bool:
-        """Whether constraints leave the geometry or the choice between two mirror images open."""
-        return self.model is None or bool(self.model.sites.any(axis=1).all())
+        Molecules of one kind whose lengths or positions differ a little, as those of a PDB file do, share the average
+        geometry, which a warning says.
 
-
-class BodyPlan:
-    """Which particles of a System form rigid bodies.
-
-    Particles that the user names form bodies of the geometry that they have. Of the others, those joined by
-    constraints form bodies whose geometry the constraint lengths define, and every massive particle that is left is a
-    point body. Virtual sites ride along. Massless particles that are no virtual sites stay where they are.
-    """
-
-    def __init__(self, system, topology=None, rigid=None):
-        """
         Args:
             system: openmm.System.
-            topology: openmm.app.Topology, for the names of residues.
-            rigid: further rigid bodies: lists of particle indices, or a mapping {residue name: "rigid"}, which needs
-                the topology.
+            topology: openmm.app.Topology, for the names of residues in messages, and for some choices of `rigid`.
+            rigid: rigid bodies besides those that constraints make. Lists of particle indices; or a mapping {residue
+                name: "rigid"}; or "heavy atoms with hydrogens", by which each heavy atom and the hydrogens bonded to it
+                are one body. That fixes H-X-H angles besides bonds of hydrogen, and leaves all torsions free.
+            positions: (N, 3), nm or a Quantity, where the geometry of `rigid` is to be taken from.
 
         Raises:
             RigidityError: a cluster is constrained but not rigid, its lengths contradict each other, a constraint joins
-                a body to another particle, or a massless particle that is no virtual site is in a body.
-            ValueError: `rigid` names particles or residues that do not exist, or a particle twice.
+                a body to another particle, a massless particle that is no virtual site is in a body, or positions are
+                needed and were not given.
+            ValueError: `rigid` names particles or residues that do not exist, or a particle twice; or it needs the
+                topology.
+        """
+        if unit.is_quantity(positions):
+            positions = positions.value_in_unit(unit.nanometer)
+        return BodyPlan(system, topology, rigid).bodies(None if positions is None else np.array(positions, dtype=float))
+
+
+class BodyPlan:
+    """Which particles of a System form rigid bodies; see `RigidBodies.from_system` for the rules.
+
+    Attributes:
+        kinds: the kinds of body.
+    """
+
+    def __init__(self, system, topology=None, rigid: Rigid = None):
+        """
+        Args:
+            system: openmm.System.
+            topology: openmm.app.Topology.
+            rigid: as in `RigidBodies.from_system`, which also lists the errors raised.
         """
         n = system.getNumParticles()
         self._labels = None if topology is None else _residue_labels(topology, n)
         self._n = n
         self._describe = RigidBodies([], n, self._labels).describe_atoms
         self._masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(n)])
-        named = self._named_clusters(system, topology, rigid)
-        self.kinds = self._collect(named, _constraint_lengths(system))
+        lengths = _constraint_lengths(system)
+        named = self._checked(_named(topology, rigid, lengths), system)
+        self.kinds = self._collect(named, lengths)
 
     @property
     def needs_positions(self) -> bool:
@@ -81,7 +91,7 @@ class BodyPlan:
         """The bodies.
 
         Args:
-            positions: (N, 3), nm. Bodies of one kind share the geometry of the first of them that fits.
+            positions: (N, 3), nm.
             sites: (N, 3), nm, the atoms in the principal frames of their bodies, which named bodies get to the bit
                 unless these are no principal frames.
 
@@ -91,27 +101,41 @@ class BodyPlan:
         if positions is None and self.needs_positions:
             raise RigidityError("the geometry of these bodies is known from positions only: give positions")
         species: list[Species] = []
+        shared = [kind.sharing for kind in self.kinds if kind.sharing is not None and kind.model is not None]
         for kind in self.kinds:
             if kind.needs_positions:
                 self._demand_extent(kind, positions)
             if kind.model is None:
-                species += _from_sites(kind, sites) or self._from_positions(kind, positions)
+                known = [] if sites is None else geometries.from_sites(kind, sites)
+                found, sharing = (known, []) if known else geometries.from_positions(kind, positions, self._describe)
+                species += found
+                shared += sharing
             elif kind.needs_positions:
-                species += _by_handedness(kind.model, positions)
+                species += geometries.by_handedness(kind.model, positions)
             else:
                 species.append(kind.model)
+        self._say(shared)
         return RigidBodies(species, self._n, self._labels)
+
+    def _say(self, shared: list[Sharing]) -> None:
+        shared = [some for some in shared if some.deviation > geometries.ROUNDING]
+        if not shared:
+            return
+        first = max(shared, key=lambda some: some.deviation)
+        others = sum(len(some.clusters) for some in shared) - len(first.clusters)
+        more = f"; {others} bodies of {len(shared) - 1} more kinds do alike, with less deviation" if others else ""
+        tell(
+            f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} share one geometry, the average of "
+            f"theirs, from which they differ by up to {first.deviation:.1g} nm ({self._describe(first.worst)}){more}"
+        )
 
     # --- which particles ---
 
-    def _named_clusters(self, system, topology, rigid) -> list[Cluster]:
-        if rigid is None:
-            return []
-        if isinstance(rigid, Mapping):
-            rigid = _residues_named(topology, rigid)
+    def _checked(self, groups: Iterable[Iterable[int]], system) -> list[Cluster]:
+        """Named bodies without their virtual sites."""
         clusters = []
         seen: set[int] = set()
-        for indices in rigid:
+        for indices in groups:
             cluster = tuple(int(i) for i in indices if not (0 <= int(i) < self._n and system.isVirtualSite(int(i))))
             for i in cluster:
                 if not 0 <= i < self._n:
@@ -130,32 +154,33 @@ class BodyPlan:
 
     def _collect(self, named: list[Cluster], lengths: Lengths) -> list[Kind]:
         owner = {i: number for number, cluster in enumerate(named) for i in cluster}
+        inside: list[Lengths] = [{} for _ in named]
         loose = {}
         for (a, b), length in lengths.items():
             if owner.get(a) != owner.get(b):
                 raise RigidityError(
                     f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms "
-                    "that are joined by constraints into one body, or build the System without that constraint"
+                    "that are joined by constraints into one body, or build the System without that constraint "
+                    "(constraints=None or HBonds instead of AllBonds or HAngles)"
                 )
-            if a not in owner:
+            if a in owner:
+                inside[owner[a]][a, b] = length
+            else:
                 loose[a, b] = length
 
-        kinds: dict[tuple, list[Cluster]] = defaultdict(list)
+        collector = KindCollector()
         free = self._masses > 0
-        for cluster in named:
+        for cluster, constraints in zip(named, inside, strict=True):
+            collector.add(cluster, self._masses[list(cluster)], constraints)
             free[list(cluster)] = False
-            kinds[(tuple(self._masses[list(cluster)]), None)].append(cluster)
         for cluster in _clusters(loose):
             self._check(cluster, lengths)
+            collector.add(cluster, self._masses[list(cluster)], {p: lengths[p] for p in combinations(cluster, 2)})
             free[list(cluster)] = False
-            distances = tuple(lengths[pair] for pair in combinations(cluster, 2))
-            kinds[(tuple(self._masses[list(cluster)]), distances)].append(cluster)
-        for atom in np.flatnonzero(free):
-            kinds[((self._masses[atom],), ())].append((int(atom),))
-        return [
-            Kind(masses, clusters, None if distances is None else self._embed(masses, distances, clusters))
-            for (masses, distances), clusters in kinds.items()
-        ]
+        masses = self._masses.tolist()
+        for atom in np.flatnonzero(free).tolist():
+            collector.add((atom,), (masses[atom],), {})
+        return collector.kinds(self._describe)
 
     def _check(self, cluster: Cluster, lengths: Lengths) -> None:
         for atom in cluster:
@@ -171,24 +196,16 @@ class BodyPlan:
             raise RigidityError(
                 f"{self._describe(cluster)} is constrained but not rigid: {len(missing)} of its {len(pairs)} distances "
                 f"are free, the first between atoms {a} and {b}. A body needs a constraint between every two of its "
-                "atoms and none to other atoms. Build the System with rigidWater=True and constraints=None, so that "
-                "only water is constrained, or name the atoms in `bodies` to make them one rigid body"
+                "atoms and none to other atoms. Either make each heavy atom and its hydrogens one rigid body, which "
+                "fixes H-X-H angles: bodies=RigidBodies.from_system(system, topology, "
+                f'rigid="{HYDROGEN_GROUPS}", positions=positions). Or name the atoms in `bodies` to make them one '
+                "rigid body. Or build the System with rigidWater=True and constraints=None, so that only water is "
+                "constrained; bonds of hydrogen bear steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2"
             )
-
-    # --- their geometry ---
-
-    def _embed(self, masses, distances, clusters) -> Species:
-        coordinates, excess = _embed(len(masses), distances)
-        if excess > EMBEDDING_TOLERANCE:
-            raise RigidityError(
-                f"the constraints of {self._describe(clusters[0])} contradict each other: no geometry has the "
-                f"lengths {', '.join(f'{d:.4f}' for d in distances)} nm; the nearest one misses by {excess:.4f} nm"
-            )
-        return Species.from_coordinates(clusters, masses, coordinates)
 
     def _demand_extent(self, kind: Kind, positions) -> None:
         for cluster in kind.clusters:
-            x = positions[list(cluster)]
+            x = positions[cluster]
             if not np.isfinite(x).all():
                 raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
             if len(cluster) > 1 and not np.ptp(x, axis=0).any():
@@ -197,31 +214,61 @@ class BodyPlan:
                     "Set the positions first"
                 )
 
-    def _from_positions(self, kind: Kind, positions) -> list[Species]:
-        species = []
-        clusters = np.array(kind.clusters)
-        masses = np.array(kind.masses)
-        while len(clusters):
-            model = Species.from_coordinates(clusters, masses, positions[clusters[0]], resolution=RESOLUTION)
-            model = _of_sites(clusters, masses, model.sites.T)
-            fits = fit_attitudes(model, _arms(masses, positions[clusters]))[1] <= FIT_TOLERANCE
-            species.append(model.of_atoms(clusters[fits]))
-            clusters = clusters[~fits]
-        return species
+
+# --- bodies that are named --------------------------------------------------------------------------------------------
 
 
-def find_bodies(system, topology=None, rigid=None, positions=None) -> RigidBodies:
-    """Rigid bodies of a System; see `BodyPlan` for the arguments and the errors raised.
+def _named(topology, rigid: Rigid, lengths: Lengths) -> Iterable[Iterable[int]]:
+    if rigid is None:
+        return []
+    if not isinstance(rigid, str | Mapping):
+        return rigid
+    if isinstance(rigid, str) and rigid != HYDROGEN_GROUPS:
+        raise ValueError(f'rigid must be lists of particles, a mapping or "{HYDROGEN_GROUPS}", got "{rigid}"')
+    if topology is None:
+        raise ValueError("bodies by name need the topology: RigidBodies.from_system(system, topology, rigid)")
+    return _hydrogen_groups(topology, lengths) if isinstance(rigid, str) else _residues_named(topology, rigid)
 
-    Args:
-        system: openmm.System.
-        topology: openmm.app.Topology.
-        rigid: rigid bodies besides those that constraints make.
-        positions: (N, 3), nm or a Quantity, where the geometry of `rigid` is to be taken from.
-    """
-    if unit.is_quantity(positions):
-        positions = positions.value_in_unit(unit.nanometer)
-    return BodyPlan(system, topology, rigid).bodies(None if positions is None else np.array(positions, dtype=float))
+
+def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
+    """Particle indices of the residues in a mapping {residue name: "rigid"}."""
+    wrong = [value for value in rigid.values() if value != "rigid"]
+    if wrong:
+        raise ValueError(f'bodies by residue name must be "rigid", got {wrong[0]!r}')
+    residues = list(topology.residues())
+    for name in rigid:
+        if all(residue.name != name for residue in residues):
+            raise ValueError(f"bodies name residue {name}, which the topology does not have")
+    return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
+
+
+def _hydrogen_groups(topology, lengths: Lengths) -> list[list[int]]:
+    """Each heavy atom with its hydrogens, but for groups that constraints hold already."""
+    groups: dict[int, list[int]] = {}
+    grouped: set[int] = set()
+    for bond in topology.bonds():
+        heavy, light = sorted(bond, key=lambda atom: atom.element is not None and atom.element.symbol == "H")
+        is_hydrogen = light.element is not None and light.element.symbol == "H"
+        if not is_hydrogen or heavy.element is None or heavy.element.symbol == "H" or light.index in grouped:
+            continue
+        groups.setdefault(heavy.index, [heavy.index]).append(light.index)
+        grouped.add(light.index)
+    if not groups:
+        raise ValueError(
+            f'"{HYDROGEN_GROUPS}" needs bonds of hydrogens in the topology, which has {topology.getNumBonds()} bonds '
+            "and none of a hydrogen to a heavy atom"
+        )
+    whole = _wholly_constrained(lengths)
+    return [sorted(group) for group in groups.values() if len({whole.get(i, -i - 1) for i in group}) > 1]
+
+
+def _wholly_constrained(lengths: Lengths) -> dict[int, int]:
+    """For each particle of a cluster in which every distance is constrained the number of the cluster."""
+    clusters = _clusters(lengths)
+    owner = {i: number for number, cluster in enumerate(clusters) for i in cluster}
+    counts = Counter(owner[a] for a, _ in lengths)
+    whole = [counts[number] == len(cluster) * (len(cluster) - 1) // 2 for number, cluster in enumerate(clusters)]
+    return {i: number for i, number in owner.items() if whole[number]}
 
 
 def _residue_labels(topology, n_particles) -> list[str]:
@@ -231,18 +278,7 @@ def _residue_labels(topology, n_particles) -> list[str]:
     return labels
 
 
-def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
-    """Particle indices of the residues in a mapping {residue name: "rigid"}."""
-    if topology is None:
-        raise ValueError("bodies by residue name need the topology: RigidBodies.from_system(system, topology, rigid)")
-    wrong = [value for value in rigid.values() if value != "rigid"]
-    if wrong:
-        raise ValueError(f'bodies by residue name must be "rigid", got {wrong[0]!r}')
-    residues = list(topology.residues())
-    for name in rigid:
-        if all(residue.name != name for residue in residues):
-            raise ValueError(f"bodies name residue {name}, which the topology does not have")
-    return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
+# --- constraints ------------------------------------------------------------------------------------------------------
 
 
 def _constraint_lengths(system) -> Lengths:
@@ -283,37 +319,7 @@ def _clusters(pairs) -> list[Cluster]:
     return clusters
 
 
-def _from_sites(kind: Kind, sites) -> list[Species]:
-    """The species whose principal frames `BodyPlan.bodies` was given; none if these masses do not balance in them."""
-    if sites is None:
-        return []
-    clusters, masses = np.array(kind.clusters), np.array(kind.masses)
-    frames = sites[clusters]
-    inertia = np.einsum("k,mkx,mky->mxy", masses, frames, frames)
-    spread = np.trace(inertia, axis1=1, axis2=2)
-    off_centre = np.abs(np.einsum("k,mkx->mx", masses, frames)).max(axis=1)
-    off_axes = np.abs(inertia * (1 - np.eye(3))).max(axis=(1, 2))
-    # Both are rounding for principal frames; other masses leave per cents.
-    if (spread == 0).any() or (off_axes > 1e-9 * spread).any() or (off_centre**2 > 1e-18 * masses.sum() * spread).any():
-        return []
-    species = []
-    while len(clusters):
-        same = (frames == frames[0]).all(axis=(1, 2))
-        species.append(_of_sites(clusters[same], masses, frames[0]))
-        clusters, frames = clusters[~same], frames[~same]
-    return species
-
-
-def _of_sites(clusters, masses, frame) -> Species:
-    """A species whose moments depend, to the bit, on nothing but its sites (k, 3) and masses."""
-    sites = np.ascontiguousarray(frame.T)
-    squares = (masses * sites**2).sum(axis=1)
-    moments = squares.sum() - squares
-    moments[moments <= LINEAR_MOMENT * moments.max()] = 0.0
-    return Species(clusters, masses, sites, moments)
-
-
-def refuse_other_masses(system, bodies: RigidBodies) -> None:
+def refuse_other_masses(system, bodies: dynamics.RigidBodies) -> None:
     """Refuse bodies whose masses are not those of the System.
 
     Raises:
@@ -329,36 +335,3 @@ def refuse_other_masses(system, bodies: RigidBodies) -> None:
                 f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
                 f"{atom}, the System has {masses[atom]}: make the bodies anew"
             )
-
-
-def _by_handedness(model: Species, positions) -> list[Species]:
-    """The bodies of a species apart from those that are its mirror images."""
-    mirror = model.mirrored()
-    arms = _arms(model.masses, positions[model.atoms])
-    mirrored = fit_attitudes(mirror, arms)[1] < fit_attitudes(model, arms)[1]
-    halves = [(model, model.atoms[~mirrored]), (mirror, model.atoms[mirrored])]
-    return [species.of_atoms(atoms) for species, atoms in halves if len(atoms)]
-
-
-def _arms(masses, positions):
-    """Positions (m, k, 3) from the centres of mass."""
-    return positions - np.einsum("k,mkx->mx", masses / masses.sum(), positions)[:, None]
-
-
-def _embed(k, distances):
-    """Coordinates (k, 3) of points with given distances, and the largest distance error.
-
-    Classical multidimensional scaling (Torgerson, Psychometrika 17, 401 (1952)), exact for consistent distances.
-    """
-    squares = np.zeros((k, k))
-    squares[np.triu_indices(k, 1)] = np.square(distances)
-    squares += squares.T
-    centre = np.eye(k) - 1 / k
-    values, vectors = np.linalg.eigh(-0.5 * centre @ squares @ centre)
-    # Rounding of squares: without this a planar body would be 1e-8 nm thick.
-    values[values < 1e-13 * values.max()] = 0
-    kept = min(3, k)
-    coordinates = np.zeros((k, 3))
-    coordinates[:, :kept] = vectors[:, -kept:] * np.sqrt(np.maximum(values[-kept:], 0))
-    found = np.linalg.norm(coordinates[:, None] - coordinates[None], axis=2)
-    return coordinates, float(np.abs(found - np.sqrt(squares)).max())

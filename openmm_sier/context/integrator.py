@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import functools
+import copy
+import inspect
 import math
 import numbers
-import re
+import operator
 from collections.abc import Sequence
 
+import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.context import stored_settings
 from openmm_sier.context.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
-from openmm_sier.dynamics.barostat import Piston
+from openmm_sier.context.temperature import Temperatures
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.rotation import rotor
-from openmm_sier.dynamics.schemes import SIER2, SIER4, Scheme
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.schemes import SIER4G, Scheme
 
 #: OpenMM's message about an illegal variable of this name tells what happened.
-LOST = "A_SIER_integrator_is_lost_in_XML__create_it_anew_or_copy_it_by_deepcopy_or_pickle"
+LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 #: What users may give as bodies.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
@@ -35,41 +39,58 @@ class SIERIntegrator(openmm.CustomIntegrator):
     Source: van Zon and Schofield (2007).
     """
 
-    def __init__(self, stepSize, scheme: Scheme = SIER2, bodies: Bodies = None, rotation=rotor.exact):
+    def __init__(self, stepSize, scheme: Scheme = SIER4G, bodies: Bodies = None, rotation=exact):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme, see `openmm_sier.dynamics.schemes`.
             bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices make rigid
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
-            rotation: free-rotation map, as `rotor.exact`.
+            rotation: free-rotation map, as `rotation.exact`.
 
         Raises:
-            ValueError: the step is not positive and finite.
+            ValueError: the step is negative or not finite. A step of 0 is for Contexts that only evaluate forces: steps
+                are counted and nothing moves.
             TypeError: the step is no time, or `scheme` is no Scheme.
         """
         if not isinstance(scheme, Scheme):
             raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {scheme!r}")
         super().__init__(_step_size(stepSize))
-        self._scheme = scheme
-        self._given_bodies = bodies
-        self._rotation = rotation
         self._engine: Engine | None = None
+        self._scheme, self._rotation = scheme, rotation
+        self._given_bodies = _checked_bodies(bodies)
         self._write_program()
+        self._store_settings()
 
     def _write_program(self) -> None:
         for name in (*STATE_VARIABLES, SITES):
             self.addPerDofVariable(name, 0)
         for name in (HEAT, DRAWS, SEED, ARMED):
             self.addGlobalVariable(name, 0)
-        # A copy that has lost this class, through XML say, would advance the clock and move nothing. It fails instead:
-        # Reference and CPU name the variable that does not exist, other platforms stop at positions that are NaN.
+        # Where this package is not imported, XML gives a plain CustomIntegrator that would advance the clock and move
+        # nothing. It fails instead: Reference and CPU name the variable that does not exist, other platforms stop at
+        # positions that are NaN.
         self.beginIfBlock(f"{ARMED} < 0.5")
         self.addComputePerDof(LOST, "0")
         self.addComputePerDof("x", f"x + sqrt({ARMED} - 1)")
         self.addComputeGlobal(ARMED, "energy")
         self.endBlock()
         self.addUpdateContextState()
+
+    def _store_settings(self) -> None:
+        """Put all settings that OpenMM does not know of into what it serializes."""
+        stored_settings.store(self, "class", text=stored_settings.place_of(type(self)))
+        stored_settings.store(self, "rotation", text=stored_settings.place_of(self._rotation))
+        stored_settings.store_scheme(self, self._scheme)
+        stored_settings.store_bodies(self, self._given_bodies)
+
+    def _take_settings(self, rotation=None) -> None:
+        """Take over all settings from what OpenMM serialized; the free-rotation map, if it is known, as it is."""
+        self._engine = None
+        self._scheme = stored_settings.stored_scheme(self)
+        place = stored_settings.required(self, "rotation")[0]
+        self._rotation = rotation or stored_settings.from_place(place, "free-rotation map")
+        self._given_bodies = stored_settings.stored_bodies(self)
 
     # --- what users ask ---
 
@@ -94,9 +115,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._bound().forces.evaluations
 
     @property
-    def removesCentreOfMassMotion(self) -> bool:
-        """Whether the System has a CMMotionRemover."""
-        return self._bound().removes_motion
+    def conservesMomentum(self) -> bool:
+        """Whether the total momentum is conserved, so that three degrees of freedom hold no heat.
+
+        See `openmm_sier.context.temperature.MomentumConservation`.
+        """
+        return self._bound().conserves_momentum()
 
     def setStepSize(self, size) -> None:
         """Set the step, a time quantity or a number in ps."""
@@ -120,16 +144,26 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             ValueError: `steps` is negative or no whole number.
             RigidityError: positions set from outside do not form the bodies.
-            openmm.OpenMMException: there is no Context, or a force is not finite.
+            openmm.OpenMMException: there is no Context, a force is not finite, or the step is longer than a bond bears.
         """
         self._bound().run(whole_number("steps", steps))
 
     def computeSystemTemperature(self):
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
 
-        OpenMM's StateDataReporter asks for it. With a CMMotionRemover at work three degrees of freedom are left out.
+        OpenMM's StateDataReporter asks for it. Where the total momentum is conserved, three degrees of freedom and the
+        kinetic energy of the centre of mass are left out, with a CMMotionRemover or without. NaN without degrees of
+        freedom.
         """
-        return self._bound().temperature() * unit.kelvin
+        return self.computeTemperatures().total * unit.kelvin
+
+    def computeTemperatures(self) -> Temperatures:
+        """Temperatures of all motion, of translation and of rotation, numbers in K.
+
+        A named tuple (total, translation, rotation), counted as `computeSystemTemperature` does; NaN for what has no
+        degrees of freedom.
+        """
+        return self._bound().temperatures()
 
     def forcesChanged(self) -> None:
         """Say that the potential was changed in a way that no method of the Context or of its Forces makes.
@@ -137,38 +171,39 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Changes of positions, velocities, box and Context parameters, and those by `updateParametersInContext`, are
         noticed without this.
         """
-        self._bound().forces.forget()
+        self._bound().forces.invalidate()
 
     def setIntegrationForceGroups(self, groups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
         super().setIntegrationForceGroups(groups)
         if self._engine is not None:
-            self._engine.forces.forget()
+            self._engine.forces.invalidate()
 
     # --- copies ---
 
-    def __reduce__(self):
-        settings = {
-            "IntegrationForceGroups": self.getIntegrationForceGroups(),
-            "ConstraintTolerance": self.getConstraintTolerance(),
-            "RandomNumberSeed": self.getRandomNumberSeed(),
-        }
-        return _rebuild, (type(self), self._arguments(), settings)
-
     def __copy__(self):
-        return _rebuild(*self.__reduce__()[1])
+        """An integrator with the same settings and variables, bound to no Context."""
+        return _restored(_plain_clone(self), type(self), self._attributes())
 
     def __deepcopy__(self, memo):
         return self.__copy__()
 
-    def _arguments(self) -> dict:
-        """What the constructor needs to make an integrator like this one, not bound to a Context."""
-        return {**self._own_arguments(), "stepSize": self.getStepSize(), "bodies": self._given_bodies}
+    def __reduce__(self):
+        return _unpickled, (openmm.XmlSerializer.serialize(self), type(self), self._attributes())
 
-    def _own_arguments(self) -> dict:
-        return {"scheme": self._scheme, "rotation": self._rotation}
+    def _attributes(self) -> dict:
+        return {name: value for name, value in vars(self).items() if name not in ("this", "_engine")}
 
     # --- for the engine and for subclasses ---
+
+    def _prepare_for(self, system) -> None:
+        """Forget, before a Context is created, what a copy of a bound integrator has of its original's Context."""
+        for name in (HEAT, DRAWS, SEED, ARMED):
+            self.setGlobalVariableByName(name, 0)
+        for name in (*STATE_VARIABLES, SITES):
+            # OpenMM does not check that their number fits the System.
+            if len(self.getPerDofVariableByName(name)) > 1:
+                self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
 
     def _bind(self, context) -> None:
         # A System that is refused when a Context is reinitialized must not leave the bodies of the old one.
@@ -191,6 +226,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
         refuse_other_masses(system, given)
         return _Settled(given)
 
+    def _counters(self, known: BodyState | None) -> tuple[float, int]:
+        """Heat in kJ/mol and number of draws of noise so far; `known` is the state before what happened outside."""
+        return self.getGlobalVariableByName(HEAT), int(self.getGlobalVariableByName(DRAWS))
+
     def _active_scheme(self) -> Scheme:
         """The scheme to execute now."""
         return self._scheme
@@ -200,7 +239,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return {}
 
     #: What changes the volume between steps.
-    _piston: Piston | None = None
+    _piston: MonteCarloVolumeMove | None = None
 
 
 class _Settled:
@@ -215,54 +254,57 @@ class _Settled:
         return self._bodies
 
 
-class SIER2Integrator(SIERIntegrator):
-    """Second-order integrator for rigid bodies with one force evaluation a step.
+def revived(integrator):
+    """The integrator itself; one that XML gave back as a plain CustomIntegrator is made the SIER integrator it was.
 
-    Source: van Zon and Schofield (2007), Eq. Verlet.
+    Raises:
+        openmm.OpenMMException: its class or free-rotation map cannot be imported, or another version wrote the XML.
     """
-
-    def __init__(self, stepSize, bodies: Bodies = None):
-        """
-        Args:
-            stepSize: step, a time quantity or a number in ps.
-            bodies: see `SIERIntegrator`.
-        """
-        super().__init__(stepSize, SIER2, bodies)
-
-    def _own_arguments(self) -> dict:
-        return {}
-
-
-class SIER4Integrator(SIERIntegrator):
-    """Fourth-order integrator for rigid bodies with four force evaluations a step.
-
-    Source: van Zon and Schofield (2007), Eq. EFRL.
-    """
-
-    def __init__(self, stepSize, bodies: Bodies = None):
-        """
-        Args:
-            stepSize: step, a time quantity or a number in ps.
-            bodies: see `SIERIntegrator`.
-        """
-        super().__init__(stepSize, SIER4, bodies)
-
-    def _own_arguments(self) -> dict:
-        return {}
-
-
-def _rebuild(cls, arguments: dict, settings: dict):
-    """The integrator of which `SIERIntegrator.__reduce__` gave class, constructor arguments and settings."""
-    integrator = cls(**arguments)
-    for name, value in settings.items():
-        getattr(integrator, f"set{name}")(value)
+    if type(integrator) is openmm.CustomIntegrator and (found := stored_settings.stored(integrator, "class")):
+        cls = stored_settings.from_place(found[0], "class")
+        if not (isinstance(cls, type) and issubclass(cls, SIERIntegrator)):
+            raise openmm.OpenMMException(f"{found[0]} is no class of SIER integrators")
+        integrator.__class__ = cls
+        integrator._take_settings()
     return integrator
+
+
+def _plain_clone(integrator):
+    return inspect.unwrap(openmm.XmlSerializer._cloneIntegrator)(integrator)
+
+
+def _restored(plain, cls, attributes: dict):
+    """A plain CustomIntegrator made one of ours again, with those attributes that are not or not wholly in XML."""
+    plain.__class__ = cls
+    plain._take_settings(attributes["_rotation"])
+    plain._given_bodies = attributes["_given_bodies"]
+    for name in attributes.keys() - vars(plain).keys():
+        setattr(plain, name, copy.deepcopy(attributes[name]))
+    return plain
+
+
+def _unpickled(xml: str, cls, attributes: dict):
+    return _restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
+
+
+def _checked_bodies(bodies: Bodies) -> Bodies:
+    """Bodies as `RigidBodies`, lists of integers, or None.
+
+    Raises:
+        TypeError: they are none of these.
+    """
+    if bodies is None or isinstance(bodies, RigidBodies):
+        return bodies
+    try:
+        return [[operator.index(i) for i in cluster] for cluster in bodies]
+    except TypeError:
+        raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
 
 
 def _step_size(size) -> float:
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
-    if size <= 0:
-        raise ValueError(f"stepSize must be positive, got {size} ps; to run backwards reverse the velocities")
+    if size < 0:
+        raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")
     return size
 
 
@@ -287,110 +329,3 @@ def whole_number(name: str, value) -> int:
     if not whole or value < 0:
         raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
     return int(value)
-
-
-def _binding(method):
-    """A Context method after which the Context's integrator has to look at the System anew.
-
-    OpenMM tells a Python integrator nothing of its Context, so that the Context has to.
-    """
-
-    @functools.wraps(method)
-    def wrapper(self, *args, **kwargs):
-        result = method(self, *args, **kwargs)
-        integrator = getattr(self, "_integrator", None)
-        if isinstance(integrator, SIERIntegrator):
-            integrator._bind(self)
-        else:
-            _refuse_lost(integrator)
-        return result
-
-    return wrapper
-
-
-def _forgetting(method):
-    """`Context.reinitialize`, which without the state clears the per-atom variables but not the global ones."""
-
-    @functools.wraps(method)
-    def wrapper(self, preserveState=False):
-        result = method(self, preserveState)
-        integrator = getattr(self, "_integrator", None)
-        if isinstance(integrator, SIERIntegrator) and not preserveState:
-            integrator.setGlobalVariableByName(HEAT, 0)
-            integrator.setGlobalVariableByName(DRAWS, 0)
-        return result
-
-    return wrapper
-
-
-def _updating(method):
-    """`updateParametersInContext` of a Force, after which the Context's forces are not those that were computed."""
-
-    @functools.wraps(method)
-    def wrapper(self, context, *args, **kwargs):
-        result = method(self, context, *args, **kwargs)
-        integrator = getattr(context, "_integrator", None)
-        if isinstance(integrator, SIERIntegrator) and integrator._engine is not None:
-            integrator.forcesChanged()
-        return result
-
-    return wrapper
-
-
-def _accepting(method):
-    """`Context.setState` as users of OpenMM's integrators know it.
-
-    A State that another kind of integrator saved, after an equilibration say, is welcome: OpenMM takes over all of it
-    and then fails over the parameters of that integrator, which mean nothing to ours. And as with OpenMM's integrators
-    a State brings no noise that was used already: runs with other seeds from one State differ, and so do replicas that
-    share a Context.
-    """
-
-    @functools.wraps(method)
-    def wrapper(self, state):
-        integrator = getattr(self, "_integrator", None)
-        if not isinstance(integrator, SIERIntegrator):
-            return method(self, state)
-        seed, draws = map(integrator.getGlobalVariableByName, (SEED, DRAWS))
-        try:
-            method(self, state)
-        except openmm.OpenMMException as error:
-            if not re.search("IntegratorParameters|Illegal (global|per-DOF) variable", str(error)):
-                raise
-        integrator.setGlobalVariableByName(SEED, seed)
-        integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
-        return None
-
-    return wrapper
-
-
-def _refuse_lost(integrator) -> None:
-    """Refuse what the package's Python part cannot reach."""
-    parts = [integrator]
-    if isinstance(integrator, openmm.CompoundIntegrator):
-        parts = [integrator.getIntegrator(i) for i in range(integrator.getNumIntegrators())]
-    for part in parts:
-        if isinstance(part, openmm.CustomIntegrator) and _has_variable(part, ARMED):
-            raise openmm.OpenMMException(
-                "A SIER integrator cannot be part of a CompoundIntegrator"
-                if isinstance(integrator, openmm.CompoundIntegrator)
-                else "This CustomIntegrator was a SIER integrator before it went through XML, and cannot move anything "
-                "by itself: create the SIER integrator anew, or copy it by copy.deepcopy or pickle"
-            )
-
-
-def _has_variable(integrator, name: str) -> bool:
-    return any(integrator.getGlobalVariableName(i) == name for i in range(integrator.getNumGlobalVariables()))
-
-
-def _replace(cls, name: str, wrapped) -> None:
-    if name in vars(cls):
-        setattr(cls, name, wrapped(vars(cls)[name]))
-
-
-_replace(openmm.Context, "__init__", _binding)
-_replace(openmm.Context, "reinitialize", _forgetting)
-_replace(openmm.Context, "reinitialize", _binding)
-_replace(openmm.Context, "setState", _accepting)
-for _class in [member for member in vars(openmm).values() if isinstance(member, type)]:
-    _replace(_class, "updateParametersInContext", _updating)

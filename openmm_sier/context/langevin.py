@@ -6,20 +6,23 @@ import secrets
 
 from openmm import unit
 
+from openmm_sier.context import stored_settings
 from openmm_sier.context.engine import SEED
 from openmm_sier.context.integrator import Bodies, SIERIntegrator, quantity_to_float, whole_number
-from openmm_sier.dynamics.barostat import BAR, Piston
-from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.dynamics.rotation import rotor
-from openmm_sier.dynamics.schemes import BATH, SIER4, Scheme
-from openmm_sier.dynamics.thermostat import Bath
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.constants import BAR
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 
 class SIERLangevinIntegrator(SIERIntegrator):
     """Rigid-body Langevin dynamics at constant temperature.
 
-    The scheme gets an exact heat bath: SIER2 in its middle (kick, half drift, bath, half drift, kick), SIER4 half at
-    either end. Where the friction is zero the trajectory is, bit for bit, that of the scheme without a bath.
+    The scheme gets an exact heat bath where its averages keep their order: SIER2 in its middle (kick, half drift, bath,
+    half drift, kick), schemes of fourth order half at either end (`Scheme.with_bath`). Where the friction is zero the
+    trajectory is, bit for bit, that of the scheme without a bath.
 
     The noise is a function of the seed and of the number of bath operations done so far. Both travel in checkpoints, so
     that a restarted run continues the same trajectory. A State brings the number only, and never back to noise that the
@@ -34,9 +37,9 @@ class SIERLangevinIntegrator(SIERIntegrator):
         temperature,
         frictionCoeff,
         stepSize,
-        scheme: Scheme = SIER4,
+        scheme: Scheme = SIER4G,
         bodies: Bodies = None,
-        rotation=rotor.exact,
+        rotation=exact,
         rotationalFriction=None,
         pressure=None,
         barostatInterval=25,
@@ -48,7 +51,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
             bodies: see `SIERIntegrator`.
-            rotation: free-rotation map, as `rotor.exact`.
+            rotation: free-rotation map, as `rotation.exact`.
             rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
             pressure: if it is to be constant, a quantity or a number in bar. All edges of the box change by one factor,
                 and ln V by up to 0.5/sqrt(number of molecules) in one move.
@@ -61,12 +64,33 @@ class SIERLangevinIntegrator(SIERIntegrator):
         super().__init__(stepSize, scheme.with_bath() if isinstance(scheme, Scheme) else scheme, bodies, rotation)
         friction = _friction("frictionCoeff", frictionCoeff)
         turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
-        self._bath = Bath(_temperature(temperature), friction, turning, seed=0)
-        self._same_friction = rotationalFriction is None
+        bath = OrnsteinUhlenbeck(_temperature(temperature), friction, turning, seed=0)
         if (interval := whole_number("barostatInterval", barostatInterval)) == 0:
             raise ValueError("barostatInterval must be at least 1, got 0")
-        self._piston = None if pressure is None else Piston(_pressure(pressure), interval, self._bath)
+        piston = None if pressure is None else MonteCarloVolumeMove(_pressure(pressure), interval, bath)
+        self._surround(bath, piston, same_friction=rotationalFriction is None)
+        self._store_surroundings()
+
+    def _surround(self, bath: OrnsteinUhlenbeck, piston: MonteCarloVolumeMove | None, same_friction: bool) -> None:
+        self._bath, self._piston, self._same_friction = bath, piston, same_friction
         self._cold_scheme = self._scheme.without(BATH)
+
+    def _store_surroundings(self) -> None:
+        """Put temperature, friction and pressure as they are now into what OpenMM serializes."""
+        bath, piston = self._bath, self._piston
+        numbers = bath.temperature, bath.friction, bath.rotational_friction, self._same_friction
+        stored_settings.store(self, "bath", numbers)
+        if piston is not None:
+            stored_settings.store(self, "pressure", (piston.pressure, piston.interval))
+
+    def _take_settings(self, rotation=None) -> None:
+        super()._take_settings(rotation)
+        temperature, friction, turning, same_friction = stored_settings.required(self, "bath")[1].tolist()
+        bath, piston = OrnsteinUhlenbeck(temperature, friction, turning, seed=0), None
+        if (found := stored_settings.stored(self, "pressure")) is not None:
+            pressure, interval = found[1].tolist()
+            piston = MonteCarloVolumeMove(pressure, int(interval), bath)
+        self._surround(bath, piston, bool(same_friction))
 
     def getTemperature(self):
         """Temperature of the bath, a quantity in K."""
@@ -75,6 +99,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
     def setTemperature(self, temp) -> None:
         """Set the temperature of the bath, a quantity or a number in K."""
         self._bath.temperature = _temperature(temp)
+        self._store_surroundings()
 
     def getFriction(self):
         """Friction of the translation, a quantity in 1/ps."""
@@ -85,6 +110,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
         self._bath.friction = _friction("coeff", coeff)
         if self._same_friction:
             self._bath.rotational_friction = self._bath.friction
+        self._store_surroundings()
 
     def getRotationalFriction(self):
         """Friction of the rotation, a quantity in 1/ps."""
@@ -94,6 +120,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
         """Set the friction of the rotation, a quantity or a number in 1/ps; from now on apart from the other."""
         self._bath.rotational_friction = _friction("coeff", coeff)
         self._same_friction = False
+        self._store_surroundings()
 
     def getPressure(self):
         """Pressure that is kept, a quantity in bar; None where the volume is."""
@@ -104,6 +131,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
         if self._piston is None:
             raise ValueError("this integrator keeps the volume: create it with a pressure")
         self._piston.pressure = _pressure(pressure)
+        self._store_surroundings()
 
     def getBarostatInterval(self) -> int | None:
         """Steps from one attempt to change the volume to the next; None where the volume is kept."""
@@ -120,23 +148,21 @@ class SIERLangevinIntegrator(SIERIntegrator):
         """
         return self.getBodyState().heat * unit.kilojoule_per_mole
 
-    def _own_arguments(self) -> dict:
-        arguments = {
-            **super()._own_arguments(),
-            "temperature": self.getTemperature(),
-            "frictionCoeff": self.getFriction(),
-            "rotationalFriction": None if self._same_friction else self.getRotationalFriction(),
-        }
-        if self._piston is not None:
-            arguments |= {"pressure": self.getPressure(), "barostatInterval": self._piston.interval}
-        return arguments
-
     def _bind(self, context) -> None:
         super()._bind(context)
         # A Context that was reinitialized with its state goes on with the seed that it has.
         if self.getGlobalVariableByName(SEED) == 0:
             seed = self.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
             self.setGlobalVariableByName(SEED, seed)
+        self._bath.seed = int(self.getGlobalVariableByName(SEED))
+
+    def _counters(self, known: BodyState | None) -> tuple[float, int]:
+        if self.getGlobalVariableByName(SEED) == 0:
+            # Somebody wrote the variables of another integrator over ours, as openmmtools' ContextCache does. Noise
+            # must not be used twice, so that what was known before holds.
+            self.setGlobalVariableByName(SEED, self._bath.seed)
+            return (known.heat, known.draws) if known is not None else (0.0, 0)
+        return super()._counters(known)
 
     def _active_scheme(self) -> Scheme:
         # A loaded checkpoint brings the seed of its run.

@@ -8,34 +8,8 @@ from pathlib import Path
 import numpy as np
 from openmm import unit
 
-from openmm_sier.context.integrator import SIERIntegrator
-
-#: Columns of a conservation log.
-COLUMNS = (
-    "Step",
-    "Time (ps)",
-    "Total Energy (kJ/mol)",
-    "Conserved Energy (kJ/mol)",
-    "Translational Temperature (K)",
-    "Rotational Temperature (K)",
-    *(f"Momentum {axis} (dalton nm/ps)" for axis in "xyz"),
-    *(f"Angular Momentum {axis} (dalton nm^2/ps)" for axis in "xyz"),
-    "Box Volume (nm^3)",
-)
-
-
-#: Datasets of body states and their units.
-UNITS = {
-    "step": "1",
-    "time": "ps",
-    "q": "nm",
-    "quaternion": "1",
-    "p": "dalton nm/ps",
-    "L": "dalton nm^2/ps",
-    "heat": "kJ/mol",
-    "masses": "dalton",
-    "moments": "dalton nm^2",
-}
+from openmm_sier.context import conservation
+from openmm_sier.context.body_states import BodyStateFile, import_extras
 
 
 class _Reporter:
@@ -52,19 +26,12 @@ class _Reporter:
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": self._include}
 
-    @staticmethod
-    def _integrator(simulation) -> SIERIntegrator:
-        integrator = simulation.context.getIntegrator()
-        if not isinstance(integrator, SIERIntegrator):
-            raise TypeError(f"this reporter needs a SIER integrator, the Simulation has a {type(integrator).__name__}")
-        return integrator
-
 
 class ConservationReporter(_Reporter):
     """Writes what should be conserved, and the temperatures of translation and rotation, as CSV.
 
-    The conserved energy is the total energy less the heat that a thermostat of this package gave. Angular momentum is
-    about the origin, with positions as they stand in the Context; periodic boundaries do not conserve it.
+    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`, where `row` says
+    what they are.
     """
 
     def __init__(self, file, reportInterval: int, append: bool = False):
@@ -73,34 +40,24 @@ class ConservationReporter(_Reporter):
             file: path of the CSV file.
             reportInterval: steps between two rows.
             append: go on with an existing file; its header is not written again.
+
+        Raises:
+            ValueError: the interval is not positive, or the file to go on with has other columns.
         """
         super().__init__(reportInterval, ["energy"])
         path = Path(file)
         fresh = not (append and path.exists() and path.stat().st_size)
+        if not fresh:
+            _check_header(path)
         self._out = path.open("a" if append else "w", newline="")
         self._rows = csv.writer(self._out)
         if fresh:
-            self._rows.writerow(COLUMNS)
+            self._rows.writerow(conservation.COLUMNS)
 
     def report(self, simulation, state) -> None:
         """Write one row, and flush it."""
-        integrator = self._integrator(simulation)
-        bodies, motion = integrator.bodies, integrator.getBodyState()
-        energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole) + sum(
-            bodies.kinetic_energies(motion)
-        )
-        removed = 3 if integrator.removesCentreOfMassMotion else 0
-        momentum, angular_momentum = bodies.total_momenta(motion)
-        values = [
-            state.getTime().value_in_unit(unit.picosecond),
-            energy,
-            energy - motion.heat,
-            *bodies.temperatures(motion, removed),
-            *momentum,
-            *angular_momentum,
-            state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3),
-        ]
-        self._rows.writerow([simulation.currentStep, *(repr(float(value)) for value in values)])
+        step, *values = conservation.row(simulation.context, state)
+        self._rows.writerow([step, *(repr(value) for value in values)])
         self._out.flush()
 
     def close(self) -> None:
@@ -112,75 +69,58 @@ class ConservationReporter(_Reporter):
             self._out.close()
 
 
+def _check_header(path: Path) -> None:
+    with path.open(newline="") as file:
+        found = next(csv.reader(file), [])
+    if tuple(found) != conservation.COLUMNS:
+        raise ValueError(
+            f"{path} cannot be continued: it has {len(found)} columns that begin with {', '.join(found[:3])}, expected "
+            f"the {len(conservation.COLUMNS)} of ConservationReporter"
+        )
+
+
 class BodyStateReporter(_Reporter):
     """Writes the bodies' phase points to an HDF5 file. Needs h5py, an extra (`openmm-sier[hdf5]`).
 
-    Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3),
-    L (T, n, 3) and heat (T,); and over bodies masses (n,), moments (n, 3). The quaternion (w, x, y, z) is that of the
-    rotation that turns the principal axes of a body into the lab frame, the matrix A^T, with w >= 0. Each dataset has
-    its unit as an attribute. Every frame is flushed, so that the file of a run that was killed can be read.
+    `openmm_sier.context.body_states` says what the file holds. Every frame is flushed, so that the file of a run that
+    was killed can be read.
     """
 
-    def __init__(self, file, reportInterval: int):
+    def __init__(self, file, reportInterval: int, append: bool = False, unwrapped: bool = True):
         """
         Args:
-            file: path of the HDF5 file, which is replaced.
+            file: path of the HDF5 file, which is replaced unless `append` is true.
             reportInterval: steps between two frames.
+            append: go on after the last frame of the file, which must be of the same bodies; one that does not exist
+                is made.
+            unwrapped: centres are written as they stand in the Context, which are continuous paths. Otherwise each
+                centre is moved into the periodic box, as molecules are in OpenMM's trajectories by default
+                (`enforcePeriodicBox`) and in those of `openmm-sier run`.
 
         Raises:
-            ModuleNotFoundError: h5py is missing.
+            ValueError: the interval is not positive; at the first report, the file to go on with is of other bodies.
+            ModuleNotFoundError: h5py or scipy is missing.
         """
         super().__init__(reportInterval, [])
-        try:
-            import h5py
-            from scipy.spatial.transform import Rotation
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError("BodyStateReporter needs h5py: pip install 'openmm-sier[hdf5]'") from error
-        # The oldest file format marks no file as open for writing, which would keep readers out after a kill.
-        self._file = h5py.File(file, "w", libver="earliest")
-        self._file.flush()
-        self._rotation = Rotation
-        self._ready = False
+        h5py, _ = import_extras()
+        self._path, self._unwrapped = Path(file), unwrapped
+        self._append = append and self._path.exists()
+        if not self._append:
+            # What cannot be written is found before the run.
+            h5py.File(self._path, "w", libver="earliest").close()
+        self._file: BodyStateFile | None = None
 
     def report(self, simulation, state) -> None:
         """Write one frame, and flush it."""
-        integrator = self._integrator(simulation)
-        motion = integrator.getBodyState()
-        if not self._ready:
-            self._create(integrator.bodies)
-        frame = {
-            "step": simulation.currentStep,
-            "time": state.getTime().value_in_unit(unit.picosecond),
-            "q": motion.q.T,
-            "quaternion": self._quaternions(motion.A),
-            "p": motion.p.T,
-            "L": motion.L.T,
-            "heat": motion.heat,
-        }
-        for name, value in frame.items():
-            dataset = self._file[name]
-            dataset.resize(dataset.shape[0] + 1, axis=0)
-            dataset[-1] = value
-        self._file.flush()
-
-    def _quaternions(self, A):
-        turns = self._rotation.from_matrix(A.transpose(2, 1, 0))
-        return turns.as_quat(canonical=True, scalar_first=True)
-
-    def _create(self, bodies) -> None:
-        n = bodies.n
-        shapes = {"step": (), "time": (), "q": (n, 3), "quaternion": (n, 4), "p": (n, 3), "L": (n, 3), "heat": ()}
-        for name, shape in shapes.items():
-            # Chunks of about 64 kB.
-            frames = max(1, 8192 // max(1, int(np.prod(shape))))
-            kind = "i8" if name == "step" else "f8"
-            self._file.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=(frames, *shape))
-        self._file["masses"] = bodies.masses
-        self._file["moments"] = bodies.moments.T
-        for name, symbol in UNITS.items():
-            self._file[name].attrs["unit"] = symbol
-        self._ready = True
+        integrator = conservation.sier_integrator(simulation.context)
+        if self._file is None:
+            periodic = simulation.system.usesPeriodicBoundaryConditions()
+            self._file = BodyStateFile(self._path, integrator.bodies, periodic, self._unwrapped, self._append)
+        box = np.array(state.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
+        time = state.getTime().value_in_unit(unit.picosecond)
+        self._file.write(simulation.currentStep, time, integrator.getBodyState(), box)
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        if self._file is not None:
+            self._file.close()

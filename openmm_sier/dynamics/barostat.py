@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies, molecule_of_atoms
-from openmm_sier.dynamics.thermostat import Bath
-
-#: Pressure of 1 bar in kJ/mol/nm^3.
-BAR = 0.0602214076
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, molecule_of_atoms
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.noise import generator
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 #: Largest change of ln V, times the square root of the number of molecules. The volume itself fluctuates by 1 in an
 #: ideal gas and by 0.25 in water, where half of the moves are accepted.
@@ -25,11 +24,12 @@ Energy = Callable[[np.ndarray, float], float]
 VolumeMove = Callable[[BodyState, float, Energy], tuple[BodyState, float]]
 
 
-class Piston:
-    """Keeps a pressure, as OpenMM's MonteCarloBarostat does.
+class MonteCarloVolumeMove:
+    """Constant pressure as OpenMM's MonteCarloBarostat has it.
 
-    Other than that one it keeps nothing to itself: moves have one size, and their random numbers are a function of the
-    bath's seed and the number of draws so far, which travel with the bodies' state. So a restart is exact.
+    Unlike that one it keeps no state of its own: moves have one size, and their random numbers are a function of the
+    thermostat's seed and of the number of draws so far, which travel with the state of the bodies. So a restart is
+    bit-identical.
 
     Source: Chow and Ferguson, Comput. Phys. Commun. 91, 283 (1995), with ln V for V.
 
@@ -38,10 +38,10 @@ class Piston:
         interval: steps from one attempted move to the next.
     """
 
-    def __init__(self, pressure: float, interval: int, bath: Bath):
+    def __init__(self, pressure: float, interval: int, thermostat: OrnsteinUhlenbeck):
         self.pressure = pressure
         self.interval = interval
-        self._bath = bath
+        self._thermostat = thermostat
 
     def operator(self, bodies: RigidBodies, molecules) -> VolumeMove:
         """The move of a set of bodies.
@@ -56,14 +56,14 @@ class Piston:
         largest = LARGEST_MOVE / math.sqrt(n)
 
         def move(state: BodyState, volume: float, energy: Energy) -> tuple[BodyState, float]:
-            place, luck = self._bath.generator(state.draws, stream=1).random(2)
+            place, luck = generator(self._thermostat.seed, state.draws, stream=1).random(2)
             growth = largest * (2 * place - 1)
             factor = math.exp(growth / 3)
             centres = np.stack([np.bincount(owner, weights * x)[owner] for x in state.q])
             q = state.q + (factor - 1) * centres
             before = energy(state.q, 1.0)
             gain = energy(q, factor) - before
-            kT = GAS_CONSTANT * self._bath.temperature
+            kT = GAS_CONSTANT * self._thermostat.temperature
             # A move in ln V, of n centres that are scaled with the box.
             cost = gain + self.pressure * volume * math.expm1(growth) - (n + 1) * kT * growth
             state = replace(state, draws=state.draws + 1)

@@ -14,23 +14,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from openmm_sier.dynamics.backend import arrays, kernels
-from openmm_sier.dynamics.backend.compiled import executor
-from openmm_sier.dynamics.rotation.rotor import body_frame
-
-#: Largest distance in nm between an atom and its place in the reference geometry that `RigidBodies.fit` accepts.
-FIT_TOLERANCE = 0.005
+from openmm_sier.dynamics import backend, fitting
+from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics.fitting import RigidityError as RigidityError
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
 LINEAR_MOMENT = 1e-10
 ON_AXIS = 1e-9
-
-#: Gas constant, kJ/mol/K (CODATA 2018).
-GAS_CONSTANT = 8.31446261815324e-3
-
-
-class RigidityError(ValueError):
-    """Atoms do not form the rigid body that they are meant to form."""
 
 
 class NotFiniteError(ValueError):
@@ -112,32 +102,35 @@ class Species:
 
     def mirrored(self) -> Species:
         """The mirror image, whose principal axes are the same."""
-        return replace(self, sites=self.sites * [[1.0], [1.0], [-1.0]])
+        return replace(self, sites=fitting.MIRROR * self.sites)
 
     @property
     def mass(self) -> float:
         return float(self.masses.sum())
 
+    @cached_property
+    def tolerance(self) -> float:
+        """Largest distance in nm of an atom from its place at which the body is still recognized."""
+        return fitting.tolerance_of(self.sites)
+
+    @cached_property
+    def mirror_distance(self) -> float:
+        """Largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
+        return fitting.distance_from_mirror_image(self.sites, self.masses)
+
+    def fit(self, arms, kept=None) -> tuple[np.ndarray, np.ndarray]:
+        """Attitudes (3, 3, m) of m bodies, and for each the largest distance of an atom from its place, (m,), nm.
+
+        Args:
+            arms: atom positions from the centres of mass, (m, k, 3), nm.
+            kept: attitudes that are returned as they are if they fit to rounding.
+        """
+        return fitting.fit_attitudes(self.sites, self.masses, arms, kept)
+
     @property
-    def degrees_of_freedom(self) -> int:
-        """Of one body: 3 for a point, 5 for a line, 6 otherwise."""
+    def dof(self) -> int:
+        """Degrees of freedom of one body: 3 for a point, 5 for a line, 6 otherwise."""
         return 3 + int(np.count_nonzero(self.moments))
-
-    @cached_property
-    def columns(self) -> list[slice | np.ndarray]:
-        """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
-        return [_as_slice(column) for column in self.atoms.T]
-
-    @cached_property
-    def ones(self) -> np.ndarray:
-        """(k,), the weights of a plain sum over the atoms."""
-        return np.ones_like(self.masses)
-
-    @cached_property
-    def extents(self) -> tuple[list[int], np.ndarray]:
-        """The principal axes along which the body extends, and for each site 1 and its coordinates on those."""
-        axes = np.flatnonzero(self.sites.any(axis=1)).tolist()
-        return axes, np.vstack([self.ones, self.sites[axes]])
 
 
 def molecule_of_atoms(molecules, n_particles: int) -> np.ndarray:
@@ -153,15 +146,6 @@ def molecule_of_atoms(molecules, n_particles: int) -> np.ndarray:
     return numbers
 
 
-def _as_slice(indices):
-    if indices.size == 1:
-        return slice(int(indices[0]), int(indices[0]) + 1)
-    step = int(indices[1] - indices[0])
-    if step > 0 and np.all(np.diff(indices) == step):
-        return slice(int(indices[0]), int(indices[-1]) + 1, step)
-    return indices
-
-
 class RigidBodies:
     """The rigid and point bodies of a system.
 
@@ -173,6 +157,7 @@ class RigidBodies:
         parts: for each species the slice of its bodies.
         masses: (n,), dalton.
         moments: (3, n), dalton nm^2.
+        dof: degrees of freedom of all bodies.
     """
 
     def __init__(self, species: Sequence[Species], n_particles: int, labels: Sequence[str] | None = None):
@@ -195,14 +180,8 @@ class RigidBodies:
         counts = [s.atoms.shape[0] for s in self.species]
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        self.degrees_of_freedom = sum(s.degrees_of_freedom * s.atoms.shape[0] for s in self.species)
-
-    @classmethod
-    def from_system(cls, system, topology=None, rigid=None, positions=None) -> RigidBodies:
-        """The bodies of an OpenMM System; see `openmm_sier.context.find_bodies.find_bodies`, which this calls."""
-        from openmm_sier.context.find_bodies import find_bodies
-
-        return find_bodies(system, topology, rigid, positions)
+        self._sites = [backend.Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
+        self.dof = sum(s.dof * s.atoms.shape[0] for s in self.species)
 
     def _check(self):
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
@@ -248,8 +227,13 @@ class RigidBodies:
             (q, A), shapes (3, n) and (3, 3, n).
 
         Raises:
-            RigidityError: an atom is further than `FIT_TOLERANCE` from its place, or a position is not finite.
+            RigidityError: an atom is further than `Species.tolerance` from its place, positions are those of a mirror
+                image, or a position is not finite.
         """
+        return self.fit_with_misfit(positions, previous)[:2]
+
+    def fit_with_misfit(self, positions, previous: BodyState | None = None):
+        """`fit`, and for each body the largest distance in nm of an atom from its place: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
         for s, part in zip(self.species, self.parts, strict=True):
@@ -259,17 +243,38 @@ class RigidBodies:
             if not np.isfinite(centre).all():
                 body = part.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
                 raise RigidityError(f"the positions of {self.describe(body)} are not finite")
-            kept = None if previous is None else previous.A[:, :, part]
-            A[:, :, part], misfit[part] = fit_attitudes(s, x - centre[:, None, :], kept)
-        if self.n and misfit.max() > FIT_TOLERANCE:
-            worst = int(misfit.argmax())
+            arms = x - centre[:, None, :]
+            A[:, :, part], misfit[part] = s.fit(arms, None if previous is None else previous.A[:, :, part])
+            self._refuse_mirrored(s, part, misfit[part], arms)
+        self._refuse_torn(misfit)
+        return q, A, misfit
+
+    def _refuse_mirrored(self, species: Species, part: slice, misfit, arms) -> None:
+        # Nearer to the body than half way to the mirror image they cannot fit that better by the margin.
+        suspects = np.flatnonzero(misfit > 0.5 * species.mirror_distance)
+        if species.mirror_distance == 0 or not suspects.size:
+            return
+        mirrored = fitting.fit_mirror_image(species.sites, species.masses, arms[suspects], misfit[suspects])
+        if mirrored.any():
             raise RigidityError(
-                f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm "
-                f"from its place, at most {FIT_TOLERANCE} nm can be mended ({np.count_nonzero(misfit > FIT_TOLERANCE)} "
-                "bodies fail). Are the molecules whole (not cut by the periodic boundary), and do their "
-                "distances match the constraints? context.applyConstraints(1e-6) mends small deviations."
+                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} does not have the shape of its rigid "
+                f"body but that of its mirror image ({np.count_nonzero(mirrored)} bodies of this kind fail)"
             )
-        return q, A
+
+    def _refuse_torn(self, misfit) -> None:
+        tolerances = np.repeat([s.tolerance for s in self.species], [len(s.atoms) for s in self.species])
+        torn = misfit > tolerances
+        if not torn.any():
+            return
+        worst = int(np.where(torn, misfit, 0.0).argmax())
+        raise RigidityError(
+            f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm from "
+            f"its place, at most {tolerances[worst]:.4g} nm can be mended ({np.count_nonzero(torn)} bodies fail). Is "
+            "the molecule whole (not cut by the periodic boundary)? If constraints hold it, "
+            "context.applyConstraints(1e-6) may mend it. If it was named as a rigid body, no constraint holds it, and "
+            "its atoms must not be moved one by one: minimize the energy in a Context with this integrator, or start "
+            "from the positions that it was made of"
+        )
 
     def momenta(self, velocities, A) -> tuple[np.ndarray, np.ndarray]:
         """Momenta and angular momenta that atom velocities carry: the rigid part of their motion.
@@ -284,7 +289,7 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(velocities, A, weighted=True)
+        return self._sum_over_sites(velocities, A, [s.masses for s in self.species])
 
     def forces_and_torques(self, forces, A) -> tuple[np.ndarray, np.ndarray]:
         """Net force and torque about the centre of mass (van Zon and Schofield, Eq. forcestorques).
@@ -300,19 +305,11 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(forces, A, weighted=False)
+        return self._sum_over_sites(forces, A, [s.ones for s in self._sites])
 
-    def _sum_over_sites(self, vectors, A, weighted):
-        total, moment = np.empty((3, self.n)), np.zeros((3, self.n))
-        loops = executor()
-        broken = 0
-        for s, part in zip(self.species, self.parts, strict=True):
-            weights = s.masses if weighted else s.ones
-            if loops is None:
-                broken += arrays.collect(s, part, vectors, A, weights, total, moment)
-            else:
-                broken += loops.collect(part, part.start, vectors, A, s.sites, weights, s.atoms, total, moment)
-        if broken:
+    def _sum_over_sites(self, vectors, A, weights):
+        total, moment, finite = backend.active().collect(self._sites, vectors, A, weights)
+        if not finite:
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
 
@@ -324,34 +321,19 @@ class RigidBodies:
         Raises:
             NotFiniteError: a position is not finite. All have been written then.
         """
-        loops = executor()
-        broken = 0
-        for s, part in zip(self.species, self.parts, strict=True):
-            if loops is None:
-                broken += arrays.place(s, part, q, A, positions)
-            else:
-                broken += loops.place(part, part.start, q, A, s.sites, s.atoms, positions)
-        if broken:
+        if not backend.active().place(self._sites, q, A, positions):
             raise NotFiniteError(q)
         return positions
 
     def move(self, state: BodyState, velocities) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
-        if (loops := executor()) is None:
-            v, omega = state.p * self.inverse_masses, self.angular_velocities(state)
-            for s, part in zip(self.species, self.parts, strict=True):
-                arrays.move(s, part, v, omega, state.A, velocities)
-            return velocities
         inverses = self.inverse_masses, self.inverse_moments
-        for s, part in zip(self.species, self.parts, strict=True):
-            loops.move(part, part.start, state.p, state.A, state.L, *inverses, s.sites, s.atoms, velocities)
+        backend.active().move(self._sites, state.p, state.A, state.L, *inverses, velocities)
         return velocities
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:
         """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""
-        omega = body_frame(state.A, state.L) * self.inverse_moments
-        A = state.A
-        return kernels.combine(omega, A[0], A[1], A[2])
+        return angular_velocity(state.A, state.L, self.inverse_moments)
 
     @cached_property
     def inverse_masses(self) -> np.ndarray:
@@ -371,55 +353,6 @@ class RigidBodies:
         rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
         return translation, rotation
 
-    def temperatures(self, state: BodyState, removed: int = 0) -> tuple[float, float]:
-        """Temperatures in K of translation and rotation; NaN where there is nothing that moves so.
-
-        Args:
-            state: the phase point.
-            removed: translational degrees of freedom that are held at zero (3 where the centre of mass is at rest).
-        """
-        translation, rotation = self.kinetic_energies(state)
-        freedoms = 3 * self.n - removed, self.degrees_of_freedom - 3 * self.n
-        return (
-            2 * translation / (freedoms[0] * GAS_CONSTANT) if freedoms[0] > 0 else float("nan"),
-            2 * rotation / (freedoms[1] * GAS_CONSTANT) if freedoms[1] > 0 else float("nan"),
-        )
-
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
-
-
-def fit_attitudes(species: Species, arms, kept=None):
-    """Attitudes that turn the sites of a species onto atoms, and the largest distance left for each body.
-
-    The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
-    Acta Cryst. A 34, 827 (1978)).
-
-    Args:
-        species: what to turn.
-        arms: atom positions from the centres of mass, (m, k, 3), nm.
-        kept: attitudes (3, 3, m) that are returned as they are if they fit to rounding.
-
-    Returns:
-        (A, misfit), shapes (3, 3, m) and (m,).
-    """
-    m = arms.shape[0]
-    if not species.sites.any():
-        attitudes = np.repeat(np.eye(3)[:, :, None], m, axis=2) if kept is None else kept
-        return attitudes, np.linalg.norm(arms, axis=2).max(axis=1)
-    if kept is not None:
-        misfit = _misfit(species, arms, kept)
-        # Atom positions carry the rounding of coordinates of some nm.
-        if misfit.max() < 1e-13 * (1 + np.abs(arms).max()):
-            return kept, misfit
-    correlation = np.einsum("k,ak,mkx->max", species.masses, species.sites, arms)
-    u, _, vt = np.linalg.svd(correlation)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    attitudes = np.ascontiguousarray((u @ vt).transpose(1, 2, 0))
-    return attitudes, _misfit(species, arms, attitudes)
-
-
-def _misfit(species: Species, arms, A):
-    places = np.einsum("ak,axm->mkx", species.sites, A)
-    return np.linalg.norm(arms - places, axis=2).max(axis=1)

@@ -11,10 +11,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from openmm_sier.dynamics.backend import kernels
-from openmm_sier.dynamics.backend.compiled import executor
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend.top import top
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.rotation.rotor import EXACT
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
 #: (state, time) -> state; a gradient kick takes its displacement per acceleration besides.
@@ -26,7 +27,7 @@ Stepper = Callable[[BodyState], BodyState]
 #: (q, A) -> (F, tau)
 ForceFunction = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
-#: A free-rotation map (A, L, moments, h) -> (A, L), as `rotor.exact`.
+#: A free-rotation map (A, L, moments, h) -> (A, L), as `rotation.exact`.
 Rotation = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 
 
@@ -43,16 +44,16 @@ class CachedForces:
     def __init__(self, compute: ForceFunction):
         self._compute = compute
         self.evaluations = 0
-        self.forget()
+        self.invalidate()
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Compute anew next time: the potential has changed."""
         self._where: tuple = (None, None)
         self._value: tuple = ()
 
     def __call__(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         if self._where[0] is not state.q or self._where[1] is not state.A:
-            self.forget()
+            self.invalidate()
             self._value = self.at(state.q, state.A)
             self._where = (state.q, state.A)
         return self._value
@@ -70,32 +71,20 @@ class CachedForces:
         return F, tau
 
 
-def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = rotor.exact) -> dict[str, Operator]:
+def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
     """What executes all schemes without a heat bath."""
     return {KICK: kick(forces), GRADIENT_KICK: gradient_kick(bodies, forces), DRIFT: drift(bodies, rotation)}
 
 
 def kick(forces: CachedForces) -> Operator:
-    """Momenta change by forces at fixed positions (van Zon and Schofield 2007, Eq. U2)."""
+    """Momenta change by forces at fixed positions (van Zon and Schofield 2007, Eq. 6, U2)."""
 
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
-        if (loops := executor()) is None:
-            return _with_momenta(state, state.p + h * F, state.L + h * tau)
-        p, L = np.empty(F.shape), np.empty(F.shape)
-        loops.kick(_all(F), state.p, state.L, F, tau, h, p, L)
-        return _with_momenta(state, p, L)
+        p, L = backend.active().kick(state.p, state.L, F, tau, h)
+        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
 
     return apply
-
-
-def _with_momenta(state: BodyState, p, L) -> BodyState:
-    return BodyState(state.q, p, state.A, L, state.heat, state.draws)
-
-
-def _all(vectors) -> slice:
-    """All bodies, for the compiled loops."""
-    return slice(0, vectors.shape[1])
 
 
 def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
@@ -112,66 +101,53 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
     """
 
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
-        F, tau = forces(state)
-        q, A = _displaced(bodies, state, F, tau, shift)
-        arm = q - state.q
+        execute, inverses = backend.active(), (bodies.inverse_masses, bodies.inverse_moments)
+        q, A = execute.displace(state.q, state.A, *forces(state), shift, *inverses)
         F, tau = forces.at(q, A)
-        if (loops := executor()) is None:
-            return _with_momenta(state, state.p + h * F, state.L + h * (tau + np.stack(kernels.cross(arm, F))))
-        p, L = np.empty(F.shape), np.empty(F.shape)
-        loops.kick_from(_all(F), state.p, state.L, F, tau, arm, h, p, L)
-        return _with_momenta(state, p, L)
+        p, L = execute.kick_from(state.p, state.L, F, tau, q - state.q, h)
+        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
 
     return apply
 
 
-def _displaced(bodies: RigidBodies, state: BodyState, F, tau, shift: float):
-    """Centres and attitudes of bodies displaced by `shift` times their accelerations."""
-    inverses = bodies.inverse_masses, bodies.inverse_moments
-    if (loops := executor()) is not None:
-        q, A = np.empty(state.q.shape), np.empty(state.A.shape)
-        loops.displace(_all(q), state.q, state.A, F, tau, shift, *inverses, q, A)
-        return q, A
-    x, y, z = state.A
-    rows = kernels.displacing_rotation(x, y, z, tau, inverses[1], shift)
-    A = np.stack([kernels.combine(row, x, y, z) for row in rows])
-    return state.q + (shift * inverses[0]) * F, A
-
-
-def drift(bodies: RigidBodies, rotation: Rotation = rotor.exact) -> Operator:
-    """Free motion of the bodies (van Zon and Schofield 2007, Eq. U1) with any free-rotation map.
+def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
+    """Free motion of the bodies (van Zon and Schofield 2007, Eq. 5, U1) with any free-rotation map.
 
     The operator raises ValueError for the state of another number of bodies.
     """
-    tops = [rotor.top(species.moments) for species in bodies.species]
-    pieces = [(top, top.frame, part) for top, part in zip(tops, bodies.parts, strict=True)]
+    free_motion = _exact_drift(bodies) if rotation is exact else _drift_by(bodies, rotation)
 
     def apply(state: BodyState, h: float) -> BodyState:
         if state.q.shape != (3, bodies.n):
             raise ValueError(f"the state of {bodies.n} bodies has q of shape {(3, bodies.n)}, got {state.q.shape}")
-        loops = executor() if rotation is rotor.exact else None
-        if loops is None:
-            A, L = _rotated(bodies, rotation, state, h)
-            q = state.q + (h * bodies.inverse_masses) * state.p
-            return BodyState(q, state.p, A, L, state.heat, state.draws)
-        q, A, far = np.empty(state.q.shape), np.empty(state.A.shape), np.empty(bodies.n, dtype=bool)
-        before = state.q, state.p, state.A, state.L
-        for top, frame, part in pieces:
-            if loops.drift(part, *before, h, bodies.inverse_masses, frame, rotor.COMPILED_RULE, q, A, far):
-                rotor.rotate_far(top, part, state.A, state.L, h, A, far)
+        return free_motion(state, h)
+
+    return apply
+
+
+def _exact_drift(bodies: RigidBodies) -> Operator:
+    kinds = [(top(species.moments), part) for species, part in zip(bodies.species, bodies.parts, strict=True)]
+
+    def apply(state: BodyState, h: float) -> BodyState:
+        phase_point = state.q, state.p, state.A, state.L
+        q, A = backend.active().drift(EXACT, kinds, *phase_point, h, bodies.inverse_masses)
         return BodyState(q, state.p, A, state.L, state.heat, state.draws)
 
     return apply
 
 
-def _rotated(bodies: RigidBodies, rotation: Rotation, state: BodyState, h: float):
-    if len(bodies.species) == 1:
-        return rotation(state.A, state.L, bodies.species[0].moments, h)
-    A, L = state.A.copy(), state.L.copy()
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
-        if species.moments.any():
-            A[:, :, part], L[:, part] = rotation(A[:, :, part], L[:, part], species.moments, h)
-    return A, L
+def _drift_by(bodies: RigidBodies, rotation: Rotation) -> Operator:
+    def apply(state: BodyState, h: float) -> BodyState:
+        A, L = np.empty_like(state.A), np.empty_like(state.L)
+        for species, part in zip(bodies.species, bodies.parts, strict=True):
+            turned = state.A[:, :, part], state.L[:, part]
+            if species.moments.any():
+                turned = rotation(*turned, species.moments, h)
+            A[:, :, part], L[:, part] = turned
+        q = state.q + (h * bodies.inverse_masses) * state.p
+        return BodyState(q, state.p, A, L, state.heat, state.draws)
+
+    return apply
 
 
 def stepper(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:

@@ -10,49 +10,11 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from itertools import pairwise
 
-KICK = "kick"
-GRADIENT_KICK = "gradient kick"
-DRIFT = "drift"
-BATH = "bath"
-
-#: Coefficients are taken to satisfy an order condition when it holds to this; published ones have 16 digits.
-CONDITION_TOLERANCE = 1e-12
-HIGHEST_ORDER = 6
-
-#: A gradient kick displaces the force by a finite amount: it is known as an exponential of operators up to this order.
-HIGHEST_GRADIENT_ORDER = 4
-
-Word = tuple[str, ...]
-
-
-#: What flow of the exact motion an operator is a part of: the letters of the free algebra in `Scheme.order`.
-FLOWS = {GRADIENT_KICK: KICK}
-
-
-class Stage(NamedTuple):
-    """One operator of a step.
-
-    Attributes:
-        operator: its name.
-        fraction: of the step that it advances.
-        shift: of a gradient kick, the displacement of its force over (step)^2 times the acceleration.
-    """
-
-    operator: str
-    fraction: float
-    shift: float = 0.0
-
-    def times(self, h: float) -> tuple[float, ...]:
-        """What the operator takes in a step of length h: its time, and of a gradient kick its displacement."""
-        own = (self.fraction * h,)
-        return (*own, self.shift * h * h) if self.operator == GRADIENT_KICK else own
-
-    @property
-    def flow(self) -> str:
-        """Name of the operator whose exact flow this stage is a part of."""
-        return FLOWS.get(self.operator, self.operator)
+from openmm_sier.dynamics import stability
+from openmm_sier.dynamics.order import HIGHEST_ORDER, order_of_flow
+from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
 
 
 @dataclass(frozen=True)
@@ -81,7 +43,7 @@ class Scheme:
                 raise ValueError(
                     f"scheme {self.name}: only a '{GRADIENT_KICK}' has a shift, got one for '{stage.operator}'"
                 )
-        for operator in dict.fromkeys(stage.flow for stage in self.stages):
+        for operator in self._flows:
             total = math.fsum(stage.fraction for stage in self.stages if stage.flow == operator)
             if not math.isclose(total, 1.0, rel_tol=0.0, abs_tol=1e-14):
                 raise ValueError(f"scheme {self.name}: fractions of '{operator}' must sum to 1, they sum to {total!r}")
@@ -90,6 +52,10 @@ class Scheme:
     def operators(self) -> tuple[str, ...]:
         """Names of the operators, in order of appearance."""
         return tuple(dict.fromkeys(stage.operator for stage in self.stages))
+
+    @property
+    def _flows(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(stage.flow for stage in self.stages))
 
     @property
     def is_palindrome(self) -> bool:
@@ -131,10 +97,13 @@ class Scheme:
         return Scheme(self.name, tuple(stages), self.source)
 
     def with_bath(self) -> Scheme:
-        """This scheme with a heat bath, symmetrically: in the middle of its middle drift, or else half at either end.
+        """This scheme with a heat bath, so placed that averages keep the scheme's order (`sampling_order`).
 
-        For SIER2 that is kick, half drift, bath, half drift, kick (Leimkuhler and Matthews, Appl. Math. Res. Express
-        2013, 34). A scheme that has a bath is returned as it is.
+        The bath stands in the middle of the middle drift where that costs no order, and else half at either end.
+        SIER2 becomes kick, half drift, bath, half drift, kick (Leimkuhler and Matthews, Appl. Math. Res. Express 2013,
+        34), in which the positions of a harmonic oscillator have no error at all. In the middle of a scheme of higher
+        order positions and momenta are those of no whole step, and a bath there would leave second order: such schemes
+        have it at the ends. A scheme that has a bath is returned as it is.
         """
         if BATH in self.operators:
             return self
@@ -142,92 +111,51 @@ class Scheme:
         if len(self.stages) % 2 and self.stages[middle].operator == DRIFT:
             half = Stage(DRIFT, 0.5 * self.stages[middle].fraction)
             stages = (*self.stages[:middle], half, Stage(BATH, 1.0), half, *self.stages[middle + 1 :])
-        else:
-            stages = (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5))
-        return Scheme(self.name, stages, self.source)
+            inside = Scheme(self.name, stages, self.source)
+            if inside.sampling_order >= self.order:
+                return inside
+        return Scheme(self.name, (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5)), self.source)
+
+    @cached_property
+    def stability_limit(self) -> float:
+        """Product of angular frequency and step below which a harmonic mode stays bounded: 2 for SIER2."""
+        return stability.stability_limit(self.stages)
+
+    @cached_property
+    def accuracy_limit(self) -> float:
+        """Product of angular frequency and step up to which the energies of a harmonic mode are right within 10 %."""
+        return stability.accuracy_limit(self.stages)
 
     @cached_property
     def order(self) -> int:
-        """Largest n for which the step is exact up to and including h^n.
+        """Largest n for which the step is exact up to and including h^n, see `openmm_sier.dynamics.order`."""
+        return order_of_flow(self.stages, self._flows)
 
-        The product of exponentials is expanded in words of the operators (their free associative algebra) and compared
-        with the exponential of the sum, in which a word of length k has the coefficient 1/k!. The one property of the
-        operators that is used is the one of Runge-Kutta-Nystroem schemes, [B, [B, [B, A]]] = 0 of a kick B and a drift
-        A, since the kinetic energy is quadratic in the momenta (see `_reduced`).
+    @cached_property
+    def sampling_order(self) -> int:
+        """Power of the step in the error of averages at whole steps, for a scheme with a bath.
+
+        The bath leaves exp(-H/kT) as it is, whatever the friction. So does the motion from one bath to the next, up to
+        its order n, and the density at the bath is right up to h^n. The stages between the last bath and the end of the
+        step carry this density along a flow of some order m, which changes the energy by O(h^(m+1)).
+
+        Raises:
+            ValueError: the scheme has no bath.
         """
-        letters = tuple(dict.fromkeys(stage.flow for stage in self.stages))
-        coefficients: dict[Word, float] = {(): 1.0}
-        for stage in self.stages:
-            coefficients = _product(coefficients, _exponential(_generator(stage)))
-        order = 0
-        highest = HIGHEST_GRADIENT_ORDER if any(stage.shift for stage in self.stages) else HIGHEST_ORDER
-        for length in range(1, highest + 1):
-            exact = 1 / math.factorial(length)
-            words = itertools.product(letters, repeat=length)
-            errors = _reduced({word: coefficients.get(word, 0.0) - exact for word in words})
-            if any(abs(error) > CONDITION_TOLERANCE for error in errors.values()):
-                break
-            order = length
-        return order
+        baths = [i for i, stage in enumerate(self.stages) if stage.operator == BATH]
+        if not baths:
+            raise ValueError(f"scheme {self.name} has no '{BATH}'")
+        flows = tuple(flow for flow in self._flows if flow != BATH)
+        before, after = self.stages[: baths[0]], self.stages[baths[-1] + 1 :]
+        between = [self.stages[a + 1 : b] for a, b in pairwise(baths)]
+        motions = [stages for stages in (after + before, *between) if stages]
+        carried = [order_of_flow(after, flows) + 1] if after else []
+        return min([order_of_flow(stages, flows) for stages in motions] + carried, default=HIGHEST_ORDER)
 
 
 def _before_kick(stages) -> list[str]:
     """Names of the operators before the first kick."""
     return [stage.operator for stage in itertools.takewhile(lambda stage: stage.flow != KICK, stages)]
-
-
-def _generator(stage: Stage) -> dict[Word, float]:
-    """What a stage is the exponential of, by words.
-
-    A gradient kick B of the shift d is that of B + (d/2) [B, [A, B]] with A the drift, up to the third order.
-    """
-    letter = stage.flow
-    words: dict[Word, float] = {(letter,): stage.fraction}
-    if stage.shift:
-        half = 0.5 * stage.fraction * stage.shift
-        words[letter, DRIFT, letter] = 2 * half
-        words[letter, letter, DRIFT] = words[DRIFT, letter, letter] = -half
-    return words
-
-
-def _reduced(words: dict[Word, float]) -> dict[Word, float]:
-    """An equal sum of words, in which no word has three kicks B before a drift A.
-
-    The operators obey [B, [B, [B, A]]] = 0, that is BBBA = 3 BBAB - 3 BABB + ABBB. BBBA begins with no end of itself,
-    so that the words that are left do not depend on the order of the replacements, and their sum vanishes only where
-    all their coefficients do (a Groebner basis).
-    """
-    rule = ((3.0, (KICK, KICK, DRIFT, KICK)), (-3.0, (KICK, DRIFT, KICK, KICK)), (1.0, (DRIFT, KICK, KICK, KICK)))
-    reduced: dict[Word, float] = {}
-    pending = list(words.items())
-    while pending:
-        word, value = pending.pop()
-        start = next((i for i in range(len(word) - 3) if word[i : i + 4] == (KICK, KICK, KICK, DRIFT)), None)
-        if start is None:
-            reduced[word] = reduced.get(word, 0.0) + value
-        else:
-            pending += [(word[:start] + other + word[start + 4 :], factor * value) for factor, other in rule]
-    return reduced
-
-
-def _product(left: dict[Word, float], right: dict[Word, float]) -> dict[Word, float]:
-    """The product of two sums of words, words up to `HIGHEST_ORDER` long."""
-    product: dict[Word, float] = {}
-    for first, a in left.items():
-        for second, b in right.items():
-            if len(first) + len(second) <= HIGHEST_ORDER:
-                product[first + second] = product.get(first + second, 0.0) + a * b
-    return product
-
-
-def _exponential(generator: dict[Word, float]) -> dict[Word, float]:
-    power: dict[Word, float] = {(): 1.0}
-    total = dict(power)
-    for n in range(1, HIGHEST_ORDER + 1):
-        power = {word: value / n for word, value in _product(power, generator).items()}
-        for word, value in power.items():
-            total[word] = total.get(word, 0.0) + value
-    return total
 
 
 def alternating(name: str, first: str, second: str, half: tuple[float, ...], source: str = "") -> Scheme:

@@ -1,4 +1,4 @@
-"""The heat bath: an exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
+"""Constant temperature: an exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.kernels import combine
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies
+from openmm_sier.dynamics.backend.formulas import body_frame, combine
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.operators import Operator
-from openmm_sier.dynamics.rotation.rotor import body_frame
 
 
-class Bath:
-    """Langevin heat bath for rigid bodies.
+class OrnsteinUhlenbeck:
+    """Langevin thermostat for rigid bodies.
 
     Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
     or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
@@ -34,11 +35,11 @@ class Bath:
         self.seed = seed
 
     def operator(self, bodies: RigidBodies) -> Operator:
-        """The bath as an operator of a splitting scheme. It counts its heat and its draws in the state."""
+        """The thermostat as an operator of a splitting scheme. It counts its heat and its draws in the state."""
         masses, moments = bodies.masses, bodies.moments
 
         def apply(state: BodyState, h: float) -> BodyState:
-            noise = self.generator(state.draws).standard_normal((6, bodies.n))
+            noise = generator(self.seed, state.draws).standard_normal((6, bodies.n))
             thermal = GAS_CONSTANT * self.temperature
             kept, spread = _decay(self.friction, h)
             p = kept * state.p + (spread * np.sqrt(thermal * masses)) * noise[:3]
@@ -52,10 +53,6 @@ class Bath:
             return replace(state, p=p, L=L, draws=state.draws + 1, heat=state.heat + heat)
 
         return apply
-
-    def generator(self, draw: int, stream: int = 0) -> np.random.Generator:
-        """Random numbers that depend on seed, draw and stream alone."""
-        return np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, draw, stream]))
 
 
 def _decay(friction, h):

@@ -20,17 +20,17 @@ class ForceClock:
         self.seconds, self.calls = 0.0, 0
         ask, place = context.getState, context.setPositions
 
-        def measure(call, *args, **kwargs):
+        def timed(call, *args, **kwargs):
             start = perf_counter()
             try:
                 return call(*args, **kwargs)
             finally:
                 self.seconds += perf_counter() - start
 
-        def ask_and_measure(*args, **kwargs):
+        def timed_ask(*args, **kwargs):
             if not (kwargs.get("forces") or kwargs.get("energy")):
                 return ask(*args, **kwargs)
             self.calls += bool(kwargs.get("forces"))
-            return measure(ask, *args, **kwargs)
+            return timed(ask, *args, **kwargs)
 
-        context.getState, context.setPositions = ask_and_measure, partial(measure, place)
+        context.getState, context.setPositions = timed_ask, partial(timed, place)

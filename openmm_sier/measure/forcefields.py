@@ -1,4 +1,4 @@
-"""Force fields for water boxes: picking the water model of a PDB file, and building the System."""
+"""Force fields for water boxes: picking one for a PDB file, and building the System."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.context.pme import balance_pme, meshed_forces
+from openmm_sier.measure.water_models import ForceFieldError, WaterModel, recognize
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
@@ -34,44 +35,6 @@ EWALD_TOLERANCE = 1e-5
 LARGEST_CUTOFF = 0.45
 
 
-class ForceFieldError(ValueError):
-    """No force field can be picked, found or applied."""
-
-
-@dataclass(frozen=True)
-class WaterModel:
-    """What tells a water model by its geometry.
-
-    Attributes:
-        name: as in the literature.
-        sites: of one molecule, virtual sites included.
-        distances: O-H and O-M (0 without such a site), nm.
-        file: force field with water alone.
-        file_with_ions: force field with ions too, if there is one.
-    """
-
-    name: str
-    sites: int
-    distances: tuple[float, float]
-    file: str
-    file_with_ions: str | None = None
-
-
-#: Geometries from the force-field files themselves.
-WATER_MODELS = (
-    WaterModel("TIP3P", 3, (0.09572, 0.0), "tip3p.xml", "amber14/tip3p.xml"),
-    WaterModel("SPC/E", 3, (0.1, 0.0), "spce.xml", "amber14/spce.xml"),
-    WaterModel("OPC3", 3, (0.097888, 0.0), "opc3.xml", "amber14/opc3.xml"),
-    WaterModel("TIP3P-FB", 3, (0.101181, 0.0), "tip3pfb.xml", "amber14/tip3pfb.xml"),
-    WaterModel("TIP4P", 4, (0.09572, 0.015), "tip4p.xml"),
-    WaterModel("TIP4P-Ew", 4, (0.09572, 0.0125), "tip4pew.xml", "amber14/tip4pew.xml"),
-    WaterModel("TIP4P/2005", 4, (0.09572, 0.01546), "tip4p2005.xml"),
-    WaterModel("TIP4P-FB", 4, (0.09572, 0.010527), "tip4pfb.xml", "amber14/tip4pfb.xml"),
-    WaterModel("OPC", 4, (0.087243, 0.015940), "opc.xml", "amber14/opc.xml"),
-    WaterModel("TIP5P", 5, (0.09572, 0.07), "tip5p.xml"),
-)
-
-
 @dataclass(frozen=True)
 class Choice:
     """Force-field files, and in words why they were picked."""
@@ -83,16 +46,17 @@ class Choice:
 def pick(path: str | Path, topology, positions) -> Choice:
     """The force field of a PDB file for which the user named none.
 
-    Records "REMARK  99 FORCEFIELD file.xml" in the file decide; the project's own boxes have them. Without them it
-    is the water model with as many sites whose O-H and O-M distances are nearest to those in the file.
+    Records "REMARK  99 FORCEFIELD file.xml" in the file decide; the project's own boxes have them. Without them it is
+    that of the water model whose geometry the file has, if that is one alone, see `openmm_sier.measure.water_models`.
 
     Args:
         path: the PDB file.
         topology: openmm.app.Topology of it.
-        positions: (N, 3), nm.
+        positions: (N, 3), nm, molecules whole.
 
     Raises:
-        ForceFieldError: there is no water, or something besides water and ions.
+        ForceFieldError: there is no water, something besides water and ions, or the geometry is that of no model or of
+            several. The message names what `--forcefield` (here: `files` of `read_box`) may be given.
     """
     named = tuple(
         line[len(REMARK) :].strip()
@@ -101,65 +65,25 @@ def pick(path: str | Path, topology, positions) -> Choice:
     )
     if named:
         return Choice(named, "named in the PDB file")
-    waters, others = _residues(topology)
+    residues = list(topology.residues())
+    waters = [residue for residue in residues if residue.name == "HOH"]
+    others = [residue for residue in residues if residue.name != "HOH"]
     if not waters:
         raise ForceFieldError(f"{path} has no water, so that no force field can be picked. Name one with --forcefield")
-    model, measured = _nearest(waters, positions)
-    reason = f"{model.name}, the nearest of the {model.sites}-site models to O-H {measured[0]:.4f} nm"
-    reason += f" and O-M {measured[1]:.4f} nm" if model.sites > 3 else ""
-    if not others:
-        return Choice((model.file,), reason)
-    if model.file_with_ions is None or any(len(list(residue.atoms())) > 1 for residue in others):
-        names = ", ".join(sorted({residue.name for residue in others}))
-        raise ForceFieldError(
-            f"{path} has residues {names} besides {model.name} water. Name force fields for them with --forcefield"
-        )
-    return Choice((model.file_with_ions,), reason + ", with ions")
+    try:
+        model = recognize(waters, positions, ions=bool(others))
+    except ForceFieldError as error:
+        raise ForceFieldError(f"{path}: {error}") from None
+    file = model.file_with_ions if others else model.file
+    if file is None or any(len(list(residue.atoms())) > 1 for residue in others):
+        raise ForceFieldError(_unknown_residues(path, model, others))
+    return Choice((file,), f"{model.name}, whose geometry the water has{', with ions' if others else ''}")
 
 
-def _residues(topology):
-    """Residues that are water, and the others."""
-    residues = list(topology.residues())
-    waters = [r for r in residues if r.name == "HOH"]
-    return waters, [r for r in residues if r.name != "HOH"]
-
-
-def _nearest(waters, positions):
-    """The model whose distances are nearest to the medians over the molecules, and these medians."""
-    counts = [len(list(residue.atoms())) for residue in waters]
-    sites = max(counts)
-    if min(counts) != sites:
-        odd = waters[counts.index(min(counts))]
-        raise ForceFieldError(
-            f"residue {odd.name} {odd.id} has {min(counts)} atoms, other water has {sites}; expected equal molecules"
-        )
-    candidates = [model for model in WATER_MODELS if model.sites == sites]
-    if not candidates:
-        raise ForceFieldError(
-            f"residue {waters[0].name} {waters[0].id} has {sites} atoms, expected water with 3, 4 or 5 sites. "
-            "Are hydrogens missing? Otherwise name a force field with --forcefield"
-        )
-    measured = np.median([_distances(residue, positions) for residue in waters], axis=0)
-    return min(candidates, key=lambda model: float(np.abs(measured - model.distances).sum())), measured
-
-
-def _distances(residue, positions) -> tuple[float, float]:
-    """O-H and O-M, the latter 0 without such a site."""
-    kinds: dict[str, list] = {"O": [], "H": [], "M": []}
-    for atom in residue.atoms():
-        symbol = "M" if atom.element is None else atom.element.symbol
-        if symbol not in kinds:
-            raise ForceFieldError(f"residue {residue.name} {residue.id} has an atom {atom.name}, which water has not")
-        kinds[symbol].append(positions[atom.index])
-    if len(kinds["O"]) != 1 or len(kinds["H"]) != 2:
-        raise ForceFieldError(
-            f"residue {residue.name} {residue.id} has {len(kinds['O'])} oxygens and {len(kinds['H'])} hydrogens, "
-            "expected 1 and 2"
-        )
-    oxygen = kinds["O"][0]
-    return tuple(  # type: ignore[return-value]
-        float(np.mean([np.linalg.norm(x - oxygen) for x in kinds[kind]])) if kinds[kind] else 0.0 for kind in "HM"
-    )
+def _unknown_residues(path, model: WaterModel, others) -> str:
+    names = ", ".join(sorted({residue.name for residue in others})) or "none"
+    hint = "" if model.file_with_ions is None else f"; {model.file_with_ions} has {model.name} water and ions"
+    return f"{path} has residues {names} besides {model.name} water. Name force fields for them with --forcefield{hint}"
 
 
 def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
@@ -169,14 +93,19 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
         ForceFieldError: a file is not found or no force field.
     """
     try:
-        return app.ForceField(*[_locate(name, Path(beside)) for name in files])
+        return app.ForceField(*[locate(name, Path(beside)) for name in files])
     except ForceFieldError:
         raise
     except Exception as error:
         raise ForceFieldError(f"cannot read the force field {' '.join(files)}: {first_line(error)}") from error
 
 
-def _locate(name: str, beside: Path) -> str:
+def locate(name: str, beside: Path) -> str:
+    """The path of a force-field file, or its name where it is one of OpenMM's own; looked for as `load` does.
+
+    Raises:
+        ForceFieldError: there is none.
+    """
     for directory in (Path(), beside, *SHIPPED):
         if (directory / name).is_file():
             return str(directory / name)
@@ -265,10 +194,10 @@ def read_box(path: str | Path, files: Sequence[str] | None = None) -> Box:
     except Exception as error:
         raise ForceFieldError(f"cannot read {path} as a PDB file: {first_line(error)}") from error
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    lengths = make_whole(lengths, pdb.topology)
     choice = Choice(tuple(files), "named by the user") if files else pick(path, pdb.topology, lengths)
     forcefield = load(choice.files, Path(path).parent)
-    positions = make_whole(lengths, pdb.topology) * unit.nanometer
-    topology, positions = add_virtual_sites(pdb.topology, positions, forcefield)
+    topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
     listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
     if len(listed) != pdb.topology.getNumAtoms():
         listed = np.arange(topology.getNumAtoms())

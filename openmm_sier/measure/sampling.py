@@ -1,4 +1,4 @@
-"""Time series of a simulation, and their means with errors: what the comparisons of integrators share."""
+"""Integrators to compare, and time series of what they do."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import openmm
@@ -13,12 +14,17 @@ from openmm import unit
 
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, NotFiniteError, RigidBodies, RigidityError
-from openmm_sier.dynamics.rotation.rotor import body_frame
+from openmm_sier.context.temperature import MomentumConservation, degrees_of_freedom, temperatures
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 
 #: Tolerance of constraints for OpenMM's own integrators; SETTLE is not better than 1e-8.
 CONSTRAINT_TOLERANCE = 1e-7
+
+#: K, beyond which a run counts as broken.
+HIGHEST_TEMPERATURE = 3000.0
 
 
 class Unstable(RuntimeError):
@@ -112,7 +118,9 @@ def nvt_methods(temperature: float, friction: float, seed: int) -> dict[str, Met
     return methods
 
 
-def sample(context, bodies: RigidBodies, steps: int, every: int, progress=None) -> Series:
+def sample(
+    context, bodies: RigidBodies, steps: int, every: int, progress: Callable[[int], None] | None = None
+) -> Series:
     """Run a Context and record energies and temperatures at whole steps.
 
     OpenMM's leapfrog keeps velocities half a step back; its temperatures are taken on step, from the velocities that
@@ -126,36 +134,55 @@ def sample(context, bodies: RigidBodies, steps: int, every: int, progress=None) 
         progress: called with the number of steps done.
 
     Raises:
-        Unstable: an energy is not finite, the temperature has left 0 to 3000 K, or molecules are torn.
+        Unstable: an energy is not finite, a temperature is above `HIGHEST_TEMPERATURE`, or molecules are torn.
     """
     integrator = context.getIntegrator()
-    removed = 3 if _removes_motion(context.getSystem()) else 0
+    conserved = MomentumConservation.of_system(context.getSystem(), bodies).holds(integrator)
     rows = []
     for done in range(every, steps + 1, every):
         integrator.step(every)
-        state = context.getState(energy=True)
         try:
-            motion = _body_state(context, bodies)
+            rows.append(_observe(context, bodies, conserved))
         except (RigidityError, NotFiniteError) as error:
             raise Unstable(f"after {done} steps {error}") from error
-        rows.append(
-            (
-                state.getTime().value_in_unit(unit.picosecond),
-                state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
-                state.getKineticEnergy().value_in_unit(unit.kilojoule_per_mole),
-                *bodies.temperatures(motion, removed),
-                state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3),
-            )
-        )
-        if not (np.isfinite(rows[-1]).all() and 0 <= rows[-1][3] < 3000 and rows[-1][4] < 3000):
-            raise Unstable(f"temperatures of {rows[-1][3]:.0f} K and {rows[-1][4]:.0f} K after {done} steps")
+        if not rows[-1].sane:
+            raise Unstable(f"{rows[-1]} after {done} steps")
         if progress is not None:
             progress(done)
     return Series(*np.array(rows).T)
 
 
-def _removes_motion(system) -> bool:
-    return any(isinstance(system.getForce(i), openmm.CMMotionRemover) for i in range(system.getNumForces()))
+class _Sample(NamedTuple):
+    """The values of `Series` at one step."""
+
+    time: float
+    potential: float
+    kinetic: float
+    translation: float
+    rotation: float
+    volume: float
+
+    @property
+    def sane(self) -> bool:
+        # A temperature is NaN where nothing moves so.
+        hot = self.translation > HIGHEST_TEMPERATURE or self.rotation > HIGHEST_TEMPERATURE
+        return math.isfinite(self.potential) and math.isfinite(self.kinetic) and not hot
+
+    def __str__(self) -> str:
+        return f"temperatures of {self.translation:.0f} K and {self.rotation:.0f} K, V = {self.potential:.4g} kJ/mol"
+
+
+def _observe(context, bodies: RigidBodies, conserved: bool) -> _Sample:
+    state = context.getState(energy=True)
+    found = temperatures(bodies, _body_state(context, bodies), conserved)
+    return _Sample(
+        state.getTime().value_in_unit(unit.picosecond),
+        state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
+        state.getKineticEnergy().value_in_unit(unit.kilojoule_per_mole),
+        found.translation,
+        found.rotation,
+        state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3),
+    )
 
 
 def _body_state(context, bodies: RigidBodies) -> BodyState:
@@ -195,25 +222,7 @@ def steepness(context, bodies: RigidBodies, samples: int, every: int) -> tuple[f
         A = context.getIntegrator().getBodyState().A
         F, tau = bodies.forces_and_torques(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer), A)
         sums += (F * F / bodies.masses).sum(), (body_frame(A, tau) ** 2 * bodies.inverse_moments).sum()
-    freedoms = np.array([3 * bodies.n, bodies.degrees_of_freedom - 3 * bodies.n])
-    translation, rotation = np.divide(sums / (samples * GAS_CONSTANT), freedoms, out=np.zeros(2), where=freedoms > 0)
+    # Forces do not know whether the total momentum is conserved.
+    dof = np.array(degrees_of_freedom(bodies, conserved=False))
+    translation, rotation = np.divide(sums / (samples * GAS_CONSTANT), dof, out=np.zeros(2), where=dof > 0)
     return float(translation), float(rotation)
-
-
-def mean_and_error(values, blocks: int = 20) -> tuple[float, float]:
-    """Mean of a correlated series and its standard error, from the scatter of the means of equal blocks.
-
-    Args:
-        values: the series; a remainder that fills no block is left out at its start.
-        blocks: how many, each of which must be longer than the correlation time.
-    """
-    values = np.asarray(values, dtype=float)
-    blocks = min(blocks, len(values))
-    length = len(values) // blocks
-    means = values[len(values) - blocks * length :].reshape(blocks, length).mean(axis=1)
-    return float(means.mean()), float(means.std(ddof=1) / np.sqrt(blocks)) if blocks > 1 else float("nan")
-
-
-def fluctuation(series: Series) -> float:
-    """rms(H)/rms(V), the paper's measure of energy conservation."""
-    return float(np.std(series.total) / np.std(series.potential))

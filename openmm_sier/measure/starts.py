@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+import warnings
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import openmm
@@ -11,47 +13,44 @@ from openmm import unit
 
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
+from openmm_sier.context.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
 from openmm_sier.dynamics.bodies import NotFiniteError
-from openmm_sier.dynamics.schemes import SIER2
-from openmm_sier.studies.console import StepProgress, note
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from openmm_sier.measure.report import SILENT, Report
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized. Among 512 molecules of water at 297 K the
 #: largest is 1000 to 2200.
 LARGE_FORCE = 5e3
 
-#: Equilibration: friction in 1/ps, step in ps.
+#: Equilibration: friction in 1/ps, and a scheme whose step leaves rotations within 0.3 K of translations. SIER2 would
+#: need steps of 0.5 fs for that.
 FRICTION = 5.0
-EQUILIBRATION_STEP = 0.002
+SCHEME, STEP = SIER4G, 0.006
 
-#: Steps between two updates of the progress bar.
-CHUNK = 20
+#: Temperatures and potential energies are averaged over windows, of this length in ps. The last two must agree with
+#: what was asked and with each other; whatever came before is forgotten.
+WINDOW = 1.0
+FEWEST_WINDOWS = 3
 
+#: Steps between two samples of them.
+EVERY = 6
 
-class Start(Protocol):
-    """The settings of a command that tell how to begin."""
+#: ps, after which an equilibration gives up.
+LONGEST = 20.0
 
-    @property
-    def temperature(self) -> float:
-        """K."""
+#: K: no bound on a temperature is tighter, since no scheme's error is.
+TIGHTEST = 1.0
 
-    @property
-    def equilibrate(self) -> float:
-        """Time, ps."""
+#: Least kinetic energy, as a fraction of that at the temperature, that a run at constant energy is started with.
+LEAST_MOTION = 0.1
 
-    @property
-    def seed(self) -> int:
-        """Of velocities and noise."""
-
-    @property
-    def platform(self) -> str | None:
-        """Of OpenMM; None takes the fastest."""
+#: Properties of a Platform that make two Contexts compute alike.
+KEPT_PROPERTIES = ("Threads", "DeterministicForces", "Precision", "DeviceIndex")
 
 
-def equilibrated(box, settings: Start):
-    """State of a box (`openmm_sier.measure.forcefields.Box`) at a temperature."""
-    context = make_context(box.system, SIERIntegrator(EQUILIBRATION_STEP, SIER2), settings.platform)
-    prepare(context, box.positions, settings)
-    return context.getState(positions=True, velocities=True)
+class EquilibrationWarning(UserWarning):
+    """An equilibration has ended before temperatures and potential energy were what they should be."""
 
 
 def make_context(system, integrator, platform: str | None):
@@ -65,14 +64,44 @@ def make_context(system, integrator, platform: str | None):
     return openmm.Context(system, integrator, openmm.Platform.getPlatformByName(platform))
 
 
-def prepare(context, positions, options: Start, minimize: bool | None = None) -> None:
-    """Positions and velocities of a new run: minimized, thermalized, the centre of mass at rest.
+def equilibrated(
+    box, temperature: float, seed: int, time: float | None, platform: str | None = None, report: Report = SILENT
+) -> openmm.State:
+    """State of a box (`openmm_sier.measure.forcefields.Box`) from which runs at constant energy have a temperature.
+
+    Args:
+        box: what to equilibrate.
+        temperature, seed, time, report: see `prepare`.
+        platform: of OpenMM; None takes the fastest.
+    """
+    context = make_context(box.system, SIERIntegrator(0.001, SIER2), platform)
+    prepare(context, box.positions, temperature, seed, time, report=report)
+    return context.getState(positions=True, velocities=True)
+
+
+def prepare(
+    context,
+    positions,
+    temperature: float,
+    seed: int = 1,
+    time: float | None = None,
+    minimize: bool | None = None,
+    report: Report = SILENT,
+) -> None:
+    """Positions and velocities of a new run: minimized, equilibrated, the centre of mass at rest, the clock at zero.
+
+    A run at constant energy gets the kinetic energy that makes its total energy the mean one of the equilibration, so
+    that its mean temperature is that of the bath. A snapshot of the bath would leave it off by T sqrt(k/C), with the
+    heat capacity C: 4 K for 512 molecules of water.
 
     Args:
         context: with a SIERIntegrator.
         positions: (N, 3), a quantity.
-        options: how to begin.
+        temperature: K.
+        seed: of velocities and noise.
+        time: of the equilibration, ps; None goes on until the liquid has settled, see `equilibrate`.
         minimize: whether to minimize first; None does where the start has forces that a liquid has not.
+        report: gets notes and progress.
     """
     context.setPositions(positions)
     context.computeVirtualSites()
@@ -80,13 +109,15 @@ def prepare(context, positions, options: Start, minimize: bool | None = None) ->
     strongest = _strongest_force(context)
     if minimize or (minimize is None and strongest > LARGE_FORCE):
         openmm.LocalEnergyMinimizer.minimize(context)
-        note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
-    state = thermalize(context, options)
+        report.note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
+    found = equilibrate(context, temperature, seed, time, report)
     # At constant pressure the box has changed.
-    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-    context.setPositions(state.getPositions())
-    context.setVelocities(state.getVelocities())
-    _stop_centre_of_mass(context)
+    context.setPeriodicBoxVectors(*found.state.getPeriodicBoxVectors())
+    context.setPositions(found.state.getPositions())
+    context.setVelocities(found.state.getVelocities())
+    stop_centre_of_mass(context)
+    if found.settled and not isinstance(context.getIntegrator(), SIERLangevinIntegrator):
+        _set_energy(context, temperature, found.potential)
     context.setTime(0)
     context.setStepCount(0)
 
@@ -103,36 +134,162 @@ def _strongest_force(context) -> float:
     return float(np.linalg.norm(F, axis=0).max())
 
 
-def thermalize(context, options: Start):
-    """A State at the wanted temperature, after a run at constant temperature, and pressure if one is kept.
+@dataclass(frozen=True)
+class Equilibration:
+    """How an equilibration ended.
+
+    Attributes:
+        state: positions, velocities and box.
+        time: that it took, ps.
+        translation, rotation: mean temperatures in K over the last two windows; NaN where nothing moves so.
+        potential: mean potential energy over the same time, kJ/mol.
+        settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
+    """
+
+    state: openmm.State
+    time: float
+    translation: float
+    rotation: float
+    potential: float
+    settled: bool
+
+
+def equilibrate(
+    context, temperature: float, seed: int = 1, time: float | None = None, report: Report = SILENT
+) -> Equilibration:
+    """Run at constant temperature, and pressure if one is kept, until the liquid has settled.
+
+    It has settled when, over the last two windows of 1 ps,
+
+    - T_trans and T_rot are each within one canonical standard deviation T sqrt(2/dof) of a snapshot of them (or 1 K if
+      that is more) of the temperature. With a friction of 5/ps the mean over 2 ps scatters by a third of that, so that
+      one in a hundred windows is taken for unsettled by chance;
+    - the mean potential energy of the second differs from that of the first by less than 2 kT sqrt(dof/2), two
+      canonical standard deviations of the kinetic energy. What a start from a lattice still gives up is many times
+      that, while the bath may already hold the temperature.
+
+    The first window counts for nothing. An equal seed gives an equal result where the platform's forces are
+    deterministic.
 
     Args:
-        context: holds the positions to start from, and the pressure in its integrator or System; it is left as it was.
-        options: how to begin.
+        context: of a SIERIntegrator. It holds the positions to start from, and the pressure in its integrator or
+            System; it is left as it was.
+        temperature: K.
+        seed: of velocities and noise.
+        time: ps. None goes on until the liquid has settled, for 20 ps at most, and warns if it has not by then. A
+            number is kept, whether the liquid has settled or not.
+        report: gets notes and progress.
     """
-    integrator = context.getIntegrator()
+    bath = _bath_context(context, temperature, seed)
+    integrator = bath.getIntegrator()
+    dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
+    steps = round((LONGEST if time is None else time) / STEP)
+    # Windows of nearly equal length, that none counts for more than it knows.
+    each = math.ceil(steps / max(1, round(steps * STEP / WINDOW)))
+    windows: list[_Window] = []
+    done, settled = 0, False
+    with report.progress(f"equilibration at {temperature:g} K", steps, STEP) as advance:
+        while done < steps and not (settled and time is None):
+            length = min(each, steps - done)
+            windows.append(_window(bath, length, lambda taken, before=done: advance(before + taken)))
+            done += length
+            settled = _has_settled(windows, temperature, dof)
+    last = _Window(*np.mean(windows[-2:], axis=0)) if windows else _Window(math.nan, math.nan, math.nan)
+    state = bath.getState(positions=True, velocities=True)
+    found = Equilibration(state, done * STEP, *last, settled=settled)
+    _tell(found, temperature, dof, time, report)
+    return found
+
+
+def _bath_context(context, temperature: float, seed: int) -> openmm.Context:
+    """A Context like another one, but at constant temperature, with velocities drawn."""
+    integrator, platform = context.getIntegrator(), context.getPlatform()
     pressure = integrator.getPressure() if isinstance(integrator, SIERLangevinIntegrator) else None
-    langevin = SIERLangevinIntegrator(
-        options.temperature, FRICTION, EQUILIBRATION_STEP, SIER2, integrator.bodies, pressure=pressure
-    )
-    langevin.setRandomNumberSeed(options.seed)
-    bath = make_context(context.getSystem(), langevin, options.platform)
+    langevin = SIERLangevinIntegrator(temperature, FRICTION, STEP, SCHEME, integrator.bodies, pressure=pressure)
+    langevin.setRandomNumberSeed(seed)
+    names = set(KEPT_PROPERTIES) & set(platform.getPropertyNames())
+    properties = {name: platform.getPropertyValue(context, name) for name in names}
+    bath = openmm.Context(context.getSystem(), langevin, platform, properties)
     bath.setState(context.getState(positions=True))
-    bath.setVelocitiesToTemperature(options.temperature, options.seed)
-    steps = round(options.equilibrate / EQUILIBRATION_STEP)
-    with StepProgress(f"equilibration at {options.temperature:g} K", steps, EQUILIBRATION_STEP) as show:
-        for done in range(0, steps, CHUNK):
-            langevin.step(min(CHUNK, steps - done))
-            show(done)
-    if steps:
-        note(f"equilibrated for {options.equilibrate:g} ps at {options.temperature:g} K")
-    return bath.getState(positions=True, velocities=True)
+    bath.setVelocitiesToTemperature(temperature, seed)
+    return bath
 
 
-def _stop_centre_of_mass(context) -> None:
+class _Window(NamedTuple):
+    """Means over a window: temperatures in K, potential energy in kJ/mol."""
+
+    translation: float
+    rotation: float
+    potential: float
+
+
+def _window(bath, steps: int, advance) -> _Window:
+    """Run for some steps, and average."""
+    integrator, samples = bath.getIntegrator(), []
+    for begin in range(0, steps, EVERY):
+        taken = min(EVERY, steps - begin)
+        integrator.step(taken)
+        potential = bath.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        samples.append((*integrator.computeTemperatures()[1:], potential))
+        advance(begin + taken)
+    return _Window(*np.mean(samples, axis=0).tolist())
+
+
+def _has_settled(windows: list[_Window], temperature: float, dof: DegreesOfFreedom) -> bool:
+    if len(windows) < FEWEST_WINDOWS:
+        return False
+    (*before, earlier), (*after, later) = windows[-2:]
+    for first, second, number in zip(before, after, dof, strict=True):
+        if number and not abs((first + second) / 2 - temperature) <= bound(temperature, number):
+            return False
+    return abs(later - earlier) <= 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(sum(dof) / 2)
+
+
+def bound(temperature: float, dof: int) -> float:
+    """By how much a mean temperature may be off, K: one canonical standard deviation of a snapshot, or 1 K."""
+    return max(temperature * math.sqrt(2 / dof), TIGHTEST)
+
+
+def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time: float | None, report: Report) -> None:
+    if not found.time:
+        return
+    pairs = [("T_trans", found.translation, dof[0]), ("T_rot", found.rotation, dof[1])]
+    shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in pairs if n]
+    averaged = min(2 * WINDOW, found.time)
+    message = f"{found.time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {averaged:.2g} ps"
+    if time is None and not found.settled:
+        warnings.warn(
+            f"not equilibrated after {message}; the potential energy still changes or a temperature is out of bounds. "
+            "Equilibrate for longer, or minimize first",
+            EquilibrationWarning,
+            stacklevel=4,
+        )
+    report.note(f"equilibrated for {message}" + ("" if found.settled else "; not settled"))
+
+
+def stop_centre_of_mass(context) -> None:
+    """Bring the centre of mass of a Context to rest."""
     system = context.getSystem()
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
     velocities = context.getState(velocities=True).getVelocities(asNumpy=True)
     velocities = velocities.value_in_unit(unit.nanometer / unit.picosecond)
     velocities[masses > 0] -= masses @ velocities / masses.sum()
     context.setVelocities(velocities)
+
+
+def _set_energy(context, temperature: float, potential: float) -> None:
+    """Scale all velocities so that the total energy is the mean one at a temperature.
+
+    Args:
+        context: at the end of an equilibration, the centre of mass at rest.
+        temperature: K.
+        potential: mean potential energy at this temperature, kJ/mol.
+    """
+    integrator = context.getIntegrator()
+    bodies, conserved = integrator.bodies, integrator.conservesMomentum
+    state = context.getState(energy=True, velocities=True)
+    thermal = 0.5 * sum(degrees_of_freedom(bodies, conserved)) * GAS_CONSTANT * temperature
+    now = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    wanted, there = thermal + potential - now, sum(thermal_energies(bodies, integrator.getBodyState(), conserved))
+    if wanted > LEAST_MOTION * thermal and there > 0:
+        context.setVelocities(state.getVelocities(asNumpy=True) * math.sqrt(wanted / there))

@@ -12,13 +12,17 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.context.conservation import density
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
+from openmm_sier.measure.observables import energy_drift
+from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.starts import equilibrated, make_context
-from openmm_sier.studies import console, scheme_comparison
+from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.studies import figures, style
 from openmm_sier.version import __version__
 
 #: Time in fs between two samples. Water's angular velocities decorrelate in some 20 fs.
@@ -32,11 +36,10 @@ FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 
 #: What the numbers are written to.
 FILE = "equipartition.json"
-DALTON_PER_NM3 = 1.66053906660e-3  # in g/cm^3
 
 
 @dataclass(frozen=True)
-class Settings:
+class EquipartitionSettings:
     """What is compared. Times in ps; the steps per force evaluation in fs; seeds of replicas follow the first."""
 
     box: Path
@@ -84,7 +87,7 @@ class Row:
         return abs(self.difference[0]) / self.difference[1]
 
 
-def compare(settings: Settings) -> list[Row]:
+def compare(settings: EquipartitionSettings, report: Report = SILENT) -> list[Row]:
     """Run every method at every step from equilibrated starts, one a replica, and pool the replicas."""
     methods(settings)
     box = read_box(settings.box, settings.forcefield)
@@ -98,20 +101,20 @@ def compare(settings: Settings) -> list[Row]:
         mine = replace(settings, seed=seed)
         for barostat in (force for force in system.getForces() if isinstance(force, openmm.MonteCarloBarostat)):
             barostat.setRandomNumberSeed(seed)
-        start = equilibrated(box, mine)
+        start = equilibrated(box, mine.temperature, mine.seed, mine.equilibrate, mine.platform, report)
         chosen = methods(mine)
         # Forces are asked for where some method has a law (NaN is not above 0).
         lawful = any(method.bias > 0 for method in chosen)
         slope = _slope(box.system, bodies, start, mine) if lawful else float("nan")
         for method in chosen:
             for dt in settings.dt:
-                row = _measure(method, dt, system, bodies, start, mine)
+                row = _run_method(method, dt, system, bodies, start, mine, report)
                 rows.append(replace(row, predicted=-method.bias * (1e-3 * row.step) ** 2 * slope))
-                console.note(_line(rows[-1]))
+                report.note(_line(rows[-1]))
     return pooled(rows)
 
 
-def _slope(system, bodies, start, settings: Settings) -> float:
+def _slope(system, bodies, start, settings: EquipartitionSettings) -> float:
     """How much steeper the potential is for rotations: the difference of `sampling.steepness`, K/ps^2."""
     context = make_context(system, SIERIntegrator(FORCE_STEP, SIER2, bodies), settings.platform)
     context.setState(start)
@@ -147,7 +150,7 @@ def _pool_of(rows: list[Row]) -> Row:
     return replace(rows[0], time=float(times.sum()), drift=drift, predicted=predicted, **means)
 
 
-def methods(settings: Settings) -> list[sampling.Method]:
+def methods(settings: EquipartitionSettings) -> list[sampling.Method]:
     """The methods that the settings name; all of their ensemble where they name none.
 
     Raises:
@@ -167,7 +170,7 @@ def methods(settings: Settings) -> list[sampling.Method]:
     return [known[name] for name in chosen]
 
 
-def _measure(method, dt, system, bodies, start, settings: Settings) -> Row:
+def _run_method(method, dt, system, bodies, start, settings: EquipartitionSettings, report: Report) -> Row:
     step = dt * method.force_evaluations
     integrator = method.make(1e-3 * step)
     integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
@@ -176,24 +179,23 @@ def _measure(method, dt, system, bodies, start, settings: Settings) -> Row:
     steps = max(1, round(settings.time * 1e3 / step))
     every = min(steps, max(1, round(INTERVAL / step)))
     try:
-        with console.StepProgress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
+        with report.progress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
             integrator.step(round(SETTLING * 1e3 / step))
             series = sampling.sample(context, bodies, steps, every, show)
     except (sampling.Unstable, openmm.OpenMMException) as error:
         none = (float("nan"), float("nan"))
         return Row(method.name, step, dt, settings.time, none, none, none, none, none, float("nan"), str(error))
-    density = bodies.masses.sum() / series.volume * DALTON_PER_NM3
     return Row(
         method.name,
         step,
         dt,
         settings.time,
-        sampling.mean_and_error(series.translation),
-        sampling.mean_and_error(series.rotation),
-        sampling.mean_and_error(series.rotation - series.translation),
-        sampling.mean_and_error(series.potential / bodies.n),
-        sampling.mean_and_error(density),
-        scheme_comparison.drift(series)[0],
+        mean_and_error(series.translation),
+        mean_and_error(series.rotation),
+        mean_and_error(series.rotation - series.translation),
+        mean_and_error(series.potential / bodies.n),
+        mean_and_error(density(bodies.masses.sum(), series.volume)),
+        energy_drift(series.time, series.total)[0],
     )
 
 
@@ -206,20 +208,27 @@ def _line(row: Row) -> str:
     )
 
 
-def run(settings: Settings, out: Path) -> list[Row]:
-    """Compare, print the table, and write equipartition.json and, with matplotlib, equipartition.png to a directory."""
+def run(settings: EquipartitionSettings, out: Path, report: Report = SILENT) -> list[Row]:
+    """Compare, and write equipartition.json and, with matplotlib, equipartition.png to a directory.
+
+    Args:
+        settings: what is compared.
+        out: the directory, which is made if it does not exist.
+        report: gets the table, notes and progress.
+    """
     out.mkdir(parents=True, exist_ok=True)
-    rows = compare(settings)
-    _report(rows, asdict(settings) | {"box": settings.box.name}, out)
+    rows = compare(settings, report)
+    _publish(rows, asdict(settings) | {"box": settings.box.name}, out, report)
     return rows
 
 
-def pool(directories: Sequence[Path], out: Path) -> list[Row]:
-    """Pool the runs of earlier comparisons, print the table, and write what `run` does.
+def pool(directories: Sequence[Path], out: Path, report: Report = SILENT) -> list[Row]:
+    """Pool the runs of earlier comparisons, and write what `run` does.
 
     Args:
         directories: what they wrote to; all of one box, ensemble, temperature, friction and pressure.
         out: directory for the result.
+        report: gets the table and notes.
 
     Raises:
         ValueError: two of them were made with other settings, or have runs of the same seeds.
@@ -234,7 +243,8 @@ def pool(directories: Sequence[Path], out: Path) -> list[Row]:
     _refuse_repetitions(directories, records)
     out.mkdir(parents=True, exist_ok=True)
     rows = pooled([row for directory in directories for row in load(directory / FILE)])
-    _report(rows, records[0]["settings"] | {"pooled": [record["settings"] for record in records]}, out)
+    settings = records[0]["settings"] | {"pooled": [record["settings"] for record in records]}
+    _publish(rows, settings, out, report)
     return rows
 
 
@@ -252,12 +262,16 @@ def _refuse_repetitions(directories, records) -> None:
                     )
 
 
-def _report(rows: list[Row], settings: dict, out: Path) -> None:
-    show(rows, settings["ensemble"])
+def _publish(rows: list[Row], settings: dict, out: Path, report: Report) -> None:
+    report.table(table(rows, settings["ensemble"]))
+    for row in rows:
+        if row.broken:
+            report.note(f"{row.method} at {row.fs_per_force:g} fs per force broke down: {row.broken}")
     record = {"version": __version__, "openmm": openmm.__version__, "settings": settings}
     record["rows"] = [asdict(row) for row in rows]
     (out / FILE).write_text(json.dumps(record, indent=1, default=str))
-    console.draw("equipartition_figure", rows, settings["ensemble"], out / "equipartition.png")
+    if style.can_draw(report):
+        figures.equipartition_figure(rows, settings["ensemble"], out / "equipartition.png")
 
 
 def load(path: Path) -> list[Row]:
@@ -266,13 +280,13 @@ def load(path: Path) -> list[Row]:
     return [Row(**dict[str, Any]((k, tuple(v) if isinstance(v, list) else v) for k, v in row.items())) for row in rows]
 
 
-def show(rows: list[Row], ensemble: str) -> None:
-    """Print the table."""
+def table(rows: list[Row], ensemble: str) -> Table:
+    """The rows as text."""
 
     def cell(pair, digits):
         return "-" if np.isnan(pair[0]) else f"{pair[0]:.{digits}f} ± {pair[1]:.{digits}f}"
 
-    console.table(
+    return Table(
         f"Equipartition, {ensemble.upper()}; velocities at whole steps",
         [
             "method",
@@ -302,6 +316,3 @@ def show(rows: list[Row], ensemble: str) -> None:
             for row in rows
         ],
     )
-    for row in rows:
-        if row.broken:
-            console.note(f"{row.method} at {row.fs_per_force:g} fs per force broke down: {row.broken}")

@@ -9,27 +9,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import openmm
 
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, Scheme, Stage, alternating
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
-from openmm_sier.measure.sampling import Energies, Method
+from openmm_sier.measure.observables import energy_drift, energy_error
+from openmm_sier.measure.report import SILENT, Report, Table
+from openmm_sier.measure.sampling import Method
 from openmm_sier.measure.starts import equilibrated, make_context
-from openmm_sier.studies import console
+from openmm_sier.studies import figures, style
 from openmm_sier.version import __version__
 
 #: Time in fs between two samples: a fifth to a half of the periods of librations in water, 35 to 80 fs.
 INTERVAL = 12.0
-
-#: Length in ps of the windows for the energy error, so that it does not depend on the length of the run.
-WINDOW = 1.0
-
-#: Blocks of a run whose mean energies give the drift.
-BLOCKS = 10
 
 _BLANES_MOAN = "Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), "
 _OMELYAN_2002 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002), "
@@ -86,7 +81,7 @@ OTHERS = {
 
 
 @dataclass(frozen=True)
-class Settings:
+class SchemesSettings:
     """What is compared. Times in ps; `dt`, the simulated time per force evaluation, in fs."""
 
     box: Path
@@ -111,8 +106,8 @@ class Row:
         step: fs.
         fs_per_force: step over force evaluations.
         time: length of the run, ps.
-        error: rms(H)/rms(V), see `energy_error`.
-        drift: of the whole box with standard error, kJ/mol/ps.
+        error: rms(H)/rms(V), see `openmm_sier.measure.observables.energy_error`.
+        drift: of the energy of the whole box, with its standard error, kJ/mol/ps.
         broken: why the run ended early; error and drift are NaN then.
     """
 
@@ -140,7 +135,7 @@ def known() -> dict[str, tuple[Method, int]]:
     return methods
 
 
-def compare(settings: Settings) -> list[Row]:
+def compare(settings: SchemesSettings, report: Report = SILENT) -> list[Row]:
     """Run every scheme at every time per force evaluation from one equilibrated start.
 
     Raises:
@@ -149,16 +144,16 @@ def compare(settings: Settings) -> list[Row]:
     chosen = _chosen(settings)
     box = read_box(settings.box, settings.forcefield)
     bodies = RigidBodies.from_system(box.system, box.topology)
-    start = equilibrated(box, settings)
+    start = equilibrated(box, settings.temperature, settings.seed, settings.equilibrate, settings.platform, report)
     rows = []
     for dt in settings.dt:
         for method, order in chosen:
-            rows.append(_measure(method, order, dt, box.system, bodies, start, settings))
-            console.note(_line(rows[-1]))
+            rows.append(_run_method(method, order, dt, box.system, bodies, start, settings, report))
+            report.note(_line(rows[-1]))
     return rows
 
 
-def _chosen(settings: Settings) -> list[tuple[Method, int]]:
+def _chosen(settings: SchemesSettings) -> list[tuple[Method, int]]:
     methods = known()
     for name in settings.schemes or ():
         if name not in methods:
@@ -166,7 +161,9 @@ def _chosen(settings: Settings) -> list[tuple[Method, int]]:
     return [methods[name] for name in settings.schemes or methods]
 
 
-def _measure(method: Method, order: int, dt: float, system, bodies, start, settings: Settings) -> Row:
+def _run_method(
+    method: Method, order: int, dt: float, system, bodies, start, settings: SchemesSettings, report: Report
+) -> Row:
     step = dt * method.force_evaluations
     row = Row(method.name, order, method.force_evaluations, step, dt, settings.time, math.nan, (math.nan, math.nan))
     integrator = method.make(1e-3 * step)
@@ -176,38 +173,12 @@ def _measure(method: Method, order: int, dt: float, system, bodies, start, setti
     every = min(steps, max(1, round(INTERVAL / step)))
     try:
         context.setState(start)
-        with console.StepProgress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
+        with report.progress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
             series = sampling.sample(context, bodies, steps, every, show)
     except (sampling.Unstable, openmm.OpenMMException) as error:
         return replace(row, broken=" ".join(str(error).split()))
-    return replace(row, error=energy_error(series), drift=drift(series))
-
-
-def energy_error(series: Energies) -> float:
-    """rms(H)/rms(V), with H about a straight line in each window of `WINDOW`: what accumulates is measured as drift."""
-    windows = max(1, round((series.time[-1] - series.time[0]) / WINDOW))
-    rest = []
-    for time, total in zip(*(np.array_split(v, windows) for v in (series.time, series.total)), strict=True):
-        if len(time) < 3:
-            return math.nan
-        rest.append(total - np.polyval(np.polyfit(time, total, 1), time))
-    return float(np.std(np.concatenate(rest)) / np.std(series.potential))
-
-
-def drift(series: Energies) -> tuple[float, float]:
-    """Slope of the total energy in kJ/mol/ps and its standard error, from the means of `BLOCKS` blocks.
-
-    The error is that of independent block means, so that blocks must be longer than the energy's correlation time.
-    """
-    length = len(series.time) // BLOCKS
-    if length == 0:
-        return math.nan, math.nan
-    time, total = (
-        values[len(values) - BLOCKS * length :].reshape(BLOCKS, length).mean(axis=1)
-        for values in (series.time, series.total)
-    )
-    (slope, _), covariance = np.polyfit(time, total, 1, cov=True)
-    return float(slope), float(np.sqrt(covariance[0, 0]))
+    found = energy_error(series.time, series.total, series.potential)
+    return replace(row, error=found, drift=energy_drift(series.time, series.total))
 
 
 def best(rows: list[Row]) -> dict[float, Row]:
@@ -222,11 +193,19 @@ def best(rows: list[Row]) -> dict[float, Row]:
     return winners
 
 
-def run(settings: Settings, out: Path) -> list[Row]:
-    """Compare, print the table, and write schemes.json and, with matplotlib, schemes.png to a directory."""
+def run(settings: SchemesSettings, out: Path, report: Report = SILENT) -> list[Row]:
+    """Compare, and write schemes.json and, with matplotlib, schemes.png to a directory.
+
+    Args:
+        settings: what is compared.
+        out: the directory, which is made if it does not exist.
+        report: gets the table, notes and progress.
+    """
     out.mkdir(parents=True, exist_ok=True)
-    rows = compare(settings)
-    show(rows, settings)
+    rows = compare(settings, report)
+    report.table(table(rows, settings))
+    for dt, row in best(rows).items():
+        report.note(f"least energy error at {dt:g} fs per force: {row.scheme}, {100 * row.error:.3f} %")
     record = {
         "version": __version__,
         "openmm": openmm.__version__,
@@ -234,7 +213,8 @@ def run(settings: Settings, out: Path) -> list[Row]:
         "rows": [asdict(row) for row in rows],
     }
     (out / "schemes.json").write_text(json.dumps(record, indent=1))
-    console.draw("schemes_figure", rows, out / "schemes.png")
+    if style.can_draw(report):
+        figures.schemes_figure(rows, out / "schemes.png")
     return rows
 
 
@@ -253,13 +233,13 @@ def _line(row: Row) -> str:
     )
 
 
-def show(rows: list[Row], settings: Settings) -> None:
-    """Print the table, and which scheme is best where."""
+def table(rows: list[Row], settings: SchemesSettings) -> Table:
+    """The rows as text."""
 
     def cell(value: float, digits: int) -> str:
         return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
-    console.table(
+    return Table(
         f"Conservation of energy, {settings.time:g} ps each",
         [
             "scheme",
@@ -285,5 +265,3 @@ def show(rows: list[Row], settings: Settings) -> None:
             for row in rows
         ],
     )
-    for dt, row in best(rows).items():
-        console.note(f"least energy error at {dt:g} fs per force: {row.scheme}, {100 * row.error:.3f} %")

@@ -7,14 +7,10 @@ import math
 from pathlib import Path
 
 import numpy as np
-import openmm
 import pytest
 
-from openmm_sier import SIER2Integrator
-from openmm_sier.cli import main
-from openmm_sier.measure import forcefields, sampling, starts
 from openmm_sier.studies import equipartition
-from tests.cli.test_cli import SMALL, complaint, log, write_lattice
+from tests.support.commands import SMALL, complaint, log, run, write_lattice
 
 
 @pytest.fixture(scope="module")
@@ -27,10 +23,7 @@ def directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def run(*arguments):
-    assert main.main([str(argument) for argument in arguments]) == 0
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("ensemble", [["nvt"], ["npt", "--pressure", "-500"]], ids=["NVT", "NPT"])
 def test_heat_bath_and_piston_are_restarted_bit_for_bit(box, ensemble):
     options = [*SMALL, "--ensemble", *ensemble, "--scheme", "sier2", "--dt", "2", "--friction", "5", "--seed", "3"]
@@ -41,12 +34,13 @@ def test_heat_bath_and_piston_are_restarted_bit_for_bit(box, ensemble):
     for name in whole:
         assert np.array_equal(whole[name], parts[name]), name
     # The bath exchanges energy, of which the conserved quantity knows.
-    assert np.ptp(whole["total_kJ_per_mol"]) > 10 * np.ptp(whole["conserved_kJ_per_mol"])
+    assert np.ptp(whole["Total Energy (kJ/mole)"]) > 10 * np.ptp(whole["Conserved Energy (kJ/mole)"])
 
 
+@pytest.mark.slow
 def test_constant_pressure_changes_the_box(box):
     run("run", box, *SMALL, "--ensemble", "npt", "--pressure", "-500", "--time", "0.4", "--scheme", "auto")
-    volumes = log("box.csv")["volume_nm3"]
+    volumes = log("box.csv")["Box Volume (nm^3)"]
     assert len(set(volumes.tolist())) > 1
 
 
@@ -61,6 +55,7 @@ def test_options_of_another_ensemble(capsys, box, arguments, message):
     assert message in complaint(capsys, "run", str(box), *arguments)
 
 
+@pytest.mark.slow
 def test_restart_keeps_the_ensemble(capsys, box):
     run("run", box, *SMALL, "--steps", "10")
     assert "--ensemble nvt differs from nve" in complaint(
@@ -68,6 +63,7 @@ def test_restart_keeps_the_ensemble(capsys, box):
     )
 
 
+@pytest.mark.slow
 def test_equipartition_in_miniature(box, capsys, monkeypatch):
     monkeypatch.setattr(equipartition, "SETTLING", 0.02)
     run(
@@ -113,6 +109,7 @@ def test_replicas_are_pooled_by_their_lengths():
     assert equipartition.pooled([row(1.0, 0.3, 30.0), broken]) == [broken]
 
 
+@pytest.mark.slow
 def test_equipartition_pools_directories(box, capsys, monkeypatch):
     monkeypatch.setattr(equipartition, "SETTLING", 0.02)
     short = ("--dt", "2", "--methods", "sier2", "--time", "0.1", "--equilibrate", "0.02", "--platform", "Reference")
@@ -134,6 +131,7 @@ def test_equipartition_pools_directories(box, capsys, monkeypatch):
     assert not Path("no").exists()
 
 
+@pytest.mark.slow
 def test_short_times_give_one_sample(box, monkeypatch):
     monkeypatch.setattr(equipartition, "SETTLING", 0.002)
     short = ("--dt", "2", "--methods", "sier2", "--time", "0.004", "--equilibrate", "0.02", "--platform", "Reference")
@@ -143,53 +141,5 @@ def test_short_times_give_one_sample(box, monkeypatch):
     assert record["rows"][0]["broken"] == ""
 
 
-def test_start_at_constant_pressure_has_the_box_of_its_equilibration(box):
-    """Energy and volume at the end of the equilibration are those at the start of the run."""
-    found = forcefields.read_box(box)
-    barostat = openmm.MonteCarloBarostat(2e4, 297.0, 2)
-    barostat.setRandomNumberSeed(1)
-    found.system.addForce(barostat)
-    context = starts.make_context(found.system, SIER2Integrator(0.001), "Reference")
-    ends = []
-    thermalize = starts.thermalize
-
-    def remembering(*arguments):
-        ends.append(thermalize(*arguments))
-        return ends[-1]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(starts, "thermalize", remembering)
-        settings = equipartition.Settings(box=box, equilibrate=0.1, platform="Reference")
-        starts.prepare(context, found.positions, settings, minimize=False)
-    state = context.getState(positions=True)
-    assert state.getPeriodicBoxVolume() == ends[0].getPeriodicBoxVolume()
-    initial = np.prod([vector[i]._value for i, vector in enumerate(found.system.getDefaultPeriodicBoxVectors())])
-    assert state.getPeriodicBoxVolume()._value != pytest.approx(initial, rel=1e-3)
-    # Positions are fitted to rigid bodies, which rounds them.
-    positions, expected = (s.getPositions(asNumpy=True)._value for s in (state, ends[0]))
-    assert np.abs(positions - expected).max() < 1e-14
-
-
-def test_default_box_is_one_of_the_projects_own(tmp_path, monkeypatch):
-    assert forcefields.shipped_box().name == "tip3p-512.pdb"
-    monkeypatch.setattr(forcefields, "SHIPPED", (tmp_path,))
-    with pytest.raises(ValueError, match=r"tip3p-512.pdb did not come with this installation; name a PDB file"):
-        forcefields.shipped_box()
-
-
 def test_equipartition_refuses_unknown_methods(box, capsys):
     assert "unknown method 'leapfrog'" in complaint(capsys, "equipartition", str(box), "--methods", "leapfrog")
-
-
-def test_mean_and_error_of_correlated_samples():
-    # An autoregressive series: the mean of n samples with correlation c has the error sqrt((1 + c)/(1 - c)/n).
-    rng = np.random.default_rng(5)
-    n, c = 20000, 0.9
-    values = np.zeros(n)
-    for i in range(1, n):
-        values[i] = c * values[i - 1] + np.sqrt(1 - c * c) * rng.normal()
-    mean, error = sampling.mean_and_error(values)
-    expected = np.sqrt((1 + c) / (1 - c) / n)
-    # 20 blocks know their scatter to 16 %.
-    assert error == pytest.approx(expected, rel=0.5)
-    assert abs(mean) < 4 * expected

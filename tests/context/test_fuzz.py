@@ -29,8 +29,8 @@ from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, RigidityError, SIE
 from openmm_sier.context import stored_state
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.schemes import BATH, DRIFT, KICK
-from openmm_sier.dynamics.thermostat import Bath
-from tests.context.test_faults import Fault, lines_run
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from tests.support.faults import Fault, lines_run
 from tests.support.waters import phase_point, platform
 
 TEMPERATURE, FRICTION, SEED = 300.0, 3.0, 17
@@ -110,7 +110,7 @@ class Replay:
         self._context = openmm.Context(world.system, openmm.VerletIntegrator(1.0), platform())
         self._forces = operators.CachedForces(self._compute)
         self._operators = {KICK: operators.kick(self._forces), DRIFT: operators.drift(self.bodies)}
-        self._operators[BATH] = Bath(TEMPERATURE, FRICTION, FRICTION, SEED).operator(self.bodies)
+        self._operators[BATH] = OrnsteinUhlenbeck(TEMPERATURE, FRICTION, FRICTION, SEED).operator(self.bodies)
         self.steps, self.time = 0, 0.0
         self.state = BodyState(*4 * [np.zeros(0)])
         self.read_positions(world.positions, 0 * world.positions)
@@ -135,7 +135,7 @@ class Replay:
 
     def set_strength(self, value):
         self._context.setParameter("strength", value)
-        self._forces.forget()
+        self._forces.invalidate()
 
     def step(self, count):
         for _ in range(count):
@@ -329,6 +329,7 @@ class Calls(RuleBasedStateMachine):
         assert np.abs(found[1] - expected[1]).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(8))
 def test_any_sequence_of_calls_is_its_replay(number):
     # Hypothesis varies what it found; several seeds see more than as many examples from one.

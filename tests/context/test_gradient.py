@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER4, RigidBodies, Scheme, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.operators import CachedForces, drift, gradient_kick, kick, stepper
-from openmm_sier.dynamics.rotation.rotor import body_frame
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.operators import stepper
 from openmm_sier.dynamics.schemes import BATH, CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, Stage
-from tests.dynamics.test_dynamics import distance, reversed_momenta, symplectic_defect, turned
+from tests.support.convergence import operators_of, run, slope
 from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
 from tests.support.oracles import orthogonality_error
+from tests.support.phase_space import distance, reversed_momenta, symplectic_defect, turned
 from tests.support.waters import cluster_system, context_at, energies, phase_point, relaxed
 
 
@@ -25,23 +26,6 @@ def waters():
 @pytest.fixture
 def mixture():
     return SoftCluster([WATER, ION, CARBON_DIOXIDE, METHANE, WATER])
-
-
-def operators_of(cluster):
-    forces = CachedForces(cluster.forces)
-    return forces, {
-        KICK: kick(forces),
-        GRADIENT_KICK: gradient_kick(cluster.bodies, forces),
-        DRIFT: drift(cluster.bodies),
-    }
-
-
-def run(cluster, scheme, state, h, steps):
-    _, operators = operators_of(cluster)
-    step = stepper(scheme, operators, h)
-    for _ in range(steps):
-        state = step(state)
-    return state
 
 
 def with_shift(shift):
@@ -112,12 +96,6 @@ def test_the_displaced_force_is_not_kept(rng, waters):
 
 
 # --- order ------------------------------------------------------------------------------------------------------------
-
-
-def slope(cluster, scheme, start, steps=(16, 32, 64), time=0.032):
-    exact = cluster.exact_flow(start, time)
-    errors = [distance(run(cluster, scheme, start, time / n, n), exact) for n in steps]
-    return np.polyfit(np.log(1 / np.array(steps)), np.log(errors), 1)[0]
 
 
 @pytest.mark.parametrize("system", ["waters", "mixture"])

@@ -8,7 +8,16 @@ import pytest
 from openmm import app, unit
 
 import openmm_sier
-from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERIntegrator
+from openmm_sier import (
+    SIER2,
+    SIER4,
+    SIER2Integrator,
+    SIER4Integrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+)
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from tests.support.integrators import constrained_velocity_verlet
 from tests.support.waters import (
     cluster_system,
     context_at,
@@ -33,6 +42,7 @@ def box():
     return topology, system, relaxed(topology, positions, system)
 
 
+@pytest.mark.slow
 def test_isolated_cluster_conserves_momentum_and_angular_momentum(cluster):
     system, point = cluster
     integrator = SIER2Integrator(0.001)
@@ -66,6 +76,7 @@ def test_reversed_momenta_lead_back(cluster, make):
     assert np.abs(end[1] + start[1]).max() < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "evaluations"), [(SIER2Integrator, 1), (SIER4Integrator, 4)])
 def test_force_evaluations_a_step(box, make, evaluations):
     _, system, point = box
@@ -75,21 +86,6 @@ def test_force_evaluations_a_step(box, make, evaluations):
         integrator.step(count)
     # One more at the very start; no more where `step` is called again.
     assert integrator.forceEvaluations == 5 * evaluations + 1
-
-
-def constrained_velocity_verlet(h):
-    """The peer that starts from the same phase point: RATTLE as a CustomIntegrator (OpenMM's documentation)."""
-    verlet = openmm.CustomIntegrator(h)
-    verlet.addPerDofVariable("x1", 0)
-    verlet.addUpdateContextState()
-    verlet.addComputePerDof("v", "v+0.5*dt*f/m")
-    verlet.addComputePerDof("x", "x+dt*v")
-    verlet.addComputePerDof("x1", "x")
-    verlet.addConstrainPositions()
-    verlet.addComputePerDof("v", "v+0.5*dt*f/m+(x-x1)/dt")
-    verlet.addConstrainVelocities()
-    verlet.setConstraintTolerance(1e-10)
-    return verlet
 
 
 def test_agrees_with_constrained_velocity_verlet_as_the_step_shrinks(cluster):
@@ -353,6 +349,7 @@ def test_andersen_thermostat_acts(box):
     assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p", "ions"])
 def test_stock_simulation_with_stock_reporters(tmp_path, model):
     mdtraj = pytest.importorskip("mdtraj")
@@ -381,8 +378,8 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
     assert rows["Step"].tolist() == [5, 10, 15, 20]
     integrator = simulation.integrator
     translation, rotation = integrator.bodies.kinetic_energies(integrator.getBodyState())
-    freedoms = integrator.bodies.degrees_of_freedom - 3
-    temperature = 2 * (translation + rotation) / (freedoms * openmm_sier.dynamics.bodies.GAS_CONSTANT)
+    freedoms = integrator.bodies.dof - 3
+    temperature = 2 * (translation + rotation) / (freedoms * GAS_CONSTANT)
     # The reporter counts degrees of freedom from particles and constraints, and writes 16 digits.
     assert rows["Temperature_K"][-1] == pytest.approx(temperature, rel=1e-9)
     assert mdtraj.load(str(tmp_path / "t.h5")).n_frames == 4
@@ -425,7 +422,7 @@ def test_impossible_step_counts(cluster, steps):
     assert context.getStepCount() == 0
 
 
-@pytest.mark.parametrize("size", [0, -0.001, float("nan"), float("inf"), "long", 1 * unit.nanometer])
+@pytest.mark.parametrize("size", [-0.001, float("nan"), float("inf"), "long", 1 * unit.nanometer])
 def test_impossible_step_sizes(size):
     with pytest.raises((ValueError, TypeError), match="stepSize"):
         SIER2Integrator(size)
@@ -435,11 +432,28 @@ def test_impossible_step_sizes(size):
     assert integrator.getStepSize() == 0.001 * unit.picosecond
 
 
+@pytest.mark.parametrize("make", [lambda: SIER2Integrator(0), lambda: SIERLangevinIntegrator(300, 1, 0)])
+def test_a_step_of_zero_moves_nothing(cluster, make):
+    """OpenMM's users give it to the integrators of Contexts that only evaluate forces."""
+    system, point = cluster
+    integrator = make()
+    context = context_at(system, integrator, point)
+    assert np.isfinite(energies(context)).all()
+    before = integrator.getBodyState()
+    integrator.step(3)
+    # The atoms are placed anew on their bodies: SETTLE left them up to 5e-9 nm off.
+    assert phase_point(context)[0] == pytest.approx(point[0], abs=1e-8)
+    after = integrator.getBodyState()
+    assert all(np.array_equal(getattr(after, name), getattr(before, name)) for name in "qpL")
+    assert (context.getStepCount(), context.getTime()) == (3, 0 * unit.picosecond)
+
+
 def test_scheme_must_be_a_scheme():
     with pytest.raises(TypeError, match="scheme"):
         SIERIntegrator(0.001, "sier2")
 
 
+@pytest.mark.slow
 @every_barostat
 def test_barostats_need_no_velocities(box, barostat):
     """Where barostats alone act on the Context, it is read back only after they did: to the bit the same trajectory.

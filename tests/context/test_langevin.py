@@ -6,97 +6,14 @@ import numpy as np
 import openmm
 import pytest
 from openmm import unit
-from scipy import stats
 
-from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, Species, body_frame
+from openmm_sier import SIER2, SIER4, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import BATH, DRIFT, KICK
-from openmm_sier.dynamics.thermostat import Bath
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 TEMPERATURE = 297.0
 THERMAL = GAS_CONSTANT * TEMPERATURE
-
-GEOMETRIES = {
-    "asymmetric": ([16.0, 1.0, 1.0], [[0, 0, 0], [0.1, 0, 0], [-0.03, 0.09, 0]]),
-    "linear": ([16.0, 12.0, 16.0], [[0, 0, -0.116], [0, 0, 0], [0, 0, 0.116]]),
-    "spherical": (
-        [12.0, 1.0, 1.0, 1.0, 1.0],
-        0.06 * np.array([[0, 0, 0], [1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]),
-    ),
-    "point": ([23.0], [[0, 0, 0]]),
-}
-
-
-def ensemble(kind, n):
-    """n bodies of one kind, far from equilibrium: at rest but for a large common momentum and angular momentum."""
-    masses, coordinates = GEOMETRIES[kind]
-    k = len(masses)
-    species = Species.from_coordinates(np.arange(n * k).reshape(n, k), masses, coordinates)
-    bodies = RigidBodies([species], n * k)
-    rotations = stats.special_ortho_group.rvs(3, size=n, random_state=3).transpose(1, 2, 0)
-    tilde = np.where(species.moments > 0, 1.0, 0.0)[:, None] * np.ones((3, n))
-    L = np.einsum("abn,an->bn", rotations, tilde)
-    return bodies, BodyState(np.zeros((3, n)), np.full((3, n), 20.0), np.ascontiguousarray(rotations), L)
-
-
-@pytest.mark.parametrize("kind", GEOMETRIES)
-def test_canonical_distribution_is_reached_from_any_start(kind):
-    n = 20000
-    bodies, state = ensemble(kind, n)
-    bath = Bath(TEMPERATURE, 5.0, 5.0, seed=1).operator(bodies)
-    for _ in range(10):
-        state = bath(state, 1.0)  # the start is forgotten by exp(-50)
-    moments = bodies.species[0].moments
-    samples = [(state.p[i], bodies.species[0].mass) for i in range(3)]
-    samples += [(body_frame(state.A, state.L)[i], moments[i]) for i in range(3) if moments[i] > 0]
-    for values, inertia in samples:
-        # One in 10^4 true normal samples fails. A moment of a wrong axis is off by 30 % or more, 45 standard errors.
-        assert stats.kstest(values / np.sqrt(THERMAL * inertia), "norm").pvalue > 1e-4
-    if kind == "linear":
-        assert np.abs(body_frame(state.A, state.L)[0]).max() < 1e-12
-    if kind == "point":
-        assert not state.L.any()
-
-
-def test_bath_forgets_at_the_friction():
-    n = 20000
-    bodies, state = ensemble("asymmetric", n)
-    after = Bath(TEMPERATURE, 2.0, 7.0, seed=2).operator(bodies)(state, 0.1)
-    error = np.sqrt(THERMAL * bodies.species[0].mass / n)
-    assert np.abs(after.p.mean(axis=1) - 20.0 * np.exp(-0.2)).max() < 4.5 * error
-    tilde = body_frame(after.A, after.L)
-    errors = np.sqrt(THERMAL * bodies.species[0].moments / n)
-    assert (np.abs(tilde.mean(axis=1) - np.exp(-0.7)) < 4.5 * errors).all()
-
-
-def test_bath_composes():
-    """Two half times have the distribution of one whole: variances agree."""
-    n = 20000
-    bodies, state = ensemble("asymmetric", n)
-    bath = Bath(TEMPERATURE, 3.0, 3.0, seed=3).operator(bodies)
-    once, twice = bath(state, 0.2), bath(bath(state, 0.1), 0.1)
-    # The variance of n normal numbers has the relative error sqrt(2/n) = 1 %.
-    assert np.allclose(once.p.var(axis=1), twice.p.var(axis=1), rtol=0.06)
-    assert np.allclose(once.p.var(axis=1), THERMAL * bodies.species[0].mass * -np.expm1(-1.2), rtol=0.045)
-
-
-def test_noise_depends_on_seed_and_draw_alone():
-    bodies, state = ensemble("asymmetric", 10)
-    one, two = (Bath(TEMPERATURE, 1.0, 1.0, seed).operator(bodies) for seed in (1, 2))
-    assert np.array_equal(one(state, 0.1).p, one(state, 0.1).p)
-    assert not np.allclose(one(state, 0.1).p, two(state, 0.1).p)
-    first = one(state, 0.1)
-    later = one(first, 0.1)
-    assert later.draws == 2
-    assert not np.allclose(first.p - state.p, later.p - first.p)
-
-
-def test_heat_is_the_change_of_kinetic_energy():
-    bodies, state = ensemble("asymmetric", 100)
-    after = Bath(TEMPERATURE, 1.0, 1.0, seed=1).operator(bodies)(state, 0.1)
-    gained = sum(bodies.kinetic_energies(after)) - sum(bodies.kinetic_energies(state))
-    assert after.heat == pytest.approx(gained, rel=1e-12)
 
 
 def test_thermostatted_schemes():
@@ -150,6 +67,7 @@ def test_chunks_of_steps_do_not_matter(cluster, make):
         assert np.array_equal(end[1], ends[0][1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", [SIER2, SIER4], ids=lambda s: s.name)
 def test_energy_less_heat_is_conserved(cluster, scheme):
     system, point = cluster
@@ -220,7 +138,7 @@ def test_settings_are_those_of_openmm():
         ((300 * unit.picosecond, 1, 0.002), "temperature"),
         ((300, -1, 0.002), "frictionCoeff"),
         ((300, float("nan"), 0.002), "frictionCoeff"),
-        ((300, 1, 0), "stepSize"),
+        ((300, 1, -0.002), "stepSize"),
     ],
 )
 def test_impossible_settings(arguments, name):
@@ -228,6 +146,7 @@ def test_impossible_settings(arguments, name):
         SIERLangevinIntegrator(*arguments)
 
 
+@pytest.mark.slow
 def test_temperature_of_a_box():
     topology, positions, system = periodic_system()
     integrator = thermostat(0.004, 20.0, SIER4)
@@ -237,7 +156,7 @@ def test_temperature_of_a_box():
     samples = []
     for _ in range(150):
         integrator.step(4)
-        samples.append(integrator.bodies.temperatures(integrator.getBodyState(), removed=3))
+        samples.append(integrator.computeTemperatures()[1:])
     translation, rotation = np.mean(samples, axis=0)
     # 174 degrees of freedom each: a sample scatters by sqrt(2/174) = 11 %, and 2.4 ps hold some 48 independent ones at
     # a friction of 20/ps, which leaves 4.6 K; bounds of 4 standard errors.

@@ -64,6 +64,7 @@ COLUMNS = ["step", "time", "potentialEnergy", "kineticEnergy", "totalEnergy", "t
 COLUMNS += ["progress", "remainingTime", "speed", "elapsedTime"]
 
 
+@pytest.mark.slow
 @every_integrator
 def test_every_stock_reporter(tmp_path, box, make):
     simulation = simulation_of(box, make())
@@ -255,6 +256,7 @@ def with_parameter(system):
     return system
 
 
+@pytest.mark.slow
 @every_integrator
 @pytest.mark.parametrize("flag", [*FLAGS, "enforcePeriodicBox", "groups", "everything"])
 def test_asking_for_a_state_disturbs_nothing(box, make, flag):
@@ -270,7 +272,13 @@ def test_asking_for_a_state_disturbs_nothing(box, make, flag):
             if curious:
                 simulation.context.getState(**asked.get(flag, {flag: True}))
         ends.append(phase_point(simulation.context))
-    assert np.array_equal(*ends)
+    if flag in ("integratorParameters", "everything"):
+        # Such a State is a checkpoint. It renews the neighbour list of the CPU platform, whose forces of some 1e3
+        # kJ/mol/nm in single precision then differ in their last bits: 1e-4 of them on 1 dalton for 4 fs.
+        for one, other, rounding in zip(*ends, (1e-6, 1e-3), strict=True):
+            assert one == pytest.approx(other, abs=rounding)
+    else:
+        assert all(np.array_equal(one, other) for one, other in zip(*ends, strict=True))
 
 
 @every_integrator

@@ -1,8 +1,8 @@
 """Restarts: a run that was stopped and continued is, to the bit, the run that was not.
 
-On the Reference platform, and on the CPU platform without a cut-off, forces are a function of positions alone, and
-every restart is exact. With a cut-off the CPU platform adds up a neighbour list that depends on the atoms' history, so
-that no integrator of OpenMM restarts to the bit there; `test_cpu_with_a_cutoff` shows that nothing else is lost.
+On the Reference platform, and on the CPU platform without a cut-off, forces are a function of positions alone. With a
+cut-off the CPU platform adds up a neighbour list that depends on the atoms' past; a checkpoint ends that past. With
+more than one thread its forces are left to chance, and no two runs are the same.
 """
 
 from __future__ import annotations
@@ -10,15 +10,16 @@ from __future__ import annotations
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import unit
 
 from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERLangevinIntegrator
-from tests.context.test_integrator import constrained_velocity_verlet
+from tests.support.integrators import constrained_velocity_verlet
+from tests.support.restarts import WAYS, assert_same, clock_and_box, everything, simulation_of
 from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
 
 
-def langevin(scheme):
-    integrator = SIERLangevinIntegrator(297.0, 2.0, 0.001, scheme=scheme)
+def langevin(scheme, **options):
+    integrator = SIERLangevinIntegrator(297.0, 2.0, 0.001, scheme=scheme, **options)
     integrator.setRandomNumberSeed(3)
     return integrator
 
@@ -42,57 +43,6 @@ def cluster():
 def box():
     topology, positions, system = periodic_system()
     return topology, system, relaxed(topology, positions, system)
-
-
-def simulation_of(topology, system, integrator, name="Reference", point=None):
-    properties = {"Threads": "1", "DeterministicForces": "true"} if name == "CPU" else {}
-    simulation = app.Simulation(topology, system, integrator, platform(name), properties)
-    if point is not None:
-        simulation.context.setPositions(point[0])
-        simulation.context.setVelocities(point[1])
-    return simulation
-
-
-def everything(context):
-    """Positions, velocities, box, time, step count and what the heat bath counts."""
-    integrator = context.getIntegrator()
-    counted = [integrator.getGlobalVariableByName(name) for name in ("sier_heat", "sier_draws")]
-    return (*phase_point(context), *clock_and_box(context), *counted)
-
-
-def assert_same(one, two):
-    for a, b in zip(one, two, strict=True):
-        assert np.array_equal(a, b)
-
-
-def by_checkpoint(simulation, path):
-    simulation.step(10)
-    simulation.saveCheckpoint(str(path))
-    simulation.step(15)
-
-
-def by_state(simulation, path):
-    simulation.step(10)
-    simulation.saveState(str(path))
-    simulation.step(15)
-
-
-def by_reporter(simulation, path):
-    simulation.reporters.append(app.CheckpointReporter(str(path), 5))
-    simulation.step(12)  # The last file is of step 10.
-    simulation.reporters.clear()
-    simulation.step(13)
-
-
-def by_state_reporter(simulation, path):
-    simulation.reporters.append(app.CheckpointReporter(str(path), 5, writeState=True))
-    simulation.step(12)
-    simulation.reporters.clear()
-    simulation.step(13)
-
-
-WAYS = [(by_checkpoint, "loadCheckpoint"), (by_state, "loadState")]
-WAYS += [(by_reporter, "loadCheckpoint"), (by_state_reporter, "loadState")]
 
 
 @every_integrator
@@ -126,6 +76,7 @@ def test_restart_needs_the_stored_state(cluster):
     assert 0 < difference < 1e-12
 
 
+@pytest.mark.slow
 @every_integrator
 def test_restart_of_a_periodic_box(tmp_path, box, make):
     topology, system, point = box
@@ -141,22 +92,84 @@ def test_restart_of_a_periodic_box(tmp_path, box, make):
         assert_same(everything(continued.context), everything(whole.context))
 
 
-@pytest.mark.parametrize("barostat", [False, True], ids=["NVT", "NPT"])
-def test_cpu_with_a_cutoff(box, barostat):
-    """Where the neighbour list of the uninterrupted run is built anew too, the trajectories agree to the bit."""
+ON_A_BOX = {**MAKERS, "SIER4 NPT": lambda: langevin(SIER4, pressure=1e3, barostatInterval=4)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", ON_A_BOX.values(), ids=ON_A_BOX.keys())
+@pytest.mark.parametrize(("save", "load"), WAYS, ids=lambda value: getattr(value, "__name__", value))
+def test_restart_on_the_cpu_platform_with_a_cutoff(tmp_path, box, make, save, load):
+    """The neighbour list of neither run has a past; without that they are 1e-8 to 1e-6 nm apart here."""
+    topology, system, point = box
+    whole = simulation_of(topology, system, make(), "CPU", point)
+    save(whole, tmp_path / "saved")
+    continued = simulation_of(topology, system, make(), "CPU", point)
+    # A past that the restart must not remember.
+    continued.step(2)
+    getattr(continued, load)(str(tmp_path / "saved"))
+    continued.context.getState(energy=True)
+    continued.step(15)
+    assert_same(everything(continued.context), everything(whole.context))
+
+
+def test_going_back_on_the_cpu_platform(box):
     _, system, point = box
-    if barostat:
-        system = with_barostat(system, 5)
+    integrator = MAKERS["SIER4"]()
+    context = context_at(system, integrator, point, "CPU")
+    integrator.step(10)
+    checkpoint = context.createCheckpoint()
+    integrator.step(20)
+    end = everything(context)
+    context.loadCheckpoint(checkpoint)
+    integrator.step(20)
+    assert_same(everything(context), end)
+
+
+def test_positions_from_outside_end_the_past(box):
+    """What follows depends on nothing but what the Context holds."""
+    _, system, point = box
+    ends = []
+    for past in (0, 0.03):
+        integrator = MAKERS["SIER4"]()
+        # Nearer than the distance that makes OpenMM build another list.
+        context = context_at(system, integrator, (point[0] + past, point[1]), "CPU")
+        context.getState(energy=True)
+        context.setPositions(point[0])
+        context.setVelocities(point[1])
+        integrator.step(20)
+        ends.append(phase_point(context))
+    assert_same(*ends)
+
+
+def test_a_checkpoint_costs_nothing_where_forces_have_no_past(box, cluster):
+    """The force of the last step is used again, but on the CPU platform with a cut-off."""
+    for system, point, name, extra in (
+        (box[1], box[2], "CPU", 1),
+        (box[1], box[2], "Reference", 0),
+        (*cluster[1:], "CPU", 0),
+    ):
+        integrator = SIER2Integrator(0.001)
+        context = context_at(system, integrator, point, name)
+        integrator.step(2)
+        before = integrator.forceEvaluations
+        context.createCheckpoint()
+        context.getState(positions=True, energy=True)
+        integrator.step(1)
+        integrator.step(1)
+        assert integrator.forceEvaluations - before == 2 + extra
+
+
+def test_barostat_of_openmm_on_the_cpu_platform(box):
+    """A restart is exact where the checkpoint is of one of its moves."""
+    _, system, point = box
+    system = with_barostat(system, 5)
     make = MAKERS["SIER2 NVT"]
     integrator, other = make(), make()
     context = context_at(system, integrator, point, "CPU")
     integrator.step(5)
     checkpoint = context.createCheckpoint()
-    context.reinitialize(preserveState=True)
     integrator.step(12)
     continued = context_at(system, other, point, "CPU")
-    other.step(1)
-    continued.reinitialize()
     continued.loadCheckpoint(checkpoint)
     other.step(12)
     assert_same(everything(continued), everything(context))
@@ -472,12 +485,6 @@ def test_states_of_other_systems_are_refused(cluster, box):
         context.setState(state)
 
 
-def clock_and_box(context):
-    state = context.getState()
-    box = np.array(state.getPeriodicBoxVectors(asNumpy=True)._value)
-    return box, state.getTime()._value, state.getStepCount()
-
-
 def momentum(system, velocities):
     return sum(system.getParticleMass(i)._value * velocity for i, velocity in enumerate(velocities))
 
@@ -515,6 +522,7 @@ def chiral_system(constrained):
     return system, named, np.concatenate(positions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constrained", [False, True], ids=["named", "constrained"])
 @pytest.mark.parametrize("way", ["checkpoint", "state"])
 def test_geometry_from_positions_is_stored_too(constrained, way):

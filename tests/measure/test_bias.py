@@ -8,29 +8,13 @@ import pytest
 from scipy.linalg import logm
 
 from openmm_sier import SIER2, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import DRIFT
 from openmm_sier.measure import sampling
-from openmm_sier.studies.bench.layer import free_water
+from tests.support.tethers import SPRINGS, tethered_water
 from tests.support.waters import platform
 
 TEMPERATURE, FRICTION = 300.0, 20.0
-
-
-#: kJ/mol/nm^2, of the springs of O and H.
-SPRINGS = (1e5, 7e3, 7e3)
-
-
-def tethered_water(n):
-    """Waters that springs hold by their atoms, so that they shake and librate."""
-    system, positions = free_water(n)
-    force = openmm.CustomExternalForce("0.5*spring*((x-x0)^2+(y-y0)^2+(z-z0)^2)")
-    for name in ("spring", "x0", "y0", "z0"):
-        force.addPerParticleParameter(name)
-    for i, x in enumerate(positions):
-        force.addParticle(i, (SPRINGS[i % 3], *x))
-    system.addForce(force)
-    return system, positions
 
 
 def context_of(system, integrator, positions):

@@ -1,10 +1,7 @@
 """The shipped boxes of water against experiment and the literature, and the program that makes them."""
 
 import functools
-import importlib.util
 import re
-import sys
-from pathlib import Path
 
 import mdtraj
 import numpy as np
@@ -14,19 +11,7 @@ from openmm import app, unit
 
 from openmm_sier import RigidBodies
 from openmm_sier.measure import forcefields
-
-SYSTEMS = Path(__file__).parents[2] / "systems"
-
-
-def load_make():
-    spec = importlib.util.spec_from_file_location("make", SYSTEMS / "make.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["make"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-make = load_make()
+from tests.support.commands import SYSTEMS, make
 
 KCAL = 4.184  #: kJ
 DEBYE = 0.0208194  #: e nm

@@ -14,16 +14,13 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier.context.integrator import SIER2Integrator
-from openmm_sier.dynamics.backend import compiled
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier import RigidBodies
+from openmm_sier.context.named_integrators import SIER2Integrator
 from openmm_sier.measure import forcefields
 from openmm_sier.studies import bench
 from openmm_sier.studies.bench import accuracy, layer, peers, timing
 from openmm_sier.studies.bench.accuracy import Point
-from tests.cli.test_cli import write_lattice
-from tests.cli.test_commands import run
-from tests.measure.test_systems_data import SYSTEMS
+from tests.support.commands import SYSTEMS, run, write_lattice
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +63,7 @@ def test_bench_in_miniature(box, tmp_path, monkeypatch):
 def test_unknown_part_is_refused(tmp_path):
     known = "known are steps, rotations, layer, accuracy"
     with pytest.raises(ValueError, match=f"unknown part 'speed' of the benchmark; {known}"):
-        bench.run(timing.Settings(box=Path("none.pdb"), parts=("speed",)), tmp_path)
+        bench.run(timing.BenchSettings(box=Path("none.pdb"), parts=("speed",)), tmp_path)
 
 
 def test_interleaved_timings_discard_the_first_round():
@@ -74,21 +71,6 @@ def test_interleaved_timings_discard_the_first_round():
     seconds = timing.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
     assert calls == ["a", "b"] * 3
     assert [len(values) for values in seconds.values()] == [2, 2]
-
-
-def test_summary_is_the_median_with_its_standard_error(rng):
-    """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
-    found = np.array([timing.summary(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
-    assert math.isnan(timing.summary(np.array([1.0]))[1])
-    assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
-    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)
-
-
-def test_single_thread_is_undone(monkeypatch):
-    monkeypatch.setattr(compiled, "_available_threads", lambda: 5)
-    with compiled.single_threaded():
-        assert compiled.threads() == 1
-    assert compiled.threads() == 5
 
 
 def test_free_water_is_water():

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.studies.paper import dipole, published, tip4p
-from openmm_sier.studies.paper.dipole import Field, Settings, Spread
+from openmm_sier.studies.paper.dipole import DipoleSettings, Field, Spread
 from openmm_sier.studies.paper.methods import METHODS
 from tests.support.oracles import random_attitudes, skew
 
@@ -20,7 +20,7 @@ NAMES = [method.name for method in METHODS]
 
 @functools.cache
 def miniature():
-    return dipole.measure(Settings(bodies=1500, span=1.5))
+    return dipole.turn_in_field(DipoleSettings(bodies=1500, span=1.5))
 
 
 def entry(method, step):
@@ -53,7 +53,7 @@ def test_the_field_is_2_7_megavolts_per_metre():
     The energy error of SIER2 hardly depends on a weak field, that of MRDL as its inverse: rms(V) grows, the error of
     free rotation stays.
     """
-    strong = dipole.measure(Settings(field=270.0, bodies=500, span=1.0, force_steps_fs=(11.0,)))
+    strong = dipole.turn_in_field(DipoleSettings(field=270.0, bodies=500, span=1.0, force_steps_fs=(11.0,)))
     found = {e.method: 100 * e.energy for e in strong.entries}
     assert found["MRDL"] < published.ENERGY["MRDL", 11.0][0] / 4
 

@@ -10,10 +10,9 @@ import mpmath
 import numpy as np
 import pytest
 
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics import rotation
 from openmm_sier.studies.paper import free_rotation, published, reference, tip4p
-from openmm_sier.studies.paper.free_rotation import Settings
-from openmm_sier.studies.paper.statistics import jackknife
+from openmm_sier.studies.paper.free_rotation import FreeRotationSettings
 from tests.support.oracles import rotation_by_dop853
 
 WATER = tip4p.molecules(1).species[0].moments
@@ -41,7 +40,7 @@ def test_reference_solves_the_equations_of_motion(rng):
 def test_reference_and_exact_rotation(rng, time):
     """Rounding: some 1e-16 times the angle turned, below 100 rad per ps."""
     L = states(rng, 20)
-    exact, _ = rotor.exact(np.repeat(np.eye(3)[:, :, None], 20, axis=2), L, WATER, time)
+    exact, _ = rotation.exact(np.repeat(np.eye(3)[:, :, None], 20, axis=2), L, WATER, time)
     for i in range(20):
         assert np.abs(matrix(reference.attitude(L[:, i], WATER, time)) - exact[:, :, i]).max() < 2e-15 * (
             1 + 100 * abs(time)
@@ -74,8 +73,8 @@ def test_squared_deviations(rng):
 @functools.cache
 def miniature():
     """Until MRDL's delta is near 10 % at 8 fs, the paper's longer step."""
-    return free_rotation.measure(
-        Settings(steps_fs=(4.0, 8.0), span=8.0, bodies=1500, exact_bodies=12, timed_bodies=100, timings=3)
+    return free_rotation.rotate_freely(
+        FreeRotationSettings(steps_fs=(4.0, 8.0), span=8.0, bodies=1500, exact_bodies=12, timed_bodies=100, timings=3)
     )
 
 
@@ -135,7 +134,7 @@ def test_result_of_a_known_law():
 
 def test_initial_states_are_canonical():
     """<L~_k^2> = I_k k T within four standard errors of 4000 bodies, and the axes lie along the lab's."""
-    bodies, start = free_rotation._start(4000, replace(Settings(), seed=3))
+    bodies, start = free_rotation._start(4000, replace(FreeRotationSettings(), seed=3))
     scaled = (start.L**2).mean(axis=1) / (bodies.moments[:, 0] * 8.31446e-3 * 297)
     assert np.abs(scaled - 1).max() < 4 * math.sqrt(2 / 4000)
     assert np.array_equal(start.A, np.repeat(np.eye(3)[:, :, None], 4000, axis=2))
@@ -143,17 +142,8 @@ def test_initial_states_are_canonical():
 
 def test_progress_and_costs():
     seen = []
-    settings = Settings(steps_fs=(8.0,), span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=3)
-    found = free_rotation.measure(settings, lambda what, fraction: seen.append((what, fraction)))
+    settings = FreeRotationSettings(steps_fs=(8.0,), span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=3)
+    found = free_rotation.rotate_freely(settings, lambda what, fraction: seen.append((what, fraction)))
     assert [cost.method for cost in found.costs] == ["MRDL", "SIER2", "SEJ4"]
     assert found.costs[0].ratio == 1
     assert all(0 <= fraction <= 1 for _, fraction in seen)
-
-
-def test_jackknife_of_a_mean(rng):
-    """For the mean it is the textbook's standard error, up to the grouping: 40 groups know it to 11 %."""
-    sample = rng.normal(size=4000)
-    value, error = jackknife(lambda kept: sample[kept].mean(), 4000)
-    assert value == sample.mean()
-    assert error == pytest.approx(1 / math.sqrt(4000), rel=0.45)
-    assert math.isnan(jackknife(lambda kept: 1.0, 1)[1])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import csv
 import json
 import math
@@ -15,6 +14,7 @@ from openmm_sier.studies import paper
 from openmm_sier.studies.paper import dipole, figures, free_rotation, liquids, output, published, tables, water
 from openmm_sier.studies.paper.free_rotation import Cost, Curve, FreeRotation
 from openmm_sier.studies.paper.water import Crossing, Point, Water
+from tests.support.reports import Told
 
 PNG = b"\x89PNG"
 
@@ -28,7 +28,7 @@ def rotation_result():
     taus = {"MRDL": 8.0, "SEJ4": 2e3, "SIER2": 1e11, "SIER4": 5e10}
     curves = tuple(curve(method, step, tau) for step in (1.66, 8.0) for method, tau in taus.items())
     costs = tuple(Cost(method, 8.0, 200.0, ratio, ratio, ratio) for method, ratio in (("MRDL", 1.0), ("SIER2", 1.8)))
-    return FreeRotation(free_rotation.Settings(seed=77), (1.0, 2.0, 3.0), curves, costs)
+    return FreeRotation(free_rotation.FreeRotationSettings(seed=77), (1.0, 2.0, 3.0), curves, costs)
 
 
 def water_result(runs=2):
@@ -84,7 +84,7 @@ def test_tables_have_the_papers_values_beside_ours():
     assert first["ratio"] == "1.05"
     assert next(row for row in rows if row["method"] == "SIER4")["paper"] == "as SIER2"
 
-    small = dipole.measure(dipole.Settings(bodies=20, span=0.1))
+    small = dipole.turn_in_field(dipole.DipoleSettings(bodies=20, span=0.1))
     energies = cells(tables.dipole_energy_table(small))
     assert len(energies) == 12
     assert energies[0]["paper"] == "1.80 ± 0.30"
@@ -134,7 +134,7 @@ def test_csv_has_a_row_for_each_point(tmp_path):
 
 def test_figures(tmp_path):
     figures.free_rotation(rotation_result(), tmp_path / "a.png")
-    figures.dipole(dipole.measure(dipole.Settings(bodies=20, span=0.1)), tmp_path / "b.png")
+    figures.dipole(dipole.turn_in_field(dipole.DipoleSettings(bodies=20, span=0.1)), tmp_path / "b.png")
     figures.water(water_result(), tmp_path / "c.png")
     no_crossing = replace(water_result(0), crossings=(Crossing(liquids.MOLECULAR, math.nan, math.nan, {}),))
     figures.water(no_crossing, tmp_path / "d.png")
@@ -144,33 +144,37 @@ def test_figures(tmp_path):
         assert len(data) > 20_000
 
 
-def test_run_writes_and_prints(tmp_path, monkeypatch, capsys):
+def test_run_writes_and_reports(tmp_path, monkeypatch):
     """The function behind `openmm-sier paper`, for two small experiments."""
-    monkeypatch.setattr(dipole, "QUICK", dipole.Settings(bodies=20, span=0.1))
-    tiny = free_rotation.Settings(span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=2)
+    monkeypatch.setattr(dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1))
+    tiny = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=2)
     monkeypatch.setattr(free_rotation, "QUICK", tiny)
     for name in ("dipole", "free-rotation"):
-        paper.run(name, quick=True, out=tmp_path / "deep" / "er", seed=9)
-        printed = capsys.readouterr().out
-        assert "expected to take about" in printed
-        assert "ratio" in printed
-        assert "paper" in printed
+        told = Told()
+        found = paper.run(name, quick=True, out=tmp_path / "deep" / "er", seed=9, report=told)
+        assert "expected to take about" in told.notes[0]
+        assert told.tables == found[name].tables
+        assert all({"ratio", "paper"} & set(table.columns) for table in told.tables[:1])
+        ((_, fractions),) = told.runs
+        assert fractions == sorted(fractions)
+        assert fractions[-1] == pytest.approx(1)
         for ending in ("json", "csv", "png"):
             assert (tmp_path / "deep" / "er" / f"{name}.{ending}").stat().st_size > 0
         content = json.loads((tmp_path / "deep" / "er" / f"{name}.json").read_text())
         assert content["result"]["settings"]["seed"] == 9
 
 
-def test_all_runs_every_experiment(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(free_rotation, "measure", lambda settings, show: rotation_result())
-    monkeypatch.setattr(dipole, "QUICK", dipole.Settings(bodies=20, span=0.1))
-    monkeypatch.setattr(water, "measure", lambda settings, show: water_result())
+def test_all_runs_every_experiment(tmp_path, monkeypatch):
+    monkeypatch.setattr(free_rotation, "rotate_freely", lambda settings, show: rotation_result())
+    monkeypatch.setattr(dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1))
+    monkeypatch.setattr(water, "simulate_water", lambda settings, show: water_result())
     monkeypatch.setattr(water, "QUICK", replace(water.QUICK, kinds=(liquids.MOLECULAR,)))
-    paper.run("all", quick=True, out=tmp_path)
+    told = Told()
+    paper.run("all", quick=True, out=tmp_path, report=told)
     assert {path.name for path in tmp_path.iterdir()} == {
         f"{name}.{ending}" for name in paper.EXPERIMENTS for ending in ("json", "csv", "png")
     }
-    assert "Liquid water" in capsys.readouterr().out
+    assert any(table.title.startswith("Liquid water") for table in told.tables)
 
 
 def test_unknown_experiment(tmp_path):
@@ -178,30 +182,11 @@ def test_unknown_experiment(tmp_path):
         paper.run("ice", out=tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("missing", "module", "message"),
-    [
-        ("matplotlib", "openmm_sier.studies.paper.figures", r"openmm-sier\[plots\]"),
-        ("rich", "openmm_sier.studies.paper.progress", r"openmm-sier\[cli\]"),
-        ("mpmath", None, "needs mpmath"),
-    ],
-)
-def test_missing_extras_are_named_before_anything_is_computed(tmp_path, monkeypatch, missing, module, message):
+@pytest.mark.parametrize(("missing", "message"), [("matplotlib", r"openmm-sier\[plots\]"), ("mpmath", "needs mpmath")])
+def test_missing_extras_are_named_before_anything_is_computed(tmp_path, monkeypatch, missing, message):
     """One sentence with the remedy."""
-    monkeypatch.setattr(free_rotation, "measure", lambda *_: pytest.fail("computed"))
-    for name in [name for name in sys.modules if name.split(".")[0] == missing]:
-        monkeypatch.delitem(sys.modules, name)
-    if module:
-        monkeypatch.delitem(sys.modules, module, raising=False)
-        monkeypatch.delattr(paper, module.rsplit(".", 1)[1], raising=False)
-    imported = builtins.__import__
-
-    def refuse(name, *rest, **more):
-        if name.split(".")[0] == missing:
-            raise ModuleNotFoundError(f"No module named {missing!r}")
-        return imported(name, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
+    monkeypatch.setattr(free_rotation, "rotate_freely", lambda *_: pytest.fail("computed"))
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(ModuleNotFoundError, match=message):
-        paper.run("free-rotation", quick=True, out=tmp_path)
+        paper.run("free-rotation", quick=True, out=tmp_path / "none")
+    assert not (tmp_path / "none").exists()

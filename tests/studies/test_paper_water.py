@@ -14,12 +14,12 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend
 from openmm_sier.studies.paper import liquids, molecular_cutoff, start, tip4p, water
 from openmm_sier.studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from openmm_sier.studies.paper.molecular_cutoff import MolecularCutoff
 from openmm_sier.studies.paper.pairs import switch
-from openmm_sier.studies.paper.water import Settings
+from openmm_sier.studies.paper.water import WaterSettings
 from tests.support.oracles import random_attitudes
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -75,10 +75,10 @@ def reference_energy_and_forces(positions):
 def either(request):
     """Both ways in which the sum over pairs is executed."""
     if request.param == "NumPy":
-        with compiled.disabled():
+        with backend.using(backend.NUMPY):
             yield
         return
-    if compiled.executor() is None:
+    if backend.active() is backend.NUMPY:
         pytest.fail("Numba, of the extra 'test', is not installed")
     yield
 
@@ -170,7 +170,7 @@ def test_systems_are_water(rng, kind):
     massive = np.arange(4 * n) % 4 != 3
     # PME interpolates charges on a mesh, and does not conserve momentum better than its tolerance.
     assert np.abs(F[massive].sum(axis=0)).max() < (1e-9 if kind == MOLECULAR else 1e-2) * np.abs(F).max()
-    assert context.getIntegrator().bodies.degrees_of_freedom == 6 * n
+    assert context.getIntegrator().bodies.dof == 6 * n
     assert context.getIntegrator().bodies.species[0].moments == pytest.approx(
         tip4p.molecules(1).species[0].moments, rel=1e-9
     )
@@ -184,7 +184,7 @@ def box():
 @functools.cache
 def miniature():
     """64 molecules of the project's size; a box of 1.24 nm leaves a cut-off of 0.6 nm."""
-    settings = Settings(
+    settings = WaterSettings(
         molecules=64,
         cutoffs=SMALL,
         kinds=(MOLECULAR,),

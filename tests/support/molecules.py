@@ -6,8 +6,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from openmm_sier import BodyState, RigidBodies
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, Species
-from openmm_sier.dynamics.rotation.rotor import body_frame
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.bodies import Species
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.oracles import random_attitudes, skew
 
 TETRAHEDRON = 0.0629 * np.array([[0, 0, 0], [1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
@@ -57,6 +58,16 @@ def thermal_state(rng, bodies, q, temperature=300.0) -> BodyState:
     p = rng.normal(size=(3, bodies.n)) * np.sqrt(thermal * bodies.masses)
     body_L = rng.normal(size=(3, bodies.n)) * np.sqrt(thermal * bodies.moments)
     return BodyState(q, p, A, np.einsum("abn,an->bn", A, body_L))
+
+
+def ensemble(kind, n) -> tuple[RigidBodies, BodyState]:
+    """n bodies of one kind, far from equilibrium: at rest but for a large common momentum and angular momentum."""
+    k = len(GEOMETRIES[kind][0])
+    one = species(kind, np.arange(n * k).reshape(n, k))
+    A = random_attitudes(np.random.default_rng(3), n)
+    tilde = np.where(one.moments > 0, 1.0, 0.0)[:, None] * np.ones((3, n))
+    L = np.einsum("abn,an->bn", A, tilde)
+    return RigidBodies([one], n * k), BodyState(np.zeros((3, n)), np.full((3, n), 20.0), A, L)
 
 
 class SoftCluster:

@@ -102,3 +102,18 @@ def context_at(system, integrator, point, name="Reference"):
     context.setPositions(point[0])
     context.setVelocities(point[1])
     return context
+
+
+def droplet(molecules=27, stiffness=50.0):
+    """Topology, positions and System of a drop of water whose oxygens a weak harmonic force in kJ/mol/nm^2 holds.
+
+    Forces are smooth and have no cut-off, so that energies show the order of a scheme, and cheap.
+    """
+    topology, positions, system = cluster_system(molecules)
+    force = openmm.CustomExternalForce("0.5*stiffness*(x^2+y^2+z^2)")
+    force.addGlobalParameter("stiffness", stiffness)
+    oxygens = [atom.index for atom in topology.atoms() if atom.element.symbol == "O"]
+    for index in oxygens:
+        force.addParticle(index)
+    system.addForce(force)
+    return topology, positions - positions[oxygens].mean(axis=0), system

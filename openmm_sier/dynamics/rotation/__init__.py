@@ -1,1 +1,11 @@
-"""Free rotation: the exact solution and the maps that it is compared with."""
+"""Free-rotation maps: the exact solution, and the two that van Zon and Schofield (2007) compare it with.
+
+Each is a function (A, L, moments, h) -> (A, L) and takes the place of the others in every scheme, as in
+`SIERIntegrator(h, rotation=rotation.mrdl)`.
+"""
+
+from openmm_sier.dynamics.rotation.mrdl import mrdl
+from openmm_sier.dynamics.rotation.rotor import exact
+from openmm_sier.dynamics.rotation.sej4 import sej4
+
+__all__ = ["exact", "mrdl", "sej4"]

@@ -1,27 +1,49 @@
 """What a step costs beyond its forces, and what accuracy costs: the measurements behind `openmm-sier bench`.
 
 All timings of one table come from one run. What is compared takes turns, several rounds of it, and ratios are taken
-within a round, so that the drift of a machine's speed cancels; medians over the rounds are shown with their standard
+within a round, so that changes of a machine's speed cancel; medians over the rounds are shown with their standard
 errors.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from openmm_sier.studies import console
+from openmm_sier.measure.report import SILENT, Report, Table
+from openmm_sier.studies import figures, style
 from openmm_sier.studies.bench import accuracy, layer, rotations, steps
-from openmm_sier.studies.bench.timing import Settings, machine
-
-#: What can be measured: (settings) -> what `show` prints and the record keeps.
-PARTS = {"steps": steps, "rotations": rotations, "layer": layer, "accuracy": accuracy}
+from openmm_sier.studies.bench.timing import BenchSettings, machine
 
 
-def run(settings: Settings, out: Path) -> dict:
-    """Measure, print the tables, and write bench.json and, with matplotlib, bench.png to a directory.
+class Part(NamedTuple):
+    """What finds numbers, and what makes tables of them."""
+
+    find: Callable[[BenchSettings, Report], Any]
+    tables: Callable[[Any], list[Table]]
+
+
+PARTS = {
+    "steps": Part(steps.time_steps, steps.tables),
+    "rotations": Part(rotations.time_rotations, rotations.tables),
+    "layer": Part(layer.time_layer, layer.tables),
+    "accuracy": Part(accuracy.compare_accuracy, accuracy.tables),
+}
+
+
+def run(settings: BenchSettings, out: Path, report: Report = SILENT) -> dict:
+    """Time and compare, and write bench.json and, with matplotlib, bench.png to a directory.
+
+    Args:
+        settings: what is timed.
+        out: the directory, which is made if it does not exist.
+        report: gets tables and notes.
+
+    Returns:
+        What bench.json holds.
 
     Raises:
         ValueError: a part is unknown.
@@ -31,15 +53,20 @@ def run(settings: Settings, out: Path) -> dict:
             raise ValueError(f"unknown part {name!r} of the benchmark; known are {', '.join(PARTS)}")
     out.mkdir(parents=True, exist_ok=True)
     here = machine()
-    console.note(", ".join(f"{name} {value}" for name, value in here.items()))
+    report.note(", ".join(f"{name} {value}" for name, value in here.items()))
     parameters = asdict(settings) | {"box": settings.box.name}
-    console.note(", ".join(f"{name} {value}" for name, value in parameters.items()))
-    found: dict[str, Any] = {name: PARTS[name].measure(settings) for name in settings.parts or PARTS}
+    report.note(", ".join(f"{name} {value}" for name, value in parameters.items()))
+    found: dict[str, Any] = {name: PARTS[name].find(settings, report) for name in settings.parts or PARTS}
     for name, values in found.items():
-        PARTS[name].show(values)
+        for table in PARTS[name].tables(values):
+            report.table(table)
     record = {"machine": here, "settings": parameters} | found
-    if "accuracy" in found:
-        record["accuracy"] = accuracy.record(found["accuracy"])
-        console.draw("cost_figure", found["accuracy"], out / "bench.png")
+    points = found.get("accuracy", [])
+    for note in accuracy.notes(points):
+        report.note(note)
+    if points:
+        record["accuracy"] = accuracy.record(points)
     (out / "bench.json").write_text(json.dumps(record, indent=1, default=str))
+    if points and style.can_draw(report):
+        figures.cost_figure(points, out / "bench.png")
     return record

@@ -14,13 +14,15 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
+from openmm_sier.measure.observables import energy_error
+from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.starts import equilibrated, make_context
-from openmm_sier.studies import console, scheme_comparison
+from openmm_sier.studies import scheme_comparison
 from openmm_sier.studies.bench import peers
-from openmm_sier.studies.bench.timing import Settings
+from openmm_sier.studies.bench.timing import BenchSettings
 
 #: fs per force evaluation: of methods of second order, and of those of fourth.
 SECOND_ORDER = (0.25, 0.5, 1.0, 2.0)
@@ -42,7 +44,7 @@ class Point:
     Attributes:
         method: name.
         fs_per_force: simulated time per force evaluation.
-        error: rms(H)/rms(V), see `openmm_sier.studies.scheme_comparison.energy_error`; NaN where the method broke down.
+        error: rms(H)/rms(V), see `openmm_sier.measure.observables.energy_error`; NaN where the method broke down.
         fs_per_second: simulated time per wall time.
     """
 
@@ -52,41 +54,41 @@ class Point:
     fs_per_second: float
 
 
-def measure(settings: Settings) -> list[Point]:
+def compare_accuracy(settings: BenchSettings, report: Report) -> list[Point]:
     """All methods at all their steps, from one equilibrated start."""
     box = read_box(settings.box, settings.forcefield)
     bodies = RigidBodies.from_system(box.system, box.topology)
-    start = equilibrated(box, settings)
+    start = equilibrated(box, settings.temperature, settings.seed, settings.equilibrate, settings.platform, report)
     points = []
 
     def add(name: str, dt: float, run: Callable[[], Point]) -> None:
         try:
             points.append(run())
-            console.note(f"{name} at {dt:g} fs per force: {100 * points[-1].error:.4f} %")
+            report.note(f"{name} at {dt:g} fs per force: {100 * points[-1].error:.4f} %")
         except (sampling.Unstable, openmm.OpenMMException, peers.PeerError) as error:
             points.append(Point(name, dt, math.nan, math.nan))
-            console.note(f"{name} at {dt:g} fs per force: {error}")
+            report.note(f"{name} at {dt:g} fs per force: {error}")
 
     known = scheme_comparison.known()
     for name, steps in METHODS.items():
         method = known[name][0]
         for dt in steps:
             add(method.name, dt, partial(_of_openmm, method, dt, box.system, bodies, start, settings))
-    for peer, liquid in _peers(box.system, start):
+    for peer, liquid in _peers(box.system, start, report):
         for dt in SECOND_ORDER:
             add(peer.name, dt, partial(_of_peer, peer, liquid, dt, settings))
     return points
 
 
-def _peers(system, start):
+def _peers(system, start, report: Report):
     """The programs that are installed, each with the liquid."""
     found = peers.installed()
     if not found:
-        console.note("no other program: neither lmp nor gmx is on the PATH")
+        report.note("no other program: neither lmp nor gmx is on the PATH")
         return
     liquid = peers.liquid_of(system, start)
     if liquid is None:
-        console.note("no other program: they are compared at three-site water alone")
+        report.note("no other program: they are compared at three-site water alone")
         return
     for peer in found:
         yield peer, liquid
@@ -96,7 +98,7 @@ def _every(step: float) -> int:
     return max(1, round(scheme_comparison.INTERVAL / step))
 
 
-def _of_openmm(method, dt: float, system, bodies, start, settings: Settings) -> Point:
+def _of_openmm(method, dt: float, system, bodies, start, settings: BenchSettings) -> Point:
     step = dt * method.force_evaluations
     integrator = method.make(1e-3 * step)
     integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
@@ -108,14 +110,14 @@ def _of_openmm(method, dt: float, system, bodies, start, settings: Settings) -> 
     begun = time.perf_counter()
     series = sampling.sample(context, bodies, steps, min(steps, _every(step)))
     seconds = time.perf_counter() - begun
-    return Point(method.name, dt, scheme_comparison.energy_error(series), steps * step / seconds)
+    return Point(method.name, dt, energy_error(series.time, series.total, series.potential), steps * step / seconds)
 
 
-def _of_peer(peer, liquid, dt: float, settings: Settings) -> Point:
+def _of_peer(peer, liquid, dt: float, settings: BenchSettings) -> Point:
     steps = max(1, round(1e3 * settings.time / dt))
     with tempfile.TemporaryDirectory() as directory:
         energies, seconds = peer.simulate(liquid, dt, steps, min(steps, _every(dt)), Path(directory))
-    return Point(peer.name, dt, scheme_comparison.energy_error(energies), steps * dt / seconds)
+    return Point(peer.name, dt, energy_error(energies.time, energies.total, energies.potential), steps * dt / seconds)
 
 
 def step_at(points: list[Point], method: str, level: float) -> float:
@@ -147,18 +149,18 @@ def record(points: list[Point]) -> dict:
     return {"points": [asdict(point) for point in points], "levels": levels}
 
 
-def show(points: list[Point]) -> None:
-    """Print the tables."""
+def tables(points: list[Point]) -> list[Table]:
+    """Errors and costs, for the report."""
 
     def cell(value: float, digits: int) -> str:
         return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
-    console.table(
+    errors = Table(
         "Energy error and speed",
         ["method", "fs per force", "rms(H)/rms(V)/%", "simulated fs per second"],
         [[p.method, f"{p.fs_per_force:g}", cell(100 * p.error, 4), cell(p.fs_per_second, 0)] for p in points],
     )
-    console.table(
+    costs = Table(
         "Cost of an accuracy; - where the steps do not enclose it",
         ["rms(H)/rms(V)/%", "method", "fs per force", "forces per ps", "simulated fs per second"],
         [
@@ -173,6 +175,13 @@ def show(points: list[Point]) -> None:
             for name, row in summary(points, level).items()
         ],
     )
-    for name, difference in peers.DIFFERENCES.items():
-        if any(point.method.startswith(name) for point in points):
-            console.note(f"{name}: {difference}")
+    return [errors, costs]
+
+
+def notes(points: list[Point]) -> list[str]:
+    """How the other programs that took part differ."""
+    return [
+        f"{name}: {difference}"
+        for name, difference in peers.DIFFERENCES.items()
+        if any(point.method.startswith(name) for point in points)
+    ]

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.context.integrator import SIER2Integrator
+from openmm_sier.context.named_integrators import SIER2Integrator
 from openmm_sier.measure.force_clock import ForceClock
-from openmm_sier.studies import console
-from openmm_sier.studies.bench.timing import Settings, apart, summary
+from openmm_sier.measure.report import Report, Table
+from openmm_sier.measure.statistics import median_and_error
+from openmm_sier.studies.bench.timing import BenchSettings, apart
 
 STEP = 1e-3
 STEPS = 20
@@ -47,7 +48,7 @@ def context_of(n: int, integrator) -> openmm.Context:
     return context
 
 
-def measure(settings: Settings) -> dict:
+def time_layer(settings: BenchSettings, report: Report) -> dict:
     """Nanoseconds a body and step of the layer, growth exponent, bytes a molecule, seconds of start-up."""
     sizes = [n for n in settings.bodies if SMALLEST <= n <= LARGEST] or [settings.bodies[-1]]
     cost = _nanoseconds(sizes, settings.rounds)
@@ -71,7 +72,7 @@ def _nanoseconds(sizes: list[int], rounds: int) -> dict[int, tuple[float, float]
             outside, _ = apart(clocks[n], partial(_run, contexts[n].getIntegrator(), calls))
             turn[i] = 1e9 * outside / (calls * STEPS * n)
     # The first turn sets up what later ones find.
-    return {n: summary(values) for n, values in zip(sizes, found[1:].T, strict=True)}
+    return {n: median_and_error(values) for n, values in zip(sizes, found[1:].T, strict=True)}
 
 
 def _run(integrator, calls: int) -> None:
@@ -135,8 +136,8 @@ def _printed(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
 
 
-def show(record: dict) -> None:
-    """Print the table."""
+def tables(record: dict) -> list[Table]:
+    """The costs, for the report."""
     rows = [
         [f"{n} bodies, ns a body and step", f"{cost[0]:.3g} ± {cost[1]:.1g}"]
         for n, cost in record["nanoseconds"].items()
@@ -146,4 +147,4 @@ def show(record: dict) -> None:
     if "bytes_per_molecule" in record:
         rows.append(["memory, bytes a molecule beyond OpenMM's", f"{record['bytes_per_molecule']:.0f}"])
     rows += [[f"{name}, s", f"{value:.2f}"] for name, value in record["seconds"].items()]
-    console.table("The layer above the forces, at free molecules", ["", ""], rows)
+    return [Table("The layer above the forces, at free molecules", ["", ""], rows)]

@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from openmm_sier.dynamics.backend import compiled
-from openmm_sier.dynamics.bodies import GAS_CONSTANT
-from openmm_sier.dynamics.rotation import baselines, rotor
-from openmm_sier.studies import console
-from openmm_sier.studies.bench.timing import Settings, interleaved, summary
+from openmm_sier.dynamics import backend, rotation
+from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.measure.report import Report, Table
+from openmm_sier.measure.statistics import median_and_error
+from openmm_sier.studies.bench.timing import BenchSettings, interleaved
 
 STEP = 1e-3
 WATER_MOMENTS = (0.0061, 0.0115, 0.0176)
 
 
-def measure(settings: Settings) -> list[dict[str, Any]]:
+def time_rotations(settings: BenchSettings, report: Report) -> list[dict[str, Any]]:
     """Nanoseconds a body of each free-rotation map at the thermal motion of water, for several numbers of bodies.
 
     One thread does the work, whatever their number is elsewhere.
@@ -28,28 +29,28 @@ def measure(settings: Settings) -> list[dict[str, Any]]:
         repeats = max(1, 20000 // n)
         arguments = (*thermal_rotors(n), repeats)
         actions: dict[str, Callable[[], None]] = {
-            name: partial(_by_numpy, rotation, *arguments)
-            for name, rotation in (("exact", rotor.exact), ("MRDL", baselines.mrdl), ("SEJ4", baselines.sej4))
+            name: partial(_by_numpy, rotate, *arguments)
+            for name, rotate in (("exact", rotation.exact), ("MRDL", rotation.mrdl), ("SEJ4", rotation.sej4))
         }
-        if compiled.executor() is not None:
-            actions["exact, Numba"] = partial(_rotate, rotor.exact, *arguments)
-        with compiled.single_threaded():
+        if backend.active() is not backend.NUMPY:
+            actions["exact, Numba"] = partial(_rotate, rotation.exact, *arguments)
+        with threads.use(1):
             seconds = interleaved(actions, settings.rounds)
         row: dict[str, Any] = {"bodies": n}
-        row |= {name: summary(1e9 * values / (repeats * n)) for name, values in seconds.items()}
-        row["exact / MRDL"] = summary(seconds["exact"] / seconds["MRDL"])
+        row |= {name: median_and_error(1e9 * values / (repeats * n)) for name, values in seconds.items()}
+        row["exact / MRDL"] = median_and_error(seconds["exact"] / seconds["MRDL"])
         rows.append(row)
     return rows
 
 
-def _rotate(rotation, A, L, repeats: int) -> None:
+def _rotate(rotate, A, L, repeats: int) -> None:
     for _ in range(repeats):
-        rotation(A, L, WATER_MOMENTS, STEP)
+        rotate(A, L, WATER_MOMENTS, STEP)
 
 
-def _by_numpy(rotation, A, L, repeats: int) -> None:
-    with compiled.disabled():
-        _rotate(rotation, A, L, repeats)
+def _by_numpy(rotate, A, L, repeats: int) -> None:
+    with backend.using(backend.NUMPY):
+        _rotate(rotate, A, L, repeats)
 
 
 def thermal_rotors(n: int, seed: int = 1):
@@ -61,12 +62,13 @@ def thermal_rotors(n: int, seed: int = 1):
     return np.ascontiguousarray(A.transpose(1, 2, 0)), np.ascontiguousarray(np.einsum("nab,na->bn", A, tilde))
 
 
-def show(rows: list[dict]) -> None:
-    """Print the table."""
+def tables(rows: list[dict]) -> list[Table]:
+    """The costs, for the report."""
     names = [name for name in rows[0] if name != "bodies"]
-    console.table(
+    table = Table(
         "Free rotation, ns a body on one core (NumPy where nothing else is said), and ratio of costs",
         ["bodies", *names],
         [[str(row["bodies"]), *(f"{row[name][0]:.3g} ± {row[name][1]:.1g}" for name in names)] for row in rows],
         left=0,
     )
+    return [table]

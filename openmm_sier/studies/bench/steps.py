@@ -12,13 +12,14 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.schemes import SIER2, SIER4
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import load, pme_system, read_box
+from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.starts import make_context
-from openmm_sier.studies import console
-from openmm_sier.studies.bench.timing import Settings, apart, interleaved, summary
+from openmm_sier.measure.statistics import median_and_error
+from openmm_sier.studies.bench.timing import BenchSettings, apart, interleaved
 
 #: Step per force evaluation of every method, ps.
 STEP = 1e-3
@@ -40,12 +41,12 @@ FEWEST = 3
 FRAMES = 60
 
 
-def measure(settings: Settings) -> list[dict]:
+def time_steps(settings: BenchSettings, report: Report) -> list[dict]:
     """Rows of cost ratios for every size of box."""
-    return [row for copies in settings.copies for row in _ratios(copies, settings)]
+    return [row for copies in settings.copies for row in _ratios(copies, settings, report)]
 
 
-def _ratios(copies: int, settings: Settings) -> list[dict]:
+def _ratios(copies: int, settings: BenchSettings, report: Report) -> list[dict]:
     topology, positions, system = repeated_box(settings, copies)
     molecules = topology.getNumResidues()
     start = _start(system, positions, settings)
@@ -59,17 +60,19 @@ def _ratios(copies: int, settings: Settings) -> list[dict]:
     for name in (name for name in ("SIER2", NUMPY) if name in contexts):
         # It is the sharper measure, as a machine's changes of speed concern both alike.
         ratios[f"{name} / the force calls in it"] = _over_own_force(name, contexts[name], max(FEWEST, rounds // 4))
-    return [_row(name, molecules, *values) for name, values in ratios.items()]
+    rows = [_row(name, molecules, *values) for name, values in ratios.items()]
+    for row in rows:
+        report.note(f"{molecules} molecules: {row['name']} = {row['median']:.3f} ± {row['spread']:.3f}")
+    return rows
 
 
 def _row(name: str, molecules: int, ratios: np.ndarray, seconds: np.ndarray) -> dict:
-    median, spread = summary(ratios)
-    console.note(f"{molecules} molecules: {name} = {median:.3f} ± {spread:.3f}")
+    median, spread = median_and_error(ratios)
     cost = 1e3 * float(np.median(seconds)) / EVALUATIONS
     return {"name": name, "molecules": molecules, "median": median, "spread": spread, "milliseconds": cost}
 
 
-def _bare_force(system, start, settings: Settings) -> Callable[[], None]:
+def _bare_force(system, start, settings: BenchSettings) -> Callable[[], None]:
     frames = cycle(_frames(system, start, settings))
     context = _context_at(system, openmm.VerletIntegrator(STEP), start, settings)
 
@@ -81,21 +84,21 @@ def _bare_force(system, start, settings: Settings) -> Callable[[], None]:
     return action
 
 
-def _contexts(system, start, settings: Settings) -> dict[str, openmm.Context]:
+def _contexts(system, start, settings: BenchSettings) -> dict[str, openmm.Context]:
     integrators = {
         "SIER2": SIERIntegrator(STEP, SIER2),
         "SIER4": SIERIntegrator(4 * STEP, SIER4),
         "OpenMM Verlet": openmm.VerletIntegrator(STEP),
         "OpenMM LangevinMiddle": openmm.LangevinMiddleIntegrator(297, 1, STEP),
     }
-    if compiled.executor() is not None:
+    if backend.active() is not backend.NUMPY:
         integrators[NUMPY] = SIERIntegrator(STEP, SIER2)
     return {name: _context_at(system, integrator, start, settings) for name, integrator in integrators.items()}
 
 
 def _steps(name: str, context) -> None:
     """A turn: as many steps as take `EVALUATIONS` forces."""
-    with compiled.disabled() if name == NUMPY else nullcontext():
+    with backend.using(backend.NUMPY) if name == NUMPY else nullcontext():
         context.getIntegrator().step(EVALUATIONS // 4 if name == "SIER4" else EVALUATIONS)
 
 
@@ -106,7 +109,7 @@ def _over_own_force(name: str, context, turns: int) -> tuple[np.ndarray, np.ndar
     return 1 + outside / inside, outside + inside
 
 
-def repeated_box(settings: Settings, copies: int):
+def repeated_box(settings: BenchSettings, copies: int):
     """Topology, positions (N, 3) and System of a box repeated along each edge."""
     box = read_box(settings.box, settings.forcefield)
     lengths = np.array(box.positions.value_in_unit(unit.nanometer))
@@ -122,7 +125,7 @@ def repeated_box(settings: Settings, copies: int):
     return model.topology, positions, pme_system(model.topology, load(box.choice.files, settings.box.parent))
 
 
-def _start(system, positions, settings: Settings):
+def _start(system, positions, settings: BenchSettings):
     context = make_context(system, openmm.VerletIntegrator(STEP), settings.platform)
     context.setPositions(positions)
     context.applyConstraints(1e-6)
@@ -130,13 +133,13 @@ def _start(system, positions, settings: Settings):
     return context.getState(positions=True, velocities=True)
 
 
-def _context_at(system, integrator, start, settings: Settings):
+def _context_at(system, integrator, start, settings: BenchSettings):
     context = make_context(system, integrator, settings.platform)
     context.setState(start)
     return context
 
 
-def _frames(system, start, settings: Settings) -> list[np.ndarray]:
+def _frames(system, start, settings: BenchSettings) -> list[np.ndarray]:
     """Positions of consecutive steps: forces at positions that do not move would be cheaper than in a simulation."""
     integrator = openmm.VerletIntegrator(STEP)
     context = _context_at(system, integrator, start, settings)
@@ -148,9 +151,9 @@ def _frames(system, start, settings: Settings) -> list[np.ndarray]:
     return frames
 
 
-def show(rows: list[dict]) -> None:
-    """Print the table."""
-    console.table(
+def tables(rows: list[dict]) -> list[Table]:
+    """The costs, for the report."""
+    table = Table(
         "Cost of a step, one force evaluation's worth of it",
         ["ratio", "molecules", "median", "± its standard error", "ms per force evaluation"],
         [
@@ -164,3 +167,4 @@ def show(rows: list[dict]) -> None:
             for row in rows
         ],
     )
+    return [table]

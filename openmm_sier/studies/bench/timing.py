@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import platform
 import time
@@ -13,13 +12,14 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.version import __version__
 
 
 @dataclass(frozen=True)
-class Settings:
+class BenchSettings:
     """What is measured.
 
     Attributes:
@@ -58,12 +58,12 @@ def machine() -> dict:
     return {
         "processor": model,
         "cores": os.cpu_count(),
-        "threads": compiled.threads(),
+        "threads": threads.count(),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "openmm": openmm.__version__,
         "openmm_sier": __version__,
-        "executor": "NumPy" if compiled.executor() is None else "Numba",
+        "backend": backend.active().name,
     }
 
 
@@ -88,13 +88,3 @@ def apart(clock: ForceClock, action: Callable[[], object]) -> tuple[float, float
     action()
     total, inside = time.perf_counter() - start, clock.seconds - before
     return total - inside, inside
-
-
-def summary(values: np.ndarray) -> tuple[float, float]:
-    """Median of independent values and its standard error, NaN for a single one.
-
-    The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the
-    distance of the quartiles, 1.349 sigma, since an interrupted turn lies far off.
-    """
-    low, median, high = np.percentile(values, [25, 50, 75])
-    return float(median), float(0.929 * (high - low) / np.sqrt(len(values))) if len(values) > 1 else math.nan

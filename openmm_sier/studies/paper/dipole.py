@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from openmm_sier.dynamics import operators
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState
-from openmm_sier.dynamics.rotation.rotor import body_frame
+from openmm_sier.measure.statistics import jackknife
 from openmm_sier.studies.paper import tip4p
 from openmm_sier.studies.paper.methods import FS, METHODS, Method, Progress
-from openmm_sier.studies.paper.statistics import jackknife
 
 #: One debye times one MV/m in kJ/mol: 1e-21/299792458 C m (CODATA), 1e6 V/m, the Avogadro constant.
 DEBYE_MV_PER_M = 1e-21 / 299792458 * 1e6 * 6.02214076e23 / 1e3
@@ -34,7 +34,7 @@ Z = np.array([1.0, 2.0, 2.0]) / 3
 
 
 @dataclass(frozen=True)
-class Settings:
+class DipoleSettings:
     """Parameters of the experiment.
 
     Attributes:
@@ -56,7 +56,7 @@ class Settings:
     seed: int = 1
 
 
-QUICK = Settings(bodies=2000)
+QUICK = DipoleSettings(bodies=2000)
 
 
 @dataclass(frozen=True)
@@ -89,11 +89,11 @@ class Entry:
 class Dipole:
     """What the experiment gave."""
 
-    settings: Settings
+    settings: DipoleSettings
     entries: tuple[Entry, ...]
 
 
-def measure(settings: Settings, progress: Progress = lambda what, fraction: None) -> Dipole:
+def turn_in_field(settings: DipoleSettings, progress: Progress = lambda what, fraction: None) -> Dipole:
     """Carry out the experiment."""
     runs = [(method, step) for step in settings.force_steps_fs for method in METHODS]
     work = np.array([1 / step for _, step in runs])
@@ -156,7 +156,7 @@ class Spread:
         return np.sqrt(np.maximum(self._squares / self._count - mean * mean, 0.0))
 
 
-def _entry(method: Method, force_step_fs: float, settings: Settings) -> Entry:
+def _entry(method: Method, force_step_fs: float, settings: DipoleSettings) -> Entry:
     bodies = tip4p.molecules(settings.bodies)
     state = tip4p.canonical_rotation(bodies, settings.temperature, np.random.default_rng(settings.seed))
     field = Field(settings.dipole * settings.field * DEBYE_MV_PER_M, tip4p.dipole_direction(bodies))

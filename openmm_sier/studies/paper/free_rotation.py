@@ -19,21 +19,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend, operators, rotation
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.rotation import baselines, rotor
 from openmm_sier.dynamics.schemes import DRIFT, KICK
+from openmm_sier.measure.statistics import jackknife
 from openmm_sier.studies.paper import reference, tip4p
 from openmm_sier.studies.paper.methods import FS, METHODS, Method, Progress
-from openmm_sier.studies.paper.statistics import jackknife
 
 #: Deviation up to which delta is proportional to t for an inexact map.
 MODERATE = 0.1
 
 
 @dataclass(frozen=True)
-class Settings:
+class FreeRotationSettings:
     """Parameters of the experiment.
 
     Attributes:
@@ -58,7 +57,7 @@ class Settings:
     seed: int = 1
 
 
-QUICK = Settings(span=10.0, bodies=2000, exact_bodies=24, marks_per_decade=2, timings=20)
+QUICK = FreeRotationSettings(span=10.0, bodies=2000, exact_bodies=24, marks_per_decade=2, timings=20)
 
 
 @dataclass(frozen=True)
@@ -112,13 +111,13 @@ class Cost:
 class FreeRotation:
     """What the experiment gave."""
 
-    settings: Settings
+    settings: FreeRotationSettings
     moments: tuple[float, ...]
     curves: tuple[Curve, ...]
     costs: tuple[Cost, ...] = field(default=())
 
 
-def measure(settings: Settings, progress: Progress = lambda what, fraction: None) -> FreeRotation:
+def rotate_freely(settings: FreeRotationSettings, progress: Progress = lambda what, fraction: None) -> FreeRotation:
     """Carry out the experiment."""
     runs = [(method, step) for step in settings.steps_fs for method in METHODS]
     work = np.array([method.forces * settings.span / step for method, step in runs])
@@ -131,11 +130,12 @@ def measure(settings: Settings, progress: Progress = lambda what, fraction: None
             progress(what, begin + fraction * (end - begin))
 
         curves.append(_curve(method, step, settings, report))
+    progress("free rotation: cost of the maps", 1.0)
     moments = tuple(float(x) for x in tip4p.molecules(1).species[0].moments)
     return FreeRotation(settings, moments, tuple(curves), _costs(settings))
 
 
-def _start(n: int, settings: Settings) -> tuple[RigidBodies, BodyState]:
+def _start(n: int, settings: FreeRotationSettings) -> tuple[RigidBodies, BodyState]:
     """Molecules with a canonical L~ whose axes lie along the lab's.
 
     Free motion has no preferred direction, and this attitude has no rounding error of its own.
@@ -143,11 +143,11 @@ def _start(n: int, settings: Settings) -> tuple[RigidBodies, BodyState]:
     bodies = tip4p.molecules(n)
     state = tip4p.canonical_rotation(bodies, settings.temperature, np.random.default_rng(settings.seed))
     axes = np.repeat(np.eye(3)[:, :, None], n, axis=2)
-    return bodies, BodyState(state.q, state.p, axes, rotor.body_frame(state.A, state.L))
+    return bodies, BodyState(state.q, state.p, axes, body_frame(state.A, state.L))
 
 
-def _curve(method: Method, step_fs: float, settings: Settings, report) -> Curve:
-    exact = method.rotation is rotor.exact
+def _curve(method: Method, step_fs: float, settings: FreeRotationSettings, report) -> Curve:
+    exact = method.rotation is rotation.exact
     bodies, start = _start(settings.exact_bodies if exact else settings.bodies, settings)
     h = step_fs * FS
     marks = _marks(round(settings.span / h), settings.marks_per_decade)
@@ -173,7 +173,7 @@ def _marks(last: int, per_decade: int) -> list[int]:
 
 def _squares(state, start, moments, h, count):
     """The paper's squared deviation of each body, (n,)."""
-    A, _ = rotor.exact(start.A, start.L, moments, h * count)
+    A, _ = rotation.exact(start.A, start.L, moments, h * count)
     return ((state.A - A) ** 2).sum(axis=(0, 1)) / 6
 
 
@@ -182,7 +182,7 @@ def _squares_beyond_double(state, start, moments, h, count):
 
 
 def _energies(state, bodies):
-    return 0.5 * (rotor.body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
+    return 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
 
 
 def _summarize(name, step_fs, times, squares, energies) -> Curve:
@@ -213,13 +213,13 @@ def _root_mean(squares):
     return lambda kept: math.sqrt(squares[kept].mean())
 
 
-def _costs(settings: Settings) -> tuple[Cost, ...]:
+def _costs(settings: FreeRotationSettings) -> tuple[Cost, ...]:
     """The three maps, all executed by NumPy, timed in turn, so that what else the computer does affects all alike."""
-    maps = {"MRDL": baselines.mrdl, "SIER2": rotor.exact, "SEJ4": baselines.sej4}
+    maps = {"MRDL": rotation.mrdl, "SIER2": rotation.exact, "SEJ4": rotation.sej4}
     bodies, start = _start(settings.timed_bodies, settings)
     costs = []
     for step_fs in settings.steps_fs:
-        with compiled.disabled():
+        with backend.using(backend.NUMPY):
             rounds = [
                 [_seconds(rotation, start, bodies, step_fs * FS) for rotation in maps.values()]
                 for _ in range(settings.timings)

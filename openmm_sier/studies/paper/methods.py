@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.operators import Rotation
-from openmm_sier.dynamics.rotation import baselines, rotor
 from openmm_sier.dynamics.schemes import SIER2, SIER4, Scheme
 
 #: ps in one fs.
@@ -37,8 +37,8 @@ class Method:
 
 
 METHODS = (
-    Method("MRDL", SIER2, baselines.mrdl),
-    Method("SEJ4", SIER2, baselines.sej4),
-    Method("SIER2", SIER2, rotor.exact),
-    Method("SIER4", SIER4, rotor.exact),
+    Method("MRDL", SIER2, rotation.mrdl),
+    Method("SEJ4", SIER2, rotation.sej4),
+    Method("SIER2", SIER2, rotation.exact),
+    Method("SIER4", SIER4, rotation.exact),
 )

@@ -10,7 +10,8 @@ from functools import cache
 
 import numpy as np
 
-from openmm_sier.dynamics.backend import compiled
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend.numba_compile import OPTIONS
 
 
 def switch(distance, on, off):
@@ -33,14 +34,14 @@ def lennard_jones(square, sigma, epsilon):
 
 def compiled_sum() -> Callable | None:
     """`_sum_over_pairs`, compiled, or None where Numba is not to be used; some seven times faster than NumPy."""
-    return None if compiled.executor() is None else _compile()
+    return None if backend.active() is backend.NUMPY else _compile()
 
 
 @cache
 def _compile() -> Callable:
     import numba
 
-    jit = numba.njit(**compiled.OPTIONS)
+    jit = numba.njit(**OPTIONS)
     return jit(_sum_over_pairs(jit(switch), jit(lennard_jones)))
 
 

@@ -1,7 +1,7 @@
 """Exact free rotation with more digits than double precision, to measure the rounding errors of the exact propagator.
 
 It is the closed form in the paper's notation, Eq. Pmatrix, with its fixed pole and with psi from an elliptic integral
-of the third kind that is evaluated once over the whole span; nothing is shared with `rotor`.
+of the third kind that is evaluated once over the whole span; nothing is shared with `rotation.exact`.
 """
 
 from __future__ import annotations

@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
 
+from openmm_sier.measure.report import Table
 from openmm_sier.studies.paper import published
 from openmm_sier.studies.paper.dipole import Dipole
 from openmm_sier.studies.paper.free_rotation import FreeRotation
 from openmm_sier.studies.paper.water import Water
 
 PS_UNITS = ((1e12, "s"), (1e9, "ms"), (1e6, "µs"), (1e3, "ns"), (1.0, "ps"))
-
-
-class Table(NamedTuple):
-    """Title, headings and cells; the first columns, which say what a row is about, are aligned to the left."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-    left: int = 1
 
 
 def picoseconds(value: float, like: float | None = None) -> str:

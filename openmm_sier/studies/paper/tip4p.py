@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, BodyState, RigidBodies, Species
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, Species
+from openmm_sier.dynamics.constants import GAS_CONSTANT, GRAM_PER_CM3
 
 #: W. L. Jorgensen, J. Chandrasekhar, J. D. Madura, R. W. Impey and M. L. Klein, J. Chem. Phys. 79, 926 (1983), Table I:
 #: r(OH) = 0.9572 A, HOH = 104.52 deg, r(OM) = 0.15 A, q(H) = 0.52 e, A = 600e3 kcal A^12/mol, C = 610 kcal A^6/mol.
@@ -23,9 +24,6 @@ MOLECULE_MASS = sum(MASSES)
 
 #: Of liquid water at 297 K and 1 atm, g/cm^3: M. Tanaka et al., Metrologia 38, 301 (2001), Eq. 1.
 DENSITY = 0.99734
-
-#: dalton/nm^3 in one g/cm^3.
-DALTON_PER_NM3 = 602.214076
 
 #: Positions of O, H, H in a frame whose y axis is the bisector, nm.
 GEOMETRY = np.array(
@@ -81,4 +79,4 @@ def _uniform_attitudes(n, rng):
 
 def box_edge(n: int) -> float:
     """Edge in nm of the cube in which n molecules have the experimental density."""
-    return (n * MOLECULE_MASS / (DENSITY * DALTON_PER_NM3)) ** (1 / 3)
+    return (n * MOLECULE_MASS / (DENSITY * GRAM_PER_CM3)) ** (1 / 3)

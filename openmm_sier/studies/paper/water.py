@@ -14,9 +14,10 @@ import openmm
 
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.measure.observables import energy_drift, energy_fluctuation
+from openmm_sier.measure.statistics import jackknife, rms
 from openmm_sier.studies.paper import liquids, start
 from openmm_sier.studies.paper.methods import FS, METHODS, Method, Progress
-from openmm_sier.studies.paper.statistics import jackknife
 
 #: Beyond this rms(H)/rms(V) a method has broken down, and longer steps are not tried.
 BROKEN = 1.0
@@ -30,7 +31,7 @@ SLOPE_RANGES = {
 
 
 @dataclass(frozen=True)
-class Settings:
+class WaterSettings:
     """Parameters of the experiment.
 
     Attributes:
@@ -66,7 +67,7 @@ class Settings:
 
 
 #: Fewer molecules, so that a shorter cut-off fits in the box, and fewer and shorter runs.
-QUICK = Settings(
+QUICK = WaterSettings(
     molecules=216,
     cutoffs=liquids.Cutoffs(molecular_on=0.7, molecular_off=0.9, pme=0.9, pme_switch=0.7),
     force_steps_fs=(0.7, 1.0, 1.4, 2.0, 2.8),
@@ -87,7 +88,7 @@ class Point:
         kind, method, force_step_fs: which.
         energy, energy_error: mean rms(H) over mean rms(V), and its standard error over the runs.
         rms_H, rms_V: means over the runs, kJ/mol.
-        drift: mean change of H over a run by its length, kJ/mol/ps.
+        drift: mean slope of H in a run, kJ/mol/ps.
         runs: number of runs.
     """
 
@@ -122,14 +123,14 @@ class Crossing:
 class Water:
     """What the experiment gave."""
 
-    settings: Settings
+    settings: WaterSettings
     box: str
     edge: float
     points: tuple[Point, ...]
     crossings: tuple[Crossing, ...]
 
 
-def measure(settings: Settings, progress: Progress = lambda what, fraction: None) -> Water:
+def simulate_water(settings: WaterSettings, progress: Progress = lambda what, fraction: None) -> Water:
     """Carry out the experiment."""
     progress("liquid water: starting box", 0.0)
     box = start.water_box(settings.molecules, settings.cutoffs, settings.temperature, settings.seed)
@@ -145,7 +146,7 @@ def measure(settings: Settings, progress: Progress = lambda what, fraction: None
     return Water(settings, box.origin, box.edge, tuple(points), tuple(crossings))
 
 
-def _plan(settings: Settings) -> list[tuple[Method, float, int]]:
+def _plan(settings: WaterSettings) -> list[tuple[Method, float, int]]:
     """What runs from each phase point: method, h/f, and how many of the phase points."""
     plan = []
     for method in METHODS:
@@ -157,7 +158,7 @@ def _plan(settings: Settings) -> list[tuple[Method, float, int]]:
     return plan
 
 
-def _sample(box: start.Box, kind: str, settings: Settings, report) -> dict[tuple[str, float], list]:
+def _sample(box: start.Box, kind: str, settings: WaterSettings, report) -> dict[tuple[str, float], list]:
     """For each method and h/f the list of (rms(H), rms(V), drift) of its runs."""
     plan = _plan(settings)
     total, done = sum(runs / step for _, step, runs in plan), 0.0
@@ -184,13 +185,13 @@ def _sample(box: start.Box, kind: str, settings: Settings, report) -> dict[tuple
     return samples
 
 
-def _context(box: start.Box, kind: str, method: Method, settings: Settings):
+def _context(box: start.Box, kind: str, method: Method, settings: WaterSettings):
     system = liquids.build(kind, box.molecules, box.edge, settings.cutoffs)
     integrator = SIERIntegrator(FS, scheme=method.scheme, rotation=method.rotation)
     return liquids.context(system, integrator, kind)
 
 
-def _run(context, point, h: float, settings: Settings) -> tuple[float, float, float] | None:
+def _run(context, point, h: float, settings: WaterSettings) -> tuple[float, float, float] | None:
     """rms(H), rms(V) and drift of one run, None if it did not get to its end."""
     integrator = context.getIntegrator()
     integrator.setStepSize(h)
@@ -201,7 +202,7 @@ def _run(context, point, h: float, settings: Settings) -> tuple[float, float, fl
     try:
         # One step before the first energy makes velocities those of rigid bodies to rounding.
         integrator.step(1)
-        for i in range(max(2, round(settings.span / (stride * h)) + 1)):
+        for i in range(max(3, round(settings.span / (stride * h)) + 1)):
             if i > 0:
                 integrator.step(stride)
             kinetic, potential = liquids.energies(context)
@@ -211,7 +212,9 @@ def _run(context, point, h: float, settings: Settings) -> tuple[float, float, fl
     H, V = np.array(energies).T
     if not np.isfinite(H).all():
         return None
-    return float(H.std()), float(V.std()), float((H[-1] - H[0]) / (h * stride * (len(H) - 1)))
+    time = h * stride * np.arange(len(H))
+    # The paper's H is about its mean.
+    return energy_fluctuation(time, H, window=None), rms(V), energy_drift(time, H)[0]
 
 
 def _ratio(samples: np.ndarray) -> float:

@@ -1,0 +1,222 @@
+"""What `openmm-sier run` was asked for, and what follows from it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from openmm_sier.dynamics.schemes import CATALOGUE
+
+#: What `--scheme auto` stands for; the README's page on choosing a step says why.
+RECOMMENDED = "sier4g"
+
+#: Steps in fs that the README recommends for rigid water, by scheme.
+USUAL_STEPS = {"sier2": 2.0, "sier4": 4.0, "sier4v": 5.0, "sier4g": 6.0, "sier4p": 6.0}
+
+#: K; that of the systems that the project ships.
+DEFAULT_TEMPERATURE = 297.0
+
+#: Options that a restart takes from its checkpoint.
+CONTINUED = (
+    "ensemble",
+    "temperature",
+    "friction",
+    "pressure",
+    "seed",
+    "forcefield",
+    "rigid",
+    "scheme",
+    "dt",
+    "every",
+    "report_every",
+    "checkpoint_every",
+    "bodies_every",
+    "unwrapped",
+    "out",
+    "report",
+    "bodies",
+)
+
+#: Fields of a plan that are files. A checkpoint notes them relative to itself.
+FILES = ("out", "report", "bodies")
+
+
+class RunError(ValueError):
+    """The command cannot do what it was asked for."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command was given; None where it was left to the command. Times in ps but `dt`, which is in fs."""
+
+    box: Path
+    forcefield: list[str] | None = None
+    rigid: list[str] | None = None
+    scheme: str | None = None
+    dt: float | None = None
+    steps: int | None = None
+    time: float | None = None
+    temperature: float | None = None
+    equilibrate: float | None = None
+    minimize: bool | None = None
+    out: Path | None = None
+    report: Path | None = None
+    bodies: Path | None = None
+    every: float | None = None
+    report_every: float | None = None
+    checkpoint_every: float | None = None
+    bodies_every: float | None = None
+    ensemble: str | None = None
+    friction: float | None = None
+    pressure: float | None = None
+    unwrapped: bool | None = None
+    seed: int | None = None
+    platform: str | None = None
+    start: Path | None = None
+    restart: Path | None = None
+    overwrite: bool = False
+
+    @property
+    def equilibrates(self) -> bool:
+        """Whether the run begins with an equilibration. One that starts from a checkpoint does if it is asked to."""
+        return self.start is None or bool(self.equilibrate or self.minimize)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run and its continuations have in common; the units are those of `Options`, 1/ps and bar."""
+
+    ensemble: str
+    temperature: float
+    friction: float
+    pressure: float
+    seed: int
+    forcefield: list[str] | None
+    scheme: str
+    dt: float
+    steps: int
+    every: float
+    report_every: float
+    checkpoint_every: float
+    out: str
+    report: str
+    rigid: list[str] | None = None
+    bodies: str | None = None
+    bodies_every: float = 0.1
+    unwrapped: bool = False
+
+    @property
+    def title(self) -> str:
+        """Scheme, ensemble and step."""
+        bath = f", {self.temperature:g} K" if self.ensemble != "nve" else ""
+        piston = f", {self.pressure:g} bar" if self.ensemble == "npt" else ""
+        return f"{CATALOGUE[self.scheme].name}, {self.ensemble.upper()}{bath}{piston}, {self.dt:g} fs"
+
+    def interval(self, time: float) -> int:
+        """Steps that come nearest to a time, at least 1."""
+        return max(1, round(time * 1000 / self.dt))
+
+    def noted(self, checkpoint: Path) -> dict[str, Any]:
+        """What the checkpoint notes of it: all of it, with files relative to the checkpoint."""
+        here = os.path.dirname(checkpoint) or "."
+        fields = asdict(self)
+        return fields | {name: os.path.relpath(fields[name], here) for name in FILES if fields[name]}
+
+
+def usual_step(scheme: str) -> float:
+    """The step in fs that is usual for a scheme; 1 fs for each force evaluation where the README names none."""
+    return USUAL_STEPS.get(scheme, float(CATALOGUE[scheme].force_evaluations))
+
+
+def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
+    """The plan of a new run.
+
+    Args:
+        options: of the command.
+        origin: plan of the run from whose checkpoint this one starts. It tells what the system is.
+
+    Raises:
+        RunError: options contradict each other.
+    """
+    origin = origin or {}
+    scheme = RECOMMENDED if options.scheme == "auto" else options.scheme or "sier4"
+    # 1 fs for each force evaluation.
+    dt = options.dt or float(CATALOGUE[scheme].force_evaluations)
+    ensemble = options.ensemble or "nve"
+    _check_combinations(options, ensemble)
+    out = _file("--out", options.out) or Path(f"{options.box.stem}.dcd")
+    report = _file("--report", options.report) or out.with_suffix(".csv")
+    bodies = _file("--bodies", options.bodies)
+    every = options.every or 0.1
+    return Plan(
+        ensemble=ensemble,
+        temperature=_first(options.temperature, origin.get("temperature"), DEFAULT_TEMPERATURE),
+        friction=_first(options.friction, 1.0),
+        pressure=_first(options.pressure, 1.0),
+        seed=_first(options.seed, 1),
+        forcefield=_first(options.forcefield, origin.get("forcefield")),
+        rigid=_first(options.rigid, origin.get("rigid")),
+        scheme=scheme,
+        dt=dt,
+        steps=_length(options, dt) or round(10_000 / dt),
+        every=every,
+        report_every=options.report_every or 0.04,
+        checkpoint_every=options.checkpoint_every or 1.0,
+        bodies_every=options.bodies_every or every,
+        out=str(out),
+        report=str(report),
+        bodies=None if bodies is None else str(bodies),
+        unwrapped=bool(options.unwrapped),
+    )
+
+
+def _first(*values):
+    """The first of some values that is given, None if none is."""
+    return next((value for value in values if value is not None), None)
+
+
+def _file(option: str, path: Path | None) -> Path | None:
+    if path is not None and (path.is_dir() or not path.name):
+        raise RunError(f"{option} {path} is a directory, expected the name of a file")
+    return path
+
+
+def _check_combinations(options: Options, ensemble: str) -> None:
+    if options.start and options.restart:
+        raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
+    if options.friction is not None and ensemble == "nve":
+        raise RunError("--friction needs --ensemble nvt or npt")
+    if options.pressure is not None and ensemble != "npt":
+        raise RunError("--pressure needs --ensemble npt")
+    if options.bodies_every is not None and options.bodies is None:
+        raise RunError("--bodies-every needs --bodies FILE.h5")
+
+
+def _length(options: Options, dt: float) -> int | None:
+    return max(1, round(options.time * 1000 / dt)) if options.time is not None else options.steps
+
+
+def continued_plan(options: Options, checkpoint: Path, saved: dict[str, Any]) -> Plan:
+    """The plan of a checkpoint, with another length if one is given.
+
+    Raises:
+        RunError: an option asks for something else than the checkpoint has.
+    """
+    if options.start:
+        _check_combinations(options, saved["ensemble"])
+    beside = {
+        name: os.path.normpath(os.path.join(os.path.dirname(checkpoint), saved[name]))
+        for name in FILES
+        if saved.get(name)
+    }
+    plan = Plan(**{**saved, **beside})
+    for name in CONTINUED:
+        given, noted = getattr(options, name), getattr(plan, name)
+        given = os.path.normpath(given) if isinstance(given, Path) else given
+        if given is not None and given != noted:
+            value = " ".join(given) if isinstance(given, list) else given
+            option = f"--{name.replace('_', '-')}" + ("" if given is True else f" {value}")
+            raise RunError(f"{option} differs from {noted} of {checkpoint}; leave it out")
+    return Plan(**{**asdict(plan), "steps": _length(options, plan.dt) or plan.steps})

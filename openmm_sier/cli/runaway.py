@@ -1,0 +1,165 @@
+"""Where a run is stopped because its energy or temperature runs away, and where its table warns.
+
+The conserved energy H is the total energy, less the heat that a heat bath and moves of the volume gave. It is compared
+with the kinetic energy K, since energy that an integrator makes ends as heat: half of it or so in the kinetic energy,
+so that a liquid whose H has grown by K/10 is hotter by a twentieth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+
+from openmm_sier.cli.plan import Plan, usual_step
+from openmm_sier.context.temperature import DegreesOfFreedom
+from openmm_sier.dynamics.bodies import NotFiniteError
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.measure.observables import energy_error, number_of_windows
+from openmm_sier.measure.statistics import rms
+
+#: Exit code of a run that was stopped here.
+EXIT_CODE = 3
+
+#: Change of H within `WINDOW` ps, over K, that stops a run: a liquid is heated by 15 K/ps then. In water at 297 K it is
+#: at most 0.0009 for SIER2 at its usual 2 fs and 0.016 at 8 fs, and 0.0001 for SIER4G at its usual 6 fs.
+FASTEST, WINDOW = 0.1, 1.0
+
+#: Change of H since the start, over K, that stops a run at constant energy: the liquid is then hotter or colder by a
+#: quarter. With a heat bath it stops none, since the bath takes up what slowly accumulates.
+LARGEST = 0.5
+
+#: A temperature in K that rigid molecules are not meant for. SIER integrators' own comparisons end there too.
+HOTTEST = 3000.0
+
+#: Few bodies may be hotter by chance: with a probability below exp(-this) beyond what `_by_chance` allows.
+UNLIKELY = 50.0
+
+#: rms(H)/rms(V) about which the final table warns. Recommended steps give SIER2 0.9 to 1.3 % and the schemes of fourth
+#: order 0.01 to 0.41 %, by water model; this is two to three times the most.
+LARGEST_FLUCTUATION = {2: 0.03, 4: 0.01}
+
+#: Rows of a log from which a fluctuation can be told.
+FEWEST_ROWS = 10
+
+
+class Runaway(RuntimeError):
+    """Energy or temperature has run away."""
+
+    exit_code = EXIT_CODE
+
+
+class Guard:
+    """Watches one run.
+
+    Attributes:
+        start: H at the start of the run, kJ/mol; None before the first look.
+    """
+
+    def __init__(self, plan: Plan, dof: DegreesOfFreedom, start: float | None = None):
+        """
+        Args:
+            plan: of the run.
+            dof: degrees of freedom that share the heat.
+            start: H at the start of a run that is continued.
+        """
+        self.start = start
+        self._plan = plan
+        self._bounds = [max(HOTTEST, _by_chance(plan.temperature, number)) for number in dof]
+        self._recent: deque[tuple[float, float]] = deque()
+        self._kinetic_sum, self._looks = 0.0, 0
+
+    def look(self, values: Mapping[str, float]) -> None:
+        """Compare a row of the log with the bounds.
+
+        Raises:
+            Runaway: one of them is passed.
+        """
+        time, energy = values["Time (ps)"], values["Conserved Energy (kJ/mole)"]
+        self.look_at_temperatures(values["Translational Temperature (K)"], values["Rotational Temperature (K)"])
+        if not math.isfinite(energy):
+            raise Runaway("the energy is not finite")
+        self._kinetic_sum, self._looks = self._kinetic_sum + values["Kinetic Energy (kJ/mole)"], self._looks + 1
+        typical = self._kinetic_sum / self._looks
+        self.start = energy if self.start is None else self.start
+        self._recent.append((time, energy))
+        # The first that is left is the last one from before the window, so that no change goes unseen.
+        while len(self._recent) > 1 and time - self._recent[1][0] >= WINDOW:
+            self._recent.popleft()
+        then, before = self._recent[0]
+        self._judge(
+            energy - before, FASTEST * typical * max(1.0, (time - then) / WINDOW), f"within {time - then:.3g} ps"
+        )
+        if self._plan.ensemble == "nve":
+            self._judge(energy - self.start, LARGEST * typical, "since the start")
+
+    def look_at_temperatures(self, translation: float, rotation: float) -> None:
+        """Compare temperatures in K with the bounds; NaN is that of nothing that moves so.
+
+        Raises:
+            Runaway: one of them is passed.
+        """
+        for name, value, bound in zip(("T_trans", "T_rot"), (translation, rotation), self._bounds, strict=True):
+            if value > bound:
+                raise Runaway(f"{name} is {value:.3g} K, above {bound:.4g} K")
+
+    def _judge(self, change: float, bound: float, when: str) -> None:
+        # Rounding moves the energy of bodies at rest.
+        if abs(change) > bound + 1e-6 * (1 + abs(self.start or 0.0)):
+            raise Runaway(
+                f"the conserved energy has changed by {change:+.3g} kJ/mol {when}, by more than the {bound:.3g} kJ/mol "
+                "that its kinetic energy allows"
+            )
+
+
+def _by_chance(temperature: float, freedoms: int) -> float:
+    """A temperature that so many degrees of freedom in equilibrium practically never have, K.
+
+    Laurent and Massart, Ann. Statist. 28, 1302 (2000), Lemma 1, for the chi-squared distribution.
+    """
+    if freedoms < 1:
+        return 0.0
+    return temperature * (1 + 2 * math.sqrt(UNLIKELY / freedoms) + 2 * UNLIKELY / freedoms)
+
+
+def is_runaway(error: BaseException) -> bool:
+    """Whether an error of a step tells of forces or positions that are not finite."""
+    return isinstance(error.__context__, NotFiniteError)
+
+
+def likely_cause(plan: Plan) -> str:
+    """Why a run with this plan may have run away, and what to do."""
+    usual = usual_step(plan.scheme)
+    name = CATALOGUE[plan.scheme].name
+    if plan.dt > usual:
+        return f"the step of {plan.dt:g} fs is too long for {name}, for which {usual:g} fs is usual: --dt {usual:g}"
+    return (
+        f"the step of {plan.dt:g} fs is not above the {usual:g} fs that is usual for {name} and rigid water: flexible "
+        "bonds, overlaps at the start (--minimize) or too short an equilibration may be the cause"
+    )
+
+
+def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None:
+    """A warning where the energy fluctuates more than it does with the scheme's usual step; None where it does not.
+
+    H is taken about a straight line in each window, so that neither a slow drift nor the random walk on which a heat
+    bath sends it counts; see `energy_fluctuation`.
+
+    Args:
+        plan: of the run.
+        log: columns of it, see `openmm_sier.context.conservation.COLUMNS`.
+    """
+    t, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
+    # Rounding to single precision tells nothing where the potential energy hardly changes.
+    if len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
+        return None
+    bound = LARGEST_FLUCTUATION[2 if CATALOGUE[plan.scheme].order == 2 else 4]
+    if plan.ensemble != "nve":
+        # The random walk goes further in the longer windows of sparse rows.
+        bound *= math.sqrt(max(1.0, (t[-1] - t[0]) / number_of_windows(t)))
+    found = energy_error(t, H, V)
+    if found <= bound:
+        return None
+    return f"{100 * found:.2g} %, more than the {100 * bound:.2g} % of a good step; {likely_cause(plan)}"

@@ -1,0 +1,129 @@
+"""Signals that ask a run to stop: Ctrl-C, and what batch systems and closing terminals send."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from typing import Any
+
+#: The signals. One that the parent ignores stays ignored, as `nohup` and the background jobs of a script ask for.
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+#: Added to a signal's number it is the exit code, as shells have it.
+SIGNALLED = 128
+
+#: Signals within this time in s are one: `timeout` sends SIGTERM twice at once, a closing terminal SIGHUP.
+SAME = 0.5
+
+#: Seconds that OpenMM may take to return, from a minimization say, before a program with nothing to save is ended.
+PATIENCE = 2.0
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asked the program to stop.
+
+    Attributes:
+        signum: its number.
+    """
+
+    def __init__(self, signum: int, message: str = ""):
+        super().__init__(message)
+        self.signum = signum
+
+
+class StopRequests:
+    """Signals that arrive inside this context manager.
+
+    The first one raises `Stopped` at once until `defer` is called. After that it is only noted in `received`, so that
+    the step can be completed and the files be written. The second one ends the process at once, even from within
+    OpenMM.
+
+    Attributes:
+        received: number of the first signal; None before it.
+    """
+
+    def __init__(self) -> None:
+        self.received: int | None = None
+        self._deferred = False
+        self._previous: dict[int, Any] = {}
+        self._leaving = False
+
+    def defer(self) -> None:
+        """From now on note the first signal instead of raising.
+
+        Raises:
+            Stopped: it has arrived already.
+        """
+        self._deferred = True
+        if self.received is not None:
+            raise Stopped(self.received)
+
+    def __enter__(self) -> StopRequests:
+        # Python lets no other thread handle signals.
+        if threading.current_thread() is not threading.main_thread():
+            return self
+        handled = [signum for signum in SIGNALS if signal.getsignal(signum) not in (signal.SIG_IGN, None)]
+        if not handled:
+            return self
+        self._previous = {signum: signal.signal(signum, self._handle) for signum in handled}
+        # Python runs handlers between its own instructions only. The numbers of signals reach this socket at once.
+        self._reader, self._writer = socket.socketpair()
+        self._writer.setblocking(False)
+        self._old_descriptor = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
+        self._watcher = threading.Thread(target=self._watch, daemon=True)
+        self._watcher.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if not self._previous:
+            return
+        self._leaving = True
+        for signum, handler in self._previous.items():
+            signal.signal(signum, handler)
+        signal.set_wakeup_fd(self._old_descriptor)
+        self._writer.close()
+        self._watcher.join()
+        self._reader.close()
+
+    def _handle(self, signum: int, _frame: object) -> None:
+        if self.received is None:
+            self.received = signum
+            if not self._deferred:
+                raise Stopped(signum)
+
+    def _watch(self) -> None:
+        """Runs in a thread of its own: ends the process where the main thread does not."""
+        first = None
+        while True:
+            waits = first is not None and not self._deferred
+            ready, _, _ = select.select([self._reader], [], [], PATIENCE if waits else None)
+            if not ready:
+                _exit_now(first, "stopped before the first step; nothing was written")
+            data = self._reader.recv(64)
+            if not data or self._leaving:
+                return
+            for signum in data:
+                if signum not in self._previous:
+                    continue
+                if first is None:
+                    first, since = signum, time.monotonic()
+                elif time.monotonic() - since > SAME:
+                    _exit_now(signum, "ended at once by a second signal; go on from the last checkpoint")
+
+
+def _exit_now(signum: int | None, message: str) -> None:
+    number = signum or 0
+    with contextlib.suppress(Exception):
+        os.write(sys.stderr.fileno(), f"openmm-sier: {signal_name(number)}: {message}\n".encode())
+    os._exit(SIGNALLED + number)
+
+
+def signal_name(signum: int) -> str:
+    """The name of a signal."""
+    return signal.Signals(signum).name

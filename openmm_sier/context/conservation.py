@@ -1,0 +1,82 @@
+"""What a simulation should conserve, and its temperatures: the columns of the command's log and of our reporter."""
+
+from __future__ import annotations
+
+import math
+
+from openmm import unit
+
+from openmm_sier.context.integrator import SIERIntegrator
+from openmm_sier.dynamics.constants import GRAM_PER_CM3
+
+#: Named and in the units as OpenMM's StateDataReporter has them, as far as it has them.
+COLUMNS = (
+    "Step",
+    "Time (ps)",
+    "Potential Energy (kJ/mole)",
+    "Kinetic Energy (kJ/mole)",
+    "Total Energy (kJ/mole)",
+    "Conserved Energy (kJ/mole)",
+    "Temperature (K)",
+    "Translational Temperature (K)",
+    "Rotational Temperature (K)",
+    *(f"Momentum {axis} (dalton nm/ps)" for axis in "xyz"),
+    *(f"Angular Momentum {axis} (dalton nm^2/ps)" for axis in "xyz"),
+    "Box Volume (nm^3)",
+    "Density (g/mL)",
+)
+
+
+def density(mass: float, volume):
+    """g/ml of a mass in dalton in a volume, or an array of volumes, in nm^3."""
+    return mass / volume / GRAM_PER_CM3
+
+
+def sier_integrator(context) -> SIERIntegrator:
+    """The integrator of a Context.
+
+    Raises:
+        TypeError: it is none of this package.
+    """
+    integrator = context.getIntegrator()
+    if not isinstance(integrator, SIERIntegrator):
+        raise TypeError(f"this report needs a SIER integrator, the Context has a {type(integrator).__name__}")
+    return integrator
+
+
+def row(context, observed=None) -> tuple[float, ...]:
+    """Values of `COLUMNS` at the last completed step.
+
+    The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a thermostat,
+    and volume moves, of this package gave. Temperatures follow the rule of `openmm_sier.context.temperature`. Angular
+    momentum is about the origin, with positions as they stand in the Context; periodic boundaries do not conserve it.
+    Volume and density are NaN for a System without periodic boundaries.
+
+    Args:
+        context: of a SIER integrator.
+        observed: a State of it with energies; None asks for one, which costs an evaluation of the energy.
+
+    Raises:
+        TypeError: the Context has another integrator.
+    """
+    integrator = sier_integrator(context)
+    observed = context.getState(energy=True) if observed is None else observed
+    bodies, motion = integrator.bodies, integrator.getBodyState()
+    potential = observed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    kinetic = sum(bodies.kinetic_energies(motion))
+    momentum, angular_momentum = bodies.total_momenta(motion)
+    periodic = context.getSystem().usesPeriodicBoundaryConditions()
+    volume = observed.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3) if periodic else math.nan
+    values = (
+        observed.getTime().value_in_unit(unit.picosecond),
+        potential,
+        kinetic,
+        potential + kinetic,
+        potential + kinetic - motion.heat,
+        *integrator.computeTemperatures(),
+        *momentum,
+        *angular_momentum,
+        volume,
+        density(bodies.masses.sum(), volume),
+    )
+    return (observed.getStepCount(), *(float(value) for value in values))

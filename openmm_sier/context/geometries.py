@@ -1,0 +1,291 @@
+"""The geometry of rigid bodies: from constraint lengths, or from the positions of atoms.
+
+All bodies of one kind share one geometry. Each kind costs a step some 25 us, and lengths or positions from a PDB file,
+which are rounded, would make every molecule a kind of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from openmm_sier.dynamics.bodies import LINEAR_MOMENT, RigidityError, Species
+
+#: Largest error in nm of a constraint in the geometry that all constraints of a cluster define.
+EMBEDDING_TOLERANCE = 1e-4
+
+#: Atoms of a body this close in nm to a line or a plane lie on it; PDB files round to 1e-4 nm.
+RESOLUTION = 5e-4
+
+#: Lengths of two molecules that differ by less, in nm, are one length, measured twice in a PDB file: there each
+#: coordinate is off by up to 5e-5 nm, and so a length by up to sqrt(3) 1e-4 nm. Bonds of different types in a force
+#: field differ by 1e-3 nm.
+LENGTH_TOLERANCE = 3.5e-4
+
+#: Named bodies with the same masses share a geometry from which none of their atoms is further away, in nm. Minimized
+#: or thermal molecules of one conformation are within it: a bond angle that is off by 4 degrees moves a hydrogen by
+#: 0.007 nm. Torsions that differ by 10 degrees move one by 0.017 nm and make another geometry.
+SHARING_TOLERANCE = 0.01
+
+#: Rounding of positions and lengths in nm, of which nobody needs to hear.
+ROUNDING = 1e-6
+
+Cluster = tuple[int, ...]
+
+
+class Sharing(NamedTuple):
+    """Bodies whose own geometries differ a little from the one that they share.
+
+    Attributes:
+        clusters: particle indices of each.
+        deviation: the largest one, nm.
+        worst: particle indices of the body that has it.
+    """
+
+    clusters: np.ndarray
+    deviation: float
+    worst: np.ndarray
+
+
+class Kind(NamedTuple):
+    """Clusters of particles with the same masses, in their order, and the same constraints.
+
+    Attributes:
+        masses: dalton.
+        clusters: particle indices of each body.
+        pairs: constrained pairs of atoms, by their numbers in the cluster.
+        lengths: of the pairs, nm; the mean over the clusters.
+        sharing: where the lengths of the clusters differ.
+        model: the bodies with the geometry that constraints give them; None where constraints do not.
+    """
+
+    masses: tuple[float, ...]
+    clusters: np.ndarray
+    pairs: tuple[tuple[int, int], ...]
+    lengths: np.ndarray
+    sharing: Sharing | None
+    model: Species | None = None
+
+    @property
+    def needs_positions(self) -> bool:
+        """Whether constraints leave the geometry or the choice between two mirror images open."""
+        return self.model is None or self.model.mirror_distance > 0
+
+
+class KindCollector:
+    """Sorts clusters into kinds."""
+
+    def __init__(self):
+        self._members: dict[tuple, tuple[list[Cluster], list[list[float]]]] = {}
+
+    def add(self, cluster: Cluster, masses, lengths: Mapping[tuple[int, int], float]) -> None:
+        """Take a cluster.
+
+        Args:
+            cluster: particle indices.
+            masses: dalton.
+            lengths: constraint lengths in nm by pairs of particles.
+        """
+        numbered: list = []
+        if lengths:
+            number = {particle: i for i, particle in enumerate(cluster)}
+            numbered = sorted((*sorted((number[a], number[b])), length) for (a, b), length in lengths.items())
+        pairs = tuple((i, j) for i, j, _ in numbered)
+        clusters, rows = self._members.setdefault((tuple(masses), pairs), ([], []))
+        clusters.append(cluster)
+        rows.append([length for _, _, length in numbered])
+
+    def kinds(self, describe: Callable) -> list[Kind]:
+        """The kinds, in the order in which their first clusters came.
+
+        Args:
+            describe: gives a name to particle indices, for messages.
+
+        Raises:
+            RigidityError: constraint lengths contradict each other.
+        """
+        found = []
+        for (masses, pairs), (clusters, lengths) in self._members.items():
+            rows = np.array(lengths).reshape(len(clusters), len(pairs))
+            for same in _alike(rows):
+                kind = _kind(masses, np.array(clusters)[same], pairs, rows[same])
+                complete = len(pairs) == len(masses) * (len(masses) - 1) // 2
+                found.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
+        return found
+
+
+def _alike(rows):
+    """Masks of rows that agree within `LENGTH_TOLERANCE` with the most frequent one among them."""
+    if not rows.size:
+        yield np.ones(len(rows), dtype=bool)
+        return
+    unique, inverse, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+    inverse = inverse.reshape(-1)
+    left = np.ones(len(unique), dtype=bool)
+    while left.any():
+        leader = unique[np.argmax(counts * left)]
+        near = left & (np.abs(unique - leader).max(axis=1, initial=0.0) <= LENGTH_TOLERANCE)
+        left &= ~near
+        yield near[inverse]
+
+
+def _kind(masses, clusters, pairs, rows) -> Kind:
+    if not rows.size or (rows == rows[0]).all():
+        return Kind(masses, clusters, pairs, rows[0], None)
+    mean = rows.mean(axis=0)
+    off = np.abs(rows - mean).max(axis=1)
+    return Kind(masses, clusters, pairs, mean, Sharing(clusters, float(off.max()), clusters[off.argmax()]))
+
+
+# --- from constraints -------------------------------------------------------------------------------------------------
+
+
+def _embedded(kind: Kind, describe: Callable) -> Species:
+    """Bodies of the geometry that a length for every pair of atoms defines, up to a reflection."""
+    coordinates, excess = _embed(len(kind.masses), kind.lengths)
+    if excess > EMBEDDING_TOLERANCE:
+        raise RigidityError(
+            f"the constraints of {describe(kind.clusters[0])} contradict each other: no geometry has the "
+            f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one misses by {excess:.4f} nm"
+        )
+    resolution = 0.0 if kind.sharing is None else RESOLUTION
+    return Species.from_coordinates(kind.clusters, kind.masses, coordinates, resolution)
+
+
+def _embed(k, distances):
+    """Coordinates (k, 3) of points with given distances, and the largest distance error.
+
+    Classical multidimensional scaling (Torgerson, Psychometrika 17, 401 (1952)), exact for consistent distances.
+    """
+    squares = np.zeros((k, k))
+    squares[np.triu_indices(k, 1)] = np.square(distances)
+    squares += squares.T
+    centre = np.eye(k) - 1 / k
+    values, vectors = np.linalg.eigh(-0.5 * centre @ squares @ centre)
+    # Rounding of squares: without this a planar body would be 1e-8 nm thick.
+    values[values < 1e-13 * values.max()] = 0
+    kept = min(3, k)
+    coordinates = np.zeros((k, 3))
+    coordinates[:, :kept] = vectors[:, -kept:] * np.sqrt(np.maximum(values[-kept:], 0))
+    found = np.linalg.norm(coordinates[:, None] - coordinates[None], axis=2)
+    return coordinates, float(np.abs(found - np.sqrt(squares)).max())
+
+
+def by_handedness(model: Species, positions) -> list[Species]:
+    """The bodies of a species apart from those that are its mirror images."""
+    mirror = model.mirrored()
+    arms = _arms(model.masses, positions[model.atoms])
+    mirrored = mirror.fit(arms)[1] < model.fit(arms)[1]
+    halves = [(model, model.atoms[~mirrored]), (mirror, model.atoms[mirrored])]
+    return [species.of_atoms(atoms) for species, atoms in halves if len(atoms)]
+
+
+# --- from positions ---------------------------------------------------------------------------------------------------
+
+
+def from_positions(kind: Kind, positions, describe: Callable) -> tuple[list[Species], list[Sharing]]:
+    """Bodies of the geometries that positions (N, 3) in nm show, as few as `SHARING_TOLERANCE` allows.
+
+    A geometry is the mean over the bodies that share it, turned onto one another, and satisfies their constraints.
+
+    Raises:
+        RigidityError: constraints inside a body contradict each other.
+    """
+    species, sharing = [], []
+    clusters, masses = kind.clusters, np.array(kind.masses)
+    while len(clusters):
+        arms = _arms(masses, positions[clusters])
+        model = _model(kind, arms[0], describe)
+        near = model.fit(arms)[1] <= SHARING_TOLERANCE
+        # Constraints may take the model further away from the very first, which is alike to itself.
+        near[0] = True
+        misfit = np.zeros(len(arms))
+        # The first one is as far from the mean as any other: some are near the mean that are not near the first.
+        for _ in range(2 if near.sum() > 1 else 0):
+            model = _model(kind, _mean_shape(model, arms[near]), describe)
+            misfit = model.fit(arms)[1]
+            near = misfit <= SHARING_TOLERANCE
+            near[0] = True
+        if near.sum() > 1:
+            worst = int(np.where(near, misfit, -1.0).argmax())
+            sharing.append(Sharing(clusters[near], float(misfit[worst]), clusters[worst]))
+        species.append(model.of_atoms(clusters[near]))
+        clusters = clusters[~near]
+    return species, sharing
+
+
+def _mean_shape(model: Species, arms):
+    """Mean (k, 3) of arms (m, k, 3), each turned onto the model.
+
+    Turning them onto the mean instead, and so on, would change it in second order of their deviations.
+    """
+    attitudes = model.fit(arms)[0]
+    return np.einsum("axm,mkx->ka", attitudes, arms) / len(arms)
+
+
+def _model(kind: Kind, shape, describe: Callable) -> Species:
+    masses = np.array(kind.masses)
+    shape, excess = _constrained(shape, masses, kind.pairs, kind.lengths)
+    if excess > EMBEDDING_TOLERANCE:
+        raise RigidityError(
+            f"the constraints inside {describe(kind.clusters[0])} contradict each other: the geometry that comes "
+            f"nearest to the positions misses them by {excess:.4f} nm"
+        )
+    species = Species.from_coordinates(kind.clusters, masses, shape, resolution=RESOLUTION)
+    return of_sites(kind.clusters, masses, species.sites.T)
+
+
+def _constrained(shape, masses, pairs, lengths):
+    """A shape (k, 3) moved onto constraints one after another, as SHAKE does, and the largest error that is left."""
+    shape, largest = shape.copy(), 0.0
+    # It converges in some ten rounds for the hydrogens of one atom, the slower the more constraints share atoms.
+    for _ in range(500):
+        largest = 0.0
+        for (i, j), length in zip(pairs, lengths, strict=True):
+            bond = shape[i] - shape[j]
+            found = np.linalg.norm(bond)
+            shift = bond * ((1 - length / found) / (masses[i] + masses[j]))
+            shape[i] -= masses[j] * shift
+            shape[j] += masses[i] * shift
+            largest = max(largest, abs(found - length))
+        if largest < 1e-13:
+            break
+    return shape, float(largest)
+
+
+def from_sites(kind: Kind, sites) -> list[Species]:
+    """The bodies whose places in their principal frames, (N, 3) in nm, are given; none if these masses do not balance.
+
+    Bodies are those of one species whose sites are the same to the bit.
+    """
+    clusters, masses = kind.clusters, np.array(kind.masses)
+    frames = sites[clusters]
+    inertia = np.einsum("k,mkx,mky->mxy", masses, frames, frames)
+    spread = np.trace(inertia, axis1=1, axis2=2)
+    off_centre = np.abs(np.einsum("k,mkx->mx", masses, frames)).max(axis=1)
+    off_axes = np.abs(inertia * (1 - np.eye(3))).max(axis=(1, 2))
+    # Both are rounding for principal frames; other masses leave per cents.
+    if (spread == 0).any() or (off_axes > 1e-9 * spread).any() or (off_centre**2 > 1e-18 * masses.sum() * spread).any():
+        return []
+    species = []
+    while len(clusters):
+        same = (frames == frames[0]).all(axis=(1, 2))
+        species.append(of_sites(clusters[same], masses, frames[0]))
+        clusters, frames = clusters[~same], frames[~same]
+    return species
+
+
+def of_sites(clusters, masses, frame) -> Species:
+    """A species whose moments depend, to the bit, on nothing but its sites (k, 3) and masses."""
+    sites = np.ascontiguousarray(frame.T)
+    squares = (masses * sites**2).sum(axis=1)
+    moments = squares.sum() - squares
+    moments[moments <= LINEAR_MOMENT * moments.max()] = 0.0
+    return Species(np.array(clusters, dtype=np.int64), masses, sites, moments)
+
+
+def _arms(masses, positions):
+    """Positions (m, k, 3) from the centres of mass."""
+    return positions - np.einsum("k,mkx->mx", masses / masses.sum(), positions)[:, None]

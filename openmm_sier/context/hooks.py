@@ -1,0 +1,202 @@
+"""Every change to OpenMM's own classes stands here.
+
+OpenMM tells a Python integrator nothing of its Context. These methods therefore do more than OpenMM's where the Context
+has a SIER integrator, and just what OpenMM's do where it has another:
+
+- `Context.__init__` and `Context.reinitialize` bind the integrator to the Context and refuse a System that it cannot
+  move. `reinitialize` without the state also clears the heat and the count of random numbers.
+- `Context.setState` takes a State of any other integrator, and does not let a State bring back noise that was used.
+- `Context.createCheckpoint` and `Context.getState` with the integrator's parameters have the run go on as a restart
+  from what they return would.
+- `updateParametersInContext` of every Force tells the integrator that forces have changed.
+- `LocalEnergyMinimizer.minimize` minimizes rigid bodies whole where no constraint holds them.
+- `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+
+import openmm
+
+from openmm_sier.context.engine import DRAWS, HEAT, SEED
+from openmm_sier.context.integrator import SIERIntegrator, revived
+from openmm_sier.context.minimization import constraints_hold, minimize_bodies
+from openmm_sier.context.stored_settings import stored
+
+
+def install() -> None:
+    """Put the methods above in place; it may be called again."""
+    _replace(openmm.Context, "__init__", _binding_new_context)
+    _replace(openmm.Context, "reinitialize", _binding_again)
+    _replace(openmm.Context, "setState", _accepting)
+    _replace(openmm.Context, "createCheckpoint", _going_on_as_a_restart)
+    _replace(openmm.Context, "getState", _going_on_as_a_restart)
+    _replace(openmm.LocalEnergyMinimizer, "minimize", _keeping_bodies)
+    for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
+        _replace(cls, "updateParametersInContext", _telling_of_new_forces)
+    for name in ("_deserializeIntegrator", "_cloneIntegrator"):
+        _replace(openmm.XmlSerializer, name, _reviving)
+
+
+def _replace(cls, name: str, wrap) -> None:
+    """Replace a method by its wrapper, once: an earlier wrapper of this package gives way."""
+    if name not in vars(cls):
+        return
+    found = vars(cls)[name]
+    static = isinstance(found, staticmethod)
+    method = found.__func__ if static else found
+    if getattr(method, "_of_openmm_sier", False):
+        method = inspect.unwrap(method, stop=lambda f: not getattr(f, "_of_openmm_sier", False))
+    wrapper = wrap(method)
+    wrapper._of_openmm_sier = True
+    setattr(cls, name, staticmethod(wrapper) if static else wrapper)
+
+
+def _binding_new_context(method):
+    """`Context.__init__`, with which the integrator is bound."""
+
+    @functools.wraps(method)
+    def wrapper(self, *args, **kwargs):
+        # OpenMM's constructor takes its arguments by position.
+        if len(args) > 1:
+            _refuse_parts(args[1])
+            if isinstance(revived(args[1]), SIERIntegrator):
+                args[1]._prepare_for(args[0])
+        method(self, *args, **kwargs)
+        if (integrator := _integrator_of(self)) is not None:
+            integrator._bind(self)
+
+    return wrapper
+
+
+def _binding_again(method):
+    """`Context.reinitialize`, after which the System may be another one."""
+
+    @functools.wraps(method)
+    def wrapper(self, preserveState=False):
+        result = method(self, preserveState)
+        if (integrator := _integrator_of(self)) is not None:
+            # OpenMM clears the per-atom variables without the state, but not the global ones.
+            if not preserveState:
+                integrator.setGlobalVariableByName(HEAT, 0)
+                integrator.setGlobalVariableByName(DRAWS, 0)
+            integrator._bind(self)
+        return result
+
+    return wrapper
+
+
+def _going_on_as_a_restart(method):
+    """What writes all that a restart needs, after which this run and the restart share no past but that."""
+
+    @functools.wraps(method)
+    def wrapper(self, *args, **kwargs):
+        found = method(self, *args, **kwargs)
+        integrator = _integrator_of(self)
+        # A checkpoint is bytes; a State has all of it where it has the integrator's parameters.
+        if integrator is not None and integrator._engine is not None and _is_complete(found):
+            integrator._engine.start_anew()
+        return found
+
+    return wrapper
+
+
+def _is_complete(found) -> bool:
+    return not isinstance(found, openmm.State) or bool(found.getDataTypes() & openmm.State.IntegratorParameters)
+
+
+def _telling_of_new_forces(method):
+    """`updateParametersInContext` of a Force, after which the Context's forces are not those that were computed."""
+
+    @functools.wraps(method)
+    def wrapper(self, context, *args, **kwargs):
+        result = method(self, context, *args, **kwargs)
+        integrator = _integrator_of(context)
+        if integrator is not None and integrator._engine is not None:
+            integrator.forcesChanged()
+        return result
+
+    return wrapper
+
+
+def _keeping_bodies(method):
+    """`LocalEnergyMinimizer.minimize`, which knows constraints and would tear bodies that are rigid without them."""
+
+    @functools.wraps(method)
+    def wrapper(context, tolerance=10.0, maxIterations=0, reporter=None):
+        integrator = _integrator_of(context)
+        if integrator is None or constraints_hold(context.getSystem(), integrator.bodies):
+            return method(context, tolerance, maxIterations, reporter)
+        return minimize_bodies(context, integrator._bound(), tolerance, maxIterations, reporter)
+
+    return wrapper
+
+
+def _accepting(method):
+    """`Context.setState` as users of OpenMM's integrators know it.
+
+    A State that another kind of integrator saved, after an equilibration say, is welcome: OpenMM takes over all of it
+    and then fails over the parameters of that integrator, which mean nothing to ours. And as with OpenMM's integrators
+    a State brings no noise that was used already: runs with other seeds from one State differ, and so do replicas that
+    share a Context.
+    """
+
+    @functools.wraps(method)
+    def wrapper(self, state):
+        integrator = _integrator_of(self)
+        if integrator is None:
+            return method(self, state)
+        seed, draws = map(integrator.getGlobalVariableByName, (SEED, DRAWS))
+        try:
+            method(self, state)
+        except openmm.OpenMMException:
+            if not state.getDataTypes() & openmm.State.IntegratorParameters:
+                raise
+            _set_all_but_integrator(self, state)
+        integrator.setGlobalVariableByName(SEED, seed)
+        integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
+        return None
+
+    return wrapper
+
+
+def _set_all_but_integrator(context, state) -> None:
+    """What `Context.setState` does but for the integrator's parameters, with its errors for what does not fit."""
+    context.setTime(state.getTime())
+    context.setStepCount(state.getStepCount())
+    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    kinds = state.getDataTypes()
+    if kinds & openmm.State.Parameters:
+        for name, value in state.getParameters().items():
+            context.setParameter(name, value)
+    if kinds & openmm.State.Positions:
+        context.setPositions(state.getPositions(asNumpy=True))
+    if kinds & openmm.State.Velocities:
+        context.setVelocities(state.getVelocities(asNumpy=True))
+
+
+def _reviving(method):
+    """What reads or clones an integrator from its serialized form."""
+
+    @functools.wraps(method)
+    def wrapper(source):
+        return revived(method(source))
+
+    return wrapper
+
+
+def _integrator_of(context) -> SIERIntegrator | None:
+    integrator = getattr(context, "_integrator", None)
+    return integrator if isinstance(integrator, SIERIntegrator) else None
+
+
+def _refuse_parts(integrator) -> None:
+    """Refuse a CompoundIntegrator with a SIER integrator, whose Python part it does not call."""
+    if not isinstance(integrator, openmm.CompoundIntegrator):
+        return
+    for i in range(integrator.getNumIntegrators()):
+        part = integrator.getIntegrator(i)
+        if isinstance(part, openmm.CustomIntegrator) and stored(part, "class") is not None:
+            raise openmm.OpenMMException("A SIER integrator cannot be part of a CompoundIntegrator")

@@ -1,0 +1,74 @@
+"""Minimization that leaves rigid bodies whole which no constraint holds.
+
+OpenMM's LocalEnergyMinimizer moves atoms and keeps the System's constraints, no more: it would tear bodies that are
+rigid only because they were named.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.minimizer import descent
+
+
+def constraints_hold(system, bodies: RigidBodies) -> bool:
+    """Whether every distance inside every body is constrained."""
+    owner = np.full(bodies.n_particles, -1)
+    for species, part in zip(bodies.species, bodies.parts, strict=True):
+        owner[species.atoms] = np.arange(part.start, part.stop)[:, None]
+    ends = np.array([system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())], dtype=np.int64)
+    pairs = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0)
+    inside = owner[pairs[:, 0]]
+    found = np.bincount(inside[(inside == owner[pairs[:, 1]]) & (inside >= 0)], minlength=bodies.n)
+    sizes = np.repeat([s.atoms.shape[1] for s in bodies.species], [len(s.atoms) for s in bodies.species])
+    return bool((found == sizes * (sizes - 1) // 2).all())
+
+
+def minimize_bodies(context, engine, tolerance, iterations: int, reporter=None) -> None:
+    """Minimize the energy of a Context's rigid bodies, as `openmm.LocalEnergyMinimizer.minimize` does that of atoms.
+
+    Positions change, and nothing else.
+
+    Args:
+        context: openmm.Context.
+        engine: the engine of its integrator.
+        tolerance: root mean square, over the degrees of freedom of the bodies, of forces and of torques over radii of
+            gyration, at which it ends; a quantity or a number in kJ/mol/nm.
+        iterations: the most there may be, each with one evaluation of forces; 0 for no limit.
+        reporter: an openmm.MinimizationReporter or None.
+
+    Raises:
+        RigidityError: the Context's positions do not form the bodies. Nothing has been changed then.
+        openmm.OpenMMException: a force is not finite. The bodies are where they were then.
+    """
+    if unit.is_quantity(tolerance):
+        tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+    engine.adopt()
+    state = engine.state
+    points = descent(engine.bodies, engine.forces.at, state.q, state.A)
+    try:
+        for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
+            if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):
+                break
+    except BaseException:
+        engine.restore()
+        raise
+
+
+def _report(context, reporter, number: int) -> bool:
+    """Tell a MinimizationReporter of the positions that the Context has, and ask it whether to stop."""
+    groups = context.getIntegrator().getIntegrationForceGroups()
+    state = context.getState(positions=True, forces=True, energy=True, groups=groups)
+    x, forces = state.getPositions(asNumpy=True)._value, state.getForces(asNumpy=True)._value
+    energy = state.getPotentialEnergy()._value
+    arguments = {
+        "system energy": energy,
+        "restraint energy": 0.0,
+        "restraint strength": 0.0,
+        "max constraint error": 0.0,
+    }
+    return bool(reporter.report(number, x.ravel().tolist(), (-forces).ravel().tolist(), arguments))

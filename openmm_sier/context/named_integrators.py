@@ -1,0 +1,68 @@
+"""Integrators of one scheme each, which take a step and no scheme."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from openmm_sier.context.integrator import Bodies, SIERIntegrator
+from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, Scheme
+
+
+class IntegratorOfOneScheme(SIERIntegrator):
+    """A `SIERIntegrator` whose class fixes its scheme."""
+
+    SCHEME: ClassVar[Scheme]
+
+    def __init__(self, stepSize, bodies: Bodies = None):
+        """
+        Args:
+            stepSize: step, a time quantity or a number in ps.
+            bodies: the rigid bodies, see `SIERIntegrator`.
+        """
+        super().__init__(stepSize, self.SCHEME, bodies)
+
+
+class SIER2Integrator(IntegratorOfOneScheme):
+    """Second order, one force evaluation a step: for rigid molecules what Verlet is for atoms.
+
+    It bears steps up to 2/w for a mode of angular frequency w. Usual in water: 2 fs.
+
+    Source: van Zon and Schofield (2007), Eq. Verlet.
+    """
+
+    SCHEME = SIER2
+
+
+class SIER4Integrator(IntegratorOfOneScheme):
+    """Fourth order, four force evaluations a step: the paper's scheme.
+
+    It bears steps up to 3.0/w for a mode of angular frequency w. Usual in water: 4 fs.
+
+    Source: van Zon and Schofield (2007), Eq. EFRL.
+    """
+
+    SCHEME = SIER4
+
+
+class SIER4GIntegrator(IntegratorOfOneScheme):
+    """Fourth order with a force gradient, three force evaluations a step: the one to take for most work.
+
+    It bears steps up to 3.46/w for a mode of angular frequency w, the longest per force of fourth order. Usual in
+    water: 6 fs, that is 2 fs per force evaluation.
+
+    Source: Chin, Phys. Lett. A 226, 344 (1997), algorithm A.
+    """
+
+    SCHEME = SIER4G
+
+
+class SIER4PIntegrator(IntegratorOfOneScheme):
+    """Fourth order with a force gradient, four force evaluations a step: the most accurate below 2 fs per force.
+
+    It bears steps up to 3.1/w for a mode of angular frequency w. Usual in water: 6 fs, that is 1.5 fs per force
+    evaluation.
+
+    Source: Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44.
+    """
+
+    SCHEME = SIER4P

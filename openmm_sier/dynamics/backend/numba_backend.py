@@ -1,0 +1,83 @@
+"""The steps of all bodies in loops that Numba compiles and threads share."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from openmm_sier.dynamics.backend import numba_loops
+from openmm_sier.dynamics.backend.numba_compile import compiled
+from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend, Rotor
+from openmm_sier.dynamics.backend.threads import shared
+
+
+@cache
+def _loop(name: str, rotor: Rotor | None = None):
+    """A loop of `numba_loops`, compiled; one that rotates calls the formulas of a rotor."""
+    replaced = {} if rotor is None else {numba_loops.rotate_body: rotor.of_body}
+    return shared(compiled(getattr(numba_loops, name), replaced))
+
+
+def _all(vectors) -> slice:
+    return slice(0, vectors.shape[1])
+
+
+class NumbaBackend(NumpyBackend):
+    """What `NumpyBackend` does, in compiled loops. Bodies that a rotor's formula does not serve are left to NumPy."""
+
+    name = "Numba"
+
+    def rotate(self, rotor, top, A, L, h):
+        if not (top.shared and top.turns):
+            return super().rotate(rotor, top, A, L, h)
+        new, far = np.empty(A.shape), np.empty(A.shape[2], dtype=bool)
+        if _loop("rotate", rotor)(_all(L), A, L, h, top.frame, new, far):
+            self._rotate_far(rotor, top, _all(L), A, L, h, new, far)
+        return new
+
+    def drift(self, rotor, kinds, q, p, A, L, h, inverse_masses):
+        new_q, new_A, far = np.empty(q.shape), np.empty(A.shape), np.empty(q.shape[1], dtype=bool)
+        loop = _loop("drift", rotor)
+        for top, part in kinds:
+            if loop(part, q, p, A, L, h, inverse_masses, top.frame, new_q, new_A, far):
+                self._rotate_far(rotor, top, part, A, L, h, new_A, far)
+        return new_q, new_A
+
+    def _rotate_far(self, rotor, top, part, A, L, h, new, far):
+        """Write the new attitudes of those in a slice of the bodies that the loop left aside."""
+        left = part.start + np.flatnonzero(far[part])
+        turned = np.empty((3, 3, left.size))
+        self._rotate(rotor, top, A[:, :, left], L[:, left], h, turned, left)
+        new[:, :, left] = turned
+
+    def kick(self, p, L, F, tau, h):
+        new_p, new_L = np.empty(p.shape), np.empty(p.shape)
+        _loop("kick")(_all(p), p, L, F, tau, h, new_p, new_L)
+        return new_p, new_L
+
+    def kick_from(self, p, L, F, tau, arm, h):
+        new_p, new_L = np.empty(p.shape), np.empty(p.shape)
+        _loop("kick_from")(_all(p), p, L, F, tau, arm, h, new_p, new_L)
+        return new_p, new_L
+
+    def displace(self, q, A, F, tau, shift, inverse_masses, inverse_moments):
+        new_q, new_A = np.empty(q.shape), np.empty(A.shape)
+        _loop("displace")(_all(q), q, A, F, tau, shift, inverse_masses, inverse_moments, new_q, new_A)
+        return new_q, new_A
+
+    def place(self, kinds, q, A, positions):
+        loop = _loop("place")
+        return not sum(loop(s.part, s.part.start, q, A, s.places, s.atoms, positions) for s in kinds)
+
+    def move(self, kinds, p, A, L, inverse_masses, inverse_moments, velocities):
+        loop, bodies = _loop("move"), (p, A, L, inverse_masses, inverse_moments)
+        for s in kinds:
+            loop(s.part, s.part.start, *bodies, s.places, s.atoms, velocities)
+
+    def collect(self, kinds, vectors, A, weights):
+        total, moment = np.empty((3, A.shape[2])), np.empty((3, A.shape[2]))
+        loop, broken = _loop("collect"), 0
+        for s, weight in zip(kinds, weights, strict=True):
+            broken += loop(s.part, s.part.start, vectors, A, s.places, weight, s.atoms, total, moment)
+        return total, moment, not broken

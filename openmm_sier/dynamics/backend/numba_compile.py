@@ -1,0 +1,81 @@
+"""Functions of this package compiled by Numba together with all that they call.
+
+Compiled code is cached on disk, in NUMBA_CACHE_DIR if that is set.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any
+
+#: Sums and products may be contracted, but not reordered: NumPy and Numba agree to rounding.
+OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
+
+#: Formulas that Numba knows by now.
+_formulas: dict[FunctionType, Any] = {}
+
+
+def compiled(loop: FunctionType, replaced: Mapping[Any, Any]):
+    """A loop compiled, and kept on disk where a directory for it can be written.
+
+    Args:
+        loop: functions of its own module that it calls are compiled by themselves, those of other modules, which are
+            formulas for one body, become a part of it.
+        replaced: functions that stand for others, and those others.
+
+    Returns:
+        A function of the loop's signature.
+    """
+    import numba
+
+    helpers: dict[FunctionType, Any] = {}
+
+    def link(function: FunctionType) -> FunctionType:
+        """The function, calling compiled functions."""
+        namespace = dict(_globals_of(function, replaced))
+        for name, value in namespace.items():
+            if isinstance(value, FunctionType):
+                formula = value.__module__ != loop.__module__
+                linked = _formulas if formula else helpers
+                if value not in linked:
+                    linked[value] = numba.njit(link(value), forceinline=formula, **OPTIONS)
+                namespace[name] = linked[value]
+        clone = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__)
+        clone.__module__, clone.__qualname__ = function.__module__, function.__qualname__
+        return clone
+
+    clone = link(loop)
+    # The cache on disk knows of the loop's own file alone, so that its name tells of all else that it depends on.
+    clone.__qualname__ = f"{loop.__name__}_{_digest(loop, replaced)}"
+    try:
+        return numba.njit(clone, cache=True, **OPTIONS)
+    except RuntimeError:
+        return numba.njit(clone, **OPTIONS)
+
+
+def _globals_of(function: FunctionType, replaced: Mapping[Any, Any]) -> Iterator[tuple[str, Any]]:
+    """The names that a function's code looks up, and what they stand for."""
+    for name in function.__code__.co_names:
+        if name in function.__globals__:
+            value = function.__globals__[name]
+            yield name, replaced.get(value, value) if isinstance(value, FunctionType) else value
+
+
+def _digest(loop: FunctionType, replaced: Mapping[Any, Any]) -> str:
+    """A name for the code and constants of a loop and of all that it calls."""
+    seen: dict[FunctionType, None] = {loop: None}
+    parts = [Path(__file__).read_bytes()]
+    for function in (pending := list(seen)):
+        code = function.__code__
+        parts.append(repr((code.co_code, code.co_consts, code.co_names)).encode())
+        for name, value in _globals_of(function, replaced):
+            if isinstance(value, FunctionType):
+                if value not in seen:
+                    seen[value] = None
+                    pending.append(value)
+            elif not isinstance(value, ModuleType):
+                parts.append(f"{name} = {value!r}".encode())
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:12]

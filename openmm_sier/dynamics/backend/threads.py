@@ -1,0 +1,113 @@
+"""Threads that share compiled loops over many bodies."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from itertools import pairwise
+
+#: Least number of bodies for a thread: to start one takes as long as some ten thousand bodies in a light loop do.
+SHARE = 32768
+
+#: What `use` has set: the number of threads, None for that of the environment, and the least number of bodies for each.
+_used: tuple[int | None, int] = (None, SHARE)
+
+
+def count() -> int:
+    """How many share a loop over many bodies: the cores of this process, or OPENMM_CPU_THREADS, as OpenMM reads it."""
+    return _used[0] or _available()
+
+
+@contextmanager
+def use(threads: int, share: int = SHARE) -> Iterator[None]:
+    """Within this so many threads share loops in which there are `share` bodies or more for each.
+
+    >>> with use(3):
+    ...     count()
+    3
+    """
+    global _used
+    before, _used = _used, (threads, share)
+    try:
+        yield
+    finally:
+        _used = before
+
+
+@cache
+def _available() -> int:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        return max(1, int(os.environ["OPENMM_CPU_THREADS"]))
+    except (KeyError, ValueError):
+        return cores
+
+
+def shared(loop):
+    """A loop (start, stop, ...) as one over a slice of the bodies, which threads share where it is long.
+
+    What it returns is summed.
+    """
+
+    def run(part, *arguments):
+        start, stop = part.start, part.stop
+        n, share = stop - start, _used[1]
+        if n < 2 * share or (team := min(count(), n // share)) < 2:
+            return loop(start, stop, *arguments)
+        edges = [start + n * i // team for i in range(team + 1)]
+        return Team(loop, arguments).run(list(pairwise(edges)))
+
+    return run
+
+
+class Team:
+    """Threads that share one loop.
+
+    They write to arrays that the caller goes on to use: however `run` is left, none is at work then. And none outlives
+    the call, so that a forked process does not wait for threads that it does not have.
+    """
+
+    def __init__(self, loop, arguments):
+        self._loop, self._arguments = loop, arguments
+        self._abandoned = False
+        self._busy: list = []
+        self._errors: list[BaseException] = []
+        self._results: list = []
+
+    def run(self, spans):
+        own, *others = spans
+        workers = [threading.Thread(target=self._work, args=(span,), daemon=True) for span in others]
+        try:
+            for worker in workers:
+                worker.start()
+            self._results.append(self._loop(*own, *self._arguments))
+            for worker in workers:
+                worker.join()
+        except BaseException:
+            self._abandoned = True
+            self._wait()
+            raise
+        if self._errors:
+            raise self._errors[0]
+        return sum(result or 0 for result in self._results)
+
+    def _work(self, span) -> None:
+        # In this order: either the thread sees that it has been abandoned, or `_wait` sees that it is busy.
+        self._busy.append(span)
+        try:
+            if not self._abandoned:
+                self._results.append(self._loop(*span, *self._arguments))
+        except BaseException as error:
+            self._errors.append(error)
+        finally:
+            self._busy.remove(span)
+
+    def _wait(self) -> None:
+        while self._busy:
+            # Further interrupts change nothing: the first is on its way out.
+            with suppress(BaseException):
+                time.sleep(1e-4)

@@ -1,0 +1,87 @@
+"""Energy minimization of rigid bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from openmm_sier.dynamics.bodies import RigidBodies
+
+#: FIRE's own parameters (Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006)).
+SLOWEST_MIXING, MIXING_DECAY = 0.1, 0.99
+ACCELERATION, DECELERATION, PATIENCE = 1.1, 0.5, 5
+
+#: Largest displacement of a centre, and of an atom by the turn of its body, in one iteration, nm. Atoms that overlap
+#: feel forces that would throw them across the box.
+LARGEST_DISPLACEMENT = 0.01
+
+#: Displacement in nm of the body of the largest force in the very first iteration.
+FIRST_DISPLACEMENT = 1e-3
+
+#: (q, A) -> (F, tau)
+Forces = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One iteration.
+
+    Attributes:
+        q: centres, (3, n), nm.
+        A: attitudes, (3, 3, n).
+        rms: root mean square of the components of forces, and of torques over radii of gyration, kJ/mol/nm.
+    """
+
+    q: np.ndarray
+    A: np.ndarray
+    rms: float
+
+
+def descent(bodies: RigidBodies, forces: Forces, q, A) -> Iterator[Point]:
+    """Bodies on their way to a minimum of the potential energy, the start first, for as long as one asks.
+
+    FIRE: a motion under the forces, of unit masses, that is turned towards the force and stopped whenever it goes
+    uphill. Rotations are measured in nm, as angles times radii of gyration.
+
+    Args:
+        bodies: what moves.
+        forces: forces in kJ/mol/nm and torques in kJ/mol on them, each (3, n).
+        q: centres, (3, n), nm.
+        A: attitudes, (3, 3, n).
+    """
+    radii = np.sqrt(bodies.moments.sum(axis=0) / (2 * bodies.masses))
+    inverse = np.divide(1.0, radii, out=np.zeros_like(radii), where=radii > 0)
+    freedoms = max(bodies.dof, 1)
+    v, step, mixing, downhill = np.zeros((6, bodies.n)), 0.0, SLOWEST_MIXING, 0
+    while True:
+        F, tau = forces(q, A)
+        f = np.concatenate([F, tau * inverse])
+        length = np.sqrt((f**2).sum())
+        yield Point(q, A, float(length / np.sqrt(freedoms)))
+        if length == 0:
+            continue
+        step = step or float(np.sqrt(FIRST_DISPLACEMENT / np.abs(f).max()))
+        if (f * v).sum() > 0:
+            v = (1 - mixing) * v + (mixing * np.sqrt((v**2).sum()) / length) * f
+            downhill += 1
+            if downhill > PATIENCE:
+                step, mixing = step * ACCELERATION, mixing * MIXING_DECAY
+        elif v.any():
+            v, step, mixing, downhill = np.zeros_like(v), step * DECELERATION, SLOWEST_MIXING, 0
+        v = v + step * f
+        # Each body alone, so that two that overlap do not hold up all others.
+        size = np.maximum(np.linalg.norm(v[:3], axis=0), np.linalg.norm(v[3:], axis=0))
+        v *= np.minimum(1.0, LARGEST_DISPLACEMENT / np.maximum(step * size, 1e-300))
+        q, A = q + step * v[:3], _turned(A, step * v[3:] * inverse)
+
+
+def _turned(A, angle):
+    """Attitudes turned by lab vectors (3, n); the Cayley form, which differs from the rotation in third order."""
+    x, y, z = t = 0.5 * angle
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    square = np.einsum("abn,bcn->acn", cross, cross)
+    rotation = np.eye(3)[:, :, None] + (2 / (1 + (t**2).sum(axis=0))) * (cross + square)
+    return np.einsum("xyn,ayn->axn", rotation, A)

@@ -1,0 +1,102 @@
+"""The order of a sequence of stages, from the free associative algebra of its operators.
+
+The product of the exponentials of the stages is expanded in words of the operators and compared with the exponential of
+their sum, in which a word of length k has the coefficient 1/k!. One property of the operators is used, that of
+Runge-Kutta-Nystroem schemes: [B, [B, [B, A]]] = 0 of a kick B and a drift A, since the kinetic energy is quadratic in
+the momenta (see `_reduced`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
+
+#: Coefficients are taken to satisfy an order condition when it holds to this; published ones have 16 digits.
+CONDITION_TOLERANCE = 1e-12
+HIGHEST_ORDER = 6
+
+#: A gradient kick displaces the force by a finite amount: it is known as an exponential of operators up to this order.
+HIGHEST_GRADIENT_ORDER = 4
+
+Word = tuple[str, ...]
+
+
+def order_of_flow(stages: Sequence[Stage], letters: Sequence[str]) -> int:
+    """Largest n for which stages in sequence are a flow of the exact motion up to and including h^n.
+
+    Args:
+        stages: all or some of the stages of a step.
+        letters: the flows that make up the exact motion. Its time is the sum of the fractions of the first one; where
+            another has another sum, the order is 0.
+    """
+    time = math.fsum(stage.fraction for stage in stages if stage.flow == letters[0])
+    coefficients: dict[Word, float] = {(): 1.0}
+    for stage in stages:
+        coefficients = _product(coefficients, _exponential(_generator(stage)))
+    order = 0
+    highest = HIGHEST_GRADIENT_ORDER if any(stage.shift for stage in stages) else HIGHEST_ORDER
+    for length in range(1, highest + 1):
+        exact = time**length / math.factorial(length)
+        words = itertools.product(letters, repeat=length)
+        errors = _reduced({word: coefficients.get(word, 0.0) - exact for word in words})
+        if any(abs(error) > CONDITION_TOLERANCE for error in errors.values()):
+            break
+        order = length
+    return order
+
+
+def _generator(stage: Stage) -> dict[Word, float]:
+    """What a stage is the exponential of, by words.
+
+    A gradient kick B of the shift d is that of B + (d/2) [B, [A, B]] with A the drift, up to the third order.
+    """
+    letter = stage.flow
+    words: dict[Word, float] = {(letter,): stage.fraction}
+    if stage.shift:
+        half = 0.5 * stage.fraction * stage.shift
+        words[letter, DRIFT, letter] = 2 * half
+        words[letter, letter, DRIFT] = words[DRIFT, letter, letter] = -half
+    return words
+
+
+def _reduced(words: dict[Word, float]) -> dict[Word, float]:
+    """An equal sum of words, in which no word has three kicks B before a drift A.
+
+    The operators obey [B, [B, [B, A]]] = 0, that is BBBA = 3 BBAB - 3 BABB + ABBB. BBBA begins with no end of itself,
+    so that the words that are left do not depend on the order of the replacements, and their sum vanishes only where
+    all their coefficients do (a Groebner basis).
+    """
+    rule = ((3.0, (KICK, KICK, DRIFT, KICK)), (-3.0, (KICK, DRIFT, KICK, KICK)), (1.0, (DRIFT, KICK, KICK, KICK)))
+    reduced: dict[Word, float] = {}
+    pending = list(words.items())
+    while pending:
+        word, value = pending.pop()
+        start = next((i for i in range(len(word) - 3) if word[i : i + 4] == (KICK, KICK, KICK, DRIFT)), None)
+        if start is None:
+            reduced[word] = reduced.get(word, 0.0) + value
+        else:
+            pending += [(word[:start] + other + word[start + 4 :], factor * value) for factor, other in rule]
+    return reduced
+
+
+def _product(left: dict[Word, float], right: dict[Word, float]) -> dict[Word, float]:
+    """The product of two sums of words, words up to `HIGHEST_ORDER` long."""
+    product: dict[Word, float] = {}
+    for first, a in left.items():
+        for second, b in right.items():
+            if len(first) + len(second) <= HIGHEST_ORDER:
+                product[first + second] = product.get(first + second, 0.0) + a * b
+    return product
+
+
+def _exponential(generator: dict[Word, float]) -> dict[Word, float]:
+    power: dict[Word, float] = {(): 1.0}
+    total = dict(power)
+    for n in range(1, HIGHEST_ORDER + 1):
+        power = {word: value / n for word, value in _product(power, generator).items()}
+        for word, value in power.items():
+            total[word] = total.get(word, 0.0) + value
+    return total

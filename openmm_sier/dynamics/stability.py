@@ -1,0 +1,63 @@
+"""The step that a splitting scheme bears in a harmonic mode, from the matrix by which it propagates one.
+
+In x = (omega h)^2 all entries of that matrix are polynomials: with (q, h p/m) as coordinates a kick of the fraction t
+is [[1, 0], [-t x, 1]], a gradient kick of the shift s is [[1, 0], [-t x (1 - s x), 1]], and a drift [[1, t], [0, 1]].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
+
+#: The mean kinetic energy of a mode may differ from its potential energy by this fraction at `accuracy_limit`. For
+#: velocity Verlet that is at ten steps a period, a common rule of thumb.
+INEQUALITY = 0.1
+
+_X = Polynomial([0.0, 1.0])
+
+
+def stability_limit(stages: Sequence[Stage]) -> float:
+    """Largest omega h below which the amplitude of a harmonic mode stays bounded.
+
+    The matrix has the determinant 1, so that its eigenvalues are on the unit circle where |trace| < 2.
+    """
+    (a, _), (_, d) = _propagation(stages)
+    # The trace is 2 at x = 0, which is no limit.
+    return math.sqrt(min(_first_root((a + d - 2) // _X), _first_root(a + d + 2)))
+
+
+def accuracy_limit(stages: Sequence[Stage]) -> float:
+    """Largest omega h below which kinetic and potential energy of a mode agree in the mean, within `INEQUALITY`.
+
+    The matrix [[a, b], [c, d]] conserves b (h p/m)^2 + (a - d) q (h p/m) - c q^2. So the mean of the potential energy
+    over that of the kinetic one is -x b / c.
+    """
+    (_, b), (c, _) = _propagation(stages)
+    unequal = [_first_root(b + factor * (c // _X)) for factor in (1 - INEQUALITY, 1 + INEQUALITY)]
+    return min(stability_limit(stages), math.sqrt(min(unequal)))
+
+
+def _propagation(stages: Sequence[Stage]):
+    """Rows of the matrix. Stages that are neither kick nor drift, such as a heat bath, are left out."""
+    one, zero = Polynomial([1.0]), Polynomial([0.0])
+    q, p = (one, zero), (zero, one)
+    for stage in stages:
+        if stage.operator == DRIFT:
+            q = q[0] + stage.fraction * p[0], q[1] + stage.fraction * p[1]
+        elif stage.flow == KICK:
+            pull = stage.fraction * _X * (1 - stage.shift * _X)
+            p = p[0] - pull * q[0], p[1] - pull * q[1]
+    return q, p
+
+
+def _first_root(polynomial: Polynomial) -> float:
+    """The smallest positive root; infinity if there is none."""
+    roots = polynomial.roots()
+    # Roots of simple polynomials come with imaginary parts of rounding.
+    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 1e-9)]
+    return float(real.min()) if real.size else math.inf

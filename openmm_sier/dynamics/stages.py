@@ -1,0 +1,37 @@
+"""The stages that splitting schemes are made of."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+KICK = "kick"
+GRADIENT_KICK = "gradient kick"
+DRIFT = "drift"
+BATH = "bath"
+
+#: What flow of the exact motion an operator is a part of: the letters of the free algebra in `order`.
+FLOWS = {GRADIENT_KICK: KICK}
+
+
+class Stage(NamedTuple):
+    """One operator of a step.
+
+    Attributes:
+        operator: its name.
+        fraction: of the step that it advances.
+        shift: of a gradient kick, the displacement of its force over (step)^2 times the acceleration.
+    """
+
+    operator: str
+    fraction: float
+    shift: float = 0.0
+
+    def times(self, h: float) -> tuple[float, ...]:
+        """What the operator takes in a step of length h: its time, and of a gradient kick its displacement."""
+        own = (self.fraction * h,)
+        return (*own, self.shift * h * h) if self.operator == GRADIENT_KICK else own
+
+    @property
+    def flow(self) -> str:
+        """Name of the operator whose exact flow this stage is a part of."""
+        return FLOWS.get(self.operator, self.operator)

@@ -1,0 +1,70 @@
+"""How well a run conserved energy: fluctuation and drift, each defined once.
+
+Temperatures are in `openmm_sier.context.temperature`, since integrators state them too.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from openmm_sier.measure.statistics import rms, slope_and_error
+
+#: Length in ps of the windows for the energy's fluctuation, so that it does not depend on the length of the run.
+WINDOW = 1.0
+
+#: Least number of values in a window: a straight line through few takes away what fluctuates.
+LEAST = 8
+
+
+def number_of_windows(time, window: float = WINDOW) -> int:
+    """Into how many windows of about this length in ps times (n,) are divided, each with `LEAST` of them or more."""
+    return max(1, min(round((time[-1] - time[0]) / window), len(time) // LEAST))
+
+
+def energy_fluctuation(time, total, window: float | None = WINDOW) -> float:
+    """rms(H) in kJ/mol.
+
+    Args:
+        time: ps, (n,).
+        total: what is conserved, kJ/mol, (n,).
+        window: H is taken about a straight line in each window of this length in ps, since what accumulates is the
+            drift; windows are longer where they would have fewer than `LEAST` values. None takes H about its mean: the
+            definition of van Zon and Schofield (2007, section IV), made for runs of 1 ps.
+
+    Returns:
+        NaN for fewer than three values.
+    """
+    if len(total) < 3:
+        return math.nan
+    if window is None:
+        return rms(total)
+    time, total = np.asarray(time, dtype=float), np.asarray(total, dtype=float)
+    number = number_of_windows(time, window)
+    rest = []
+    for x, y in zip(np.array_split(time, number), np.array_split(total, number), strict=True):
+        x = x - x.mean()
+        rest.append(y - np.polyval(np.polyfit(x, y, 1), x))
+    return rms(np.concatenate(rest))
+
+
+def energy_error(time, total, potential, window: float | None = WINDOW) -> float:
+    """rms(H)/rms(V), the measure of energy conservation; rms(V) is about the mean of the run.
+
+    Args:
+        time: ps, (n,).
+        total: what is conserved, kJ/mol, (n,).
+        potential: kJ/mol, (n,).
+        window: see `energy_fluctuation`.
+
+    Returns:
+        NaN for fewer than three values, or where the potential energy is constant.
+    """
+    spread = rms(potential)
+    return energy_fluctuation(time, total, window) / spread if spread > 0 else math.nan
+
+
+def energy_drift(time, total) -> tuple[float, float]:
+    """Slope of what is conserved in kJ/mol/ps and its standard error; see `slope_and_error`."""
+    return slope_and_error(time, total)

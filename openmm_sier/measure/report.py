@@ -1,0 +1,80 @@
+"""What a long computation tells whoever started it: notes, tables and how far it is.
+
+Nothing here shows anything. The command passes in an object that does, with rich; without one all is silent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple, Protocol
+
+
+class Table(NamedTuple):
+    """A table of text.
+
+    Attributes:
+        title: above the table.
+        columns: headings; none are shown if all are empty.
+        rows: cells, as many a row as there are columns.
+        left: number of leading columns that are aligned to the left, the others being numbers.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    left: int = 1
+
+
+class Advance(Protocol):
+    """Takes how much has been done in all, and what is being done if that changes."""
+
+    def __call__(self, done: float, description: str | None = None) -> None: ...
+
+
+class Report(Protocol):
+    """Where a computation reports to."""
+
+    def note(self, message: str) -> None:
+        """A line about what is being done."""
+
+    def table(self, table: Table) -> None:
+        """A result."""
+
+    def progress(
+        self, description: str, total: float = 1.0, ps: float | None = None
+    ) -> AbstractContextManager[Advance]:
+        """How far something is, within a with-statement.
+
+        Args:
+            description: what is being done.
+            total: how much there is to do.
+            ps: length of a step, if steps are counted.
+        """
+
+
+class Silent:
+    """Reports nothing."""
+
+    def note(self, message: str) -> None:
+        pass
+
+    def table(self, table: Table) -> None:
+        pass
+
+    def progress(
+        self, description: str, total: float = 1.0, ps: float | None = None
+    ) -> AbstractContextManager[Advance]:
+        return nullcontext(_ignore)
+
+
+def _ignore(done: float, description: str | None = None) -> None:
+    pass
+
+
+SILENT = Silent()
+
+
+def duration(seconds: float) -> str:
+    """A duration with a unit that suits it."""
+    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"

@@ -1,0 +1,165 @@
+"""Water models by their geometry: which one a PDB file holds, where that can be told.
+
+Rigid water models share few geometries. TIP3P, in Amber's form and in CHARMM's, has that of TIP4P and TIP5P without
+their charge sites; SPC has that of SPC/E. A PDB file of such a geometry does not tell its model.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Coordinates in a PDB file are rounded to this, nm.
+PDB_RESOLUTION = 1e-4
+
+#: OpenMM's default constraint tolerance, 1e-5, of the longest distance in a molecule, nm.
+CONSTRAINT_ERROR = 2e-6
+
+#: Models that are named when none fits.
+NEAREST = 3
+
+
+class ForceFieldError(ValueError):
+    """No force field can be picked, found or applied."""
+
+
+@dataclass(frozen=True)
+class WaterModel:
+    """What tells a water model by its geometry.
+
+    Attributes:
+        name: as in the literature.
+        sites: of one molecule, virtual sites included.
+        distances: O-H, H-H and, where there are sites without mass, O-M, nm.
+        file: OpenMM's force field with water alone; None where it has none.
+        file_with_ions: OpenMM's force field with ions too; None where it has none.
+    """
+
+    name: str
+    sites: int
+    distances: tuple[float, ...]
+    file: str | None
+    file_with_ions: str | None = None
+
+    def suggestion(self, ions: bool) -> str:
+        """The model with the option that names it."""
+        file = self.file_with_ions if ions else self.file
+        if file is not None:
+            return f"{self.name} (--forcefield {file})"
+        return f"{self.name} (OpenMM has no file{' with ions' if ions else ''} for it)"
+
+
+_TIP = (0.09572, 0.15139)
+_SPC = (0.1, 0.163298)
+
+#: Geometries from the force-field files themselves, and for the models that OpenMM has no file for from their papers:
+#: SPC, Berendsen et al., in Intermolecular Forces, ed. Pullman (1981), 331; TIP4P-D, Piana et al., J. Phys. Chem. B
+#: 119, 5113 (2015). Files with the same parameters (amber19, charmm36_2024) are listed once.
+WATER_MODELS = (
+    WaterModel("TIP3P", 3, _TIP, "tip3p.xml", "amber14/tip3p.xml"),
+    WaterModel("TIP3P of CHARMM", 3, _TIP, "charmm36/water.xml", "charmm36/water.xml"),
+    WaterModel("SPC/E", 3, _SPC, "spce.xml", "amber14/spce.xml"),
+    WaterModel("SPC", 3, _SPC, None),
+    WaterModel("OPC3", 3, (0.097888, 0.159851), "opc3.xml", "amber14/opc3.xml"),
+    WaterModel("TIP3P-FB", 3, (0.101181, 0.163868), "tip3pfb.xml", "amber14/tip3pfb.xml"),
+    WaterModel("TIP4P", 4, (*_TIP, 0.015), "tip4p.xml"),
+    WaterModel("TIP4P-Ew", 4, (*_TIP, 0.0125), "tip4pew.xml", "amber14/tip4pew.xml"),
+    WaterModel("TIP4P/2005", 4, (*_TIP, 0.01546), "tip4p2005.xml", "charmm36/tip4p2005.xml"),
+    WaterModel("TIP4P-D", 4, (*_TIP, 0.01546), None),
+    WaterModel("TIP4P-FB", 4, (*_TIP, 0.010527), "tip4pfb.xml", "amber14/tip4pfb.xml"),
+    WaterModel("OPC", 4, (0.087243, 0.137121, 0.015940), "opc.xml", "amber14/opc.xml"),
+    WaterModel("TIP5P", 5, (*_TIP, 0.07), "tip5p.xml", "charmm36/tip5p.xml"),
+    WaterModel("TIP5P-Ew", 5, (*_TIP, 0.07), "charmm36/tip5pew.xml", "charmm36/tip5pew.xml"),
+)
+
+
+def recognize(waters, positions, ions: bool = False) -> WaterModel:
+    """The one model that water molecules have the geometry of.
+
+    Without virtual sites in the file, the geometry of the atoms alone has to tell it.
+
+    Args:
+        waters: residues of an openmm.app.Topology, all of them water.
+        positions: of all atoms, molecules whole, (N, 3), nm.
+        ions: whether there are ions too; messages name files with ions then.
+
+    Raises:
+        ForceFieldError: molecules differ or are no water, no known model has their geometry, or several have. The
+            message lists candidates.
+    """
+    sites = _common_size(waters)
+    measured = np.array([_distances(residue, positions) for residue in waters])
+    candidates = [model for model in WATER_MODELS if sites in (3, model.sites)]
+    fitting = [model for model in candidates if _fits(measured, model)]
+    if len(fitting) == 1:
+        return fitting[0]
+    means = measured.mean(axis=0)
+    shown = ", ".join(f"{name} {value:.5f}" for name, value in zip(("O-H", "H-H", "O-M"), means, strict=False))
+    if fitting:
+        names = ", ".join(model.suggestion(ions) for model in fitting)
+        raise ForceFieldError(
+            f"the water ({sites} sites, {shown} nm) has the geometry of several models: {names}. Name a force field"
+        )
+    nearest = sorted(candidates, key=lambda model: _distance(means, model))[:NEAREST]
+    names = ", ".join(f"{model.suggestion(ions)}, {_distance(means, model):.5f} nm off" for model in nearest)
+    raise ForceFieldError(
+        f"the water ({sites} sites, {shown} nm) has the geometry of no known model. Name a force field; the nearest "
+        f"are {names}"
+    )
+
+
+def _common_size(waters) -> int:
+    counts = [len(list(residue.atoms())) for residue in waters]
+    sites = max(counts)
+    if min(counts) != sites:
+        odd = waters[counts.index(min(counts))]
+        raise ForceFieldError(
+            f"residue {odd.name} {odd.id} has {min(counts)} atoms, other water has {sites}; expected equal molecules"
+        )
+    if sites not in (3, 4, 5):
+        raise ForceFieldError(
+            f"residue {waters[0].name} {waters[0].id} has {sites} atoms, expected water with 3, 4 or 5 sites. "
+            "Are hydrogens missing? Otherwise name a force field with --forcefield"
+        )
+    return sites
+
+
+def _fits(measured: np.ndarray, model: WaterModel) -> bool:
+    """Whether distances (n, 2 or 3) are those of a model but for the rounding of a PDB file.
+
+    A coordinate rounded to d has a variance of d^2/12, so that a distance has the standard deviation d/sqrt(6), 4e-5
+    nm, and at most an error of sqrt(3) d. The mean over n molecules is known to 4e-5/sqrt(n) nm, 2e-6 nm for 512, and
+    the closest models, TIP4P and TIP4P/2005, are 5e-4 nm apart. Four such errors are allowed. What rounding across the
+    bond adds to a distance r on average, d^2/6r, is 2e-7 nm at most.
+    """
+    errors = measured - np.array(model.distances[: measured.shape[1]])
+    of_mean = 4 * PDB_RESOLUTION / math.sqrt(6 * len(measured)) + CONSTRAINT_ERROR
+    of_each = math.sqrt(3) * PDB_RESOLUTION + CONSTRAINT_ERROR
+    return bool((np.abs(errors.mean(axis=0)) <= of_mean).all() and (np.abs(errors) <= of_each).all())
+
+
+def _distance(means: np.ndarray, model: WaterModel) -> float:
+    """The largest difference of a mean distance, nm."""
+    return float(np.abs(means - model.distances[: len(means)]).max())
+
+
+def _distances(residue, positions) -> tuple[float, ...]:
+    """O-H (mean of both), H-H and, with sites without mass, O-M (mean of all), nm."""
+    kinds: dict[str, list] = {"O": [], "H": [], "M": []}
+    for atom in residue.atoms():
+        symbol = "M" if atom.element is None else atom.element.symbol
+        if symbol not in kinds:
+            raise ForceFieldError(f"residue {residue.name} {residue.id} has an atom {atom.name}, which water has not")
+        kinds[symbol].append(positions[atom.index])
+    if len(kinds["O"]) != 1 or len(kinds["H"]) != 2:
+        raise ForceFieldError(
+            f"residue {residue.name} {residue.id} has {len(kinds['O'])} oxygens and {len(kinds['H'])} hydrogens, "
+            "expected 1 and 2"
+        )
+    oxygen = kinds["O"][0]
+    found = [np.mean([np.linalg.norm(x - oxygen) for x in kinds["H"]]), np.linalg.norm(kinds["H"][1] - kinds["H"][0])]
+    if kinds["M"]:
+        found.append(np.mean([np.linalg.norm(x - oxygen) for x in kinds["M"]]))
+    return tuple(float(value) for value in found)

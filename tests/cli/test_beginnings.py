@@ -1,0 +1,315 @@
+"""New runs from checkpoints of others, residues that are named as rigid, body states, and lines about progress."""
+
+from pathlib import Path
+
+import mdtraj
+import numpy as np
+import pytest
+from openmm import app, unit
+from scipy.spatial.transform import Rotation
+
+from openmm_sier import RigidBodies
+from openmm_sier.cli import console, main, records
+from openmm_sier.cli import run as command
+from openmm_sier.measure import forcefields
+from tests.support.commands import SMALL, SYSTEMS, complaint, datasets, frames, log, run, write_lattice
+
+#: A rigid ring of six united atoms with charges that alternate; no bonds, since nothing is to hold it but rigidity.
+RING = """<ForceField>
+ <AtomTypes>{types}</AtomTypes>
+ <Residues><Residue name="RNG">{atoms}</Residue></Residues>
+ <NonbondedForce coulomb14scale="1" lj14scale="1">{parameters}</NonbondedForce>
+</ForceField>"""
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
+
+
+@pytest.fixture(scope="module")
+def npt_run(box):
+    """Directory of a run at constant pressure, in which the volume changes."""
+    options = [
+        *SMALL,
+        "--ensemble",
+        "npt",
+        "--pressure",
+        "-500",
+        "--scheme",
+        "sier2",
+        "--dt",
+        "2",
+        "--temperature",
+        "310",
+    ]
+    assert main.main(["run", str(box), *options, "--time", "0.2", "--out", str(box.with_name("npt.dcd"))]) == 0
+    return box.parent
+
+
+@pytest.fixture(autouse=True)
+def directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def momentum(rows):
+    """Magnitude of the total momentum, dalton nm/ps."""
+    return np.linalg.norm([rows[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
+
+
+# --- from a checkpoint ---
+
+
+@pytest.mark.parametrize("ensemble", ["nve", "nvt"])
+def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, ensemble):
+    """Potential energy and volume are those of the end of the other run; step and clock begin anew."""
+    start = npt_run / "npt.chk"
+    run("run", box, "--platform", "Reference", "--start", start, "--ensemble", ensemble, "--steps", "50")
+    out = capsys.readouterr().out
+    assert "equilibrated" not in out
+    assert "minimized" not in out
+    before, after = log(npt_run / "npt.csv"), log("box.csv")
+    assert (after["Step"][0], after["Time (ps)"][0]) == (0, 0)
+    assert after["Box Volume (nm^3)"][0] == before["Box Volume (nm^3)"][-1] != before["Box Volume (nm^3)"][0]
+    # Attitudes are fitted anew, which rounds them.
+    assert after["Potential Energy (kJ/mole)"][0] == pytest.approx(before["Potential Energy (kJ/mole)"][-1], rel=1e-9)
+    centre = momentum(before)[-1] ** 2 / (2 * 27 * 18.01528)
+    assert centre > 0.01
+    # At constant energy the centre of mass is at rest, which is all that is taken; a heat bath keeps its velocity.
+    taken = centre if ensemble == "nve" else 0.0
+    expected = before["Kinetic Energy (kJ/mole)"][-1] - taken
+    assert after["Kinetic Energy (kJ/mole)"][0] == pytest.approx(expected, rel=1e-6)
+    if ensemble == "nve":
+        assert momentum(after)[0] < 1e-9
+        H, V = after["Conserved Energy (kJ/mole)"], after["Potential Energy (kJ/mole)"]
+        assert np.std(H) < 0.01 * np.std(V)
+    # The heat of the other run is not this one's.
+    assert after["Conserved Energy (kJ/mole)"][0] == after["Total Energy (kJ/mole)"][0]
+
+
+def test_start_tells_the_system_and_the_temperature(box, npt_run):
+    start = ["run", box, "--platform", "Reference", "--start", npt_run / "npt.chk", "--steps", "1", "--overwrite"]
+    run(*start, "--ensemble", "nvt")
+    plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
+    assert (plan["temperature"], plan["scheme"], plan["dt"]) == (310.0, "sier4", 4.0)
+    # No equilibration is none, and not new velocities.
+    kinetic = log("box.csv")["Kinetic Energy (kJ/mole)"][0]
+    run(*start, "--ensemble", "nvt", "--equilibrate", "0")
+    assert log("box.csv")["Kinetic Energy (kJ/mole)"][0] == kinetic
+    run(*start, "--ensemble", "nvt", "--temperature", "290")
+    assert records.read_checkpoint(Path("box.chk"))[1]["plan"]["temperature"] == 290.0
+
+
+def test_start_equilibrates_if_asked(box, npt_run, capsys):
+    start = ["run", box, "--platform", "Reference", "--start", npt_run / "npt.chk", "--steps", "1"]
+    run(*start, "--equilibrate", "0.024")
+    assert "equilibrated for 0.024 ps at 310 K" in capsys.readouterr().out
+    # In the box of the checkpoint, from its positions.
+    assert log("box.csv")["Box Volume (nm^3)"][0] == log(npt_run / "npt.csv")["Box Volume (nm^3)"][-1]
+
+
+def test_starts_that_are_refused(box, npt_run, capsys):
+    start = npt_run / "npt.chk"
+    assert "give one of them" in complaint(capsys, "run", box, "--start", start, "--restart", start)
+    assert "none.chk: No such file" in complaint(capsys, "run", box, "--start", "none.chk")
+    one = SYSTEMS / "tip4p-1.pdb"
+    message = complaint(capsys, "run", one, "--start", start, "--forcefield", "tip4p.xml")
+    assert "npt.chk has 81 particles" in message
+    # The same molecules with the hydrogens first, so that each takes the places of other atoms.
+    lines = box.read_text().splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if line.startswith(("ATOM", "HETATM")))
+    for i in range(first, first + 81, 3):
+        lines[i : i + 3] = [*lines[i + 1 : i + 3], lines[i]]
+    reordered = box.with_name("reordered.pdb")
+    reordered.write_text("".join(line for line in lines if not line.startswith("CONECT")))
+    assert "npt.chk does not fit" in complaint(capsys, "run", reordered, "--start", start)
+    assert not list(Path().iterdir())
+
+
+def test_restart_keeps_temperature_and_seed(box, npt_run, capsys):
+    again = ["run", box, "--platform", "Reference", "--restart", npt_run / "npt.chk", "--time", "1"]
+    for option, value, noted in (("--temperature", "297", "310"), ("--seed", "7", "1")):
+        assert f"differs from {noted}" in complaint(capsys, *again, option, value)
+
+
+# --- named rigid bodies ---
+
+
+@pytest.fixture(scope="module")
+def rings(tmp_path_factory):
+    """A PDB file and a force field of eight rings in a box."""
+    directory = tmp_path_factory.mktemp("rings")
+    types = "".join(f'<Type name="R{i}" class="R{i}" element="C" mass="13"/>' for i in range(6))
+    atoms = "".join(f'<Atom name="C{i}" type="R{i}"/>' for i in range(6))
+    parameters = "".join(f'<Atom type="R{i}" charge="{0.1 * (-1) ** i}" sigma="0.3" epsilon="0.2"/>' for i in range(6))
+    (directory / "ring.xml").write_text(RING.format(types=types, atoms=atoms, parameters=parameters))
+    topology, positions = app.Topology(), []
+    chain, carbon = topology.addChain(), app.Element.getBySymbol("C")
+    angles = np.pi / 3 * np.arange(6)
+    ring = 0.139 * np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=1)
+    for corner in np.ndindex(2, 2, 2):
+        residue = topology.addResidue("RNG", chain)
+        for i in range(6):
+            topology.addAtom(f"C{i}", carbon, residue)
+        positions.append(
+            ring @ Rotation.random(rng=np.random.default_rng(corner[0])).as_matrix() + 0.7 * np.array(corner)
+        )
+    topology.setUnitCellDimensions([1.4] * 3 * unit.nanometer)
+    with open(directory / "rings.pdb", "w") as file:
+        app.PDBFile.writeFile(topology, np.concatenate(positions) * unit.nanometer, file)
+    return directory
+
+
+def test_named_residues_stay_rigid(rings, capsys):
+    command = ["run", rings / "rings.pdb", "--forcefield", rings / "ring.xml", "--rigid", "RNG", *SMALL, "--dt", "4"]
+    run(*command, "--steps", "20")
+    read = mdtraj.load("rings.dcd", top=str(rings / "rings.pdb"))
+    pairs = [(6 * k + i, 6 * k + j) for k in range(8) for i in range(6) for j in range(i)]
+    distances = mdtraj.compute_distances(read, pairs)
+    # The DCD file has single precision in Angstrom, the PDB file 0.0001 nm, of which two coordinates make a distance.
+    np.testing.assert_allclose(distances, np.tile(distances[0], (read.n_frames, 1)), atol=5e-6)
+    expected = np.array([0.139 * 2 * np.sin(np.pi / 6 * (i - j)) for _ in range(8) for i in range(6) for j in range(i)])
+    np.testing.assert_allclose(distances[0], expected, atol=4e-4)
+    # They move, and as bodies of 6 degrees of freedom: temperatures of both kinds are those of a liquid.
+    rows = log("rings.csv")
+    assert 0 < rows["Rotational Temperature (K)"].min() < rows["Rotational Temperature (K)"].max() < 900
+    assert np.ptp(rows["Potential Energy (kJ/mole)"]) > 0
+    # A restart takes the residues from the checkpoint, and goes the same way.
+    run(*command, "--steps", "40", "--out", "whole.dcd")
+    again = ["run", rings / "rings.pdb", "--platform", "Reference", "--restart", "rings.chk"]
+    run(*again, "--steps", "40")
+    assert Path("rings.csv").read_bytes() == Path("whole.csv").read_bytes()
+    assert "--rigid HOH differs from" in complaint(capsys, *again, "--steps", "50", "--rigid", "HOH")
+
+
+def test_info_of_named_residues(rings, capsys):
+    run("info", rings / "rings.pdb", "--forcefield", rings / "ring.xml", "--rigid", "RNG")
+    assert "8 bodies, 48 particles, 48 degrees of freedom" in capsys.readouterr().out
+    field = ["--forcefield", str(rings / "ring.xml")]
+    message = complaint(capsys, "info", rings / "rings.pdb", *field, "--rigid", "BNZ")
+    assert "BNZ" in message
+
+
+# --- body states ---
+
+
+def test_body_states_place_the_atoms(box):
+    """Sites from the force field, turned by the quaternions and moved to the centres, are the trajectory's atoms."""
+    h5py = pytest.importorskip("h5py")
+    run("run", box, *SMALL, "--time", "0.1", "--bodies", "states.h5", "--bodies-every", "0.04")
+    found = forcefields.read_box(box)
+    bodies = RigidBodies.from_system(found.system, found.topology)
+    trajectory, edge = frames(Path("box.dcd"), box), found.topology.getUnitCellDimensions()[0]._value
+    with h5py.File("states.h5") as file:
+        np.testing.assert_array_equal(file["step"], [10, 20])
+        np.testing.assert_allclose(file["time"], [0.04, 0.08], rtol=1e-12)
+        (species,) = bodies.species
+        for i, frame in enumerate((1, 3)):
+            turns = Rotation.from_quat(file["quaternion"][i], scalar_first=True)
+            for site in range(3):
+                there = file["q"][i] + turns.apply(species.sites[:, site])
+                apart = there - trajectory.xyz[frame][species.atoms[:, site]]
+                # Trajectories have molecules at their periodic images; single precision.
+                np.testing.assert_allclose(apart - edge * np.round(apart / edge), 0, atol=2e-6)
+        kinetic = 0.5 * (np.asarray(file["p"]) ** 2).sum(axis=2) @ (1 / np.asarray(file["masses"]))
+        assert file["p"].attrs["unit"] == "dalton nm/ps"
+    rows = log("box.csv")
+    translation = rows["Translational Temperature (K)"] * 8.31446261815324e-3 * (3 * 27 - 3) / 2
+    np.testing.assert_allclose(kinetic, translation[1:3], rtol=1e-9)
+
+
+def test_finished_body_states_are_continued_bit_for_bit(box):
+    pytest.importorskip("h5py")
+    run("run", box, *SMALL, "--steps", "40", "--out", "whole.dcd", "--bodies", "whole.h5")
+    run("run", box, *SMALL, "--steps", "20", "--out", "parts.dcd", "--bodies", "parts.h5")
+    assert len(datasets("parts.h5")["step"]) == 4
+    run("run", box, "--platform", "Reference", "--steps", "40", "--restart", "parts.chk")
+    np.testing.assert_equal(datasets("parts.h5"), datasets("whole.h5"))
+    assert not list(Path().glob("*.frames"))
+
+
+def test_body_states_without_a_frame(box):
+    h5py = pytest.importorskip("h5py")
+    run("run", box, *SMALL, "--steps", "1", "--bodies", "states.h5")
+    with h5py.File("states.h5") as file:
+        assert file["q"].shape == (0, 27, 3)
+
+
+# --- wrapped and unwrapped frames ---
+
+
+def test_unwrapped_frames_do_not_jump(box):
+    """In frames 4 fs apart no atom moves by 0.1 nm, where wrapping moves molecules by the edge of the box."""
+    options = [
+        "run",
+        box,
+        "--platform",
+        "Reference",
+        "--equilibrate",
+        "0.1",
+        "--every",
+        "0.004",
+        "--temperature",
+        "2000",
+    ]
+    run(*options, "--steps", "120", "--out", "wrapped.dcd")
+    run(*options, "--steps", "120", "--out", "unwrapped.dcd", "--unwrapped")
+    wrapped, unwrapped = (frames(Path(name), box) for name in ("wrapped.dcd", "unwrapped.dcd"))
+    edge = wrapped.unitcell_lengths[0, 0]
+    assert np.abs(np.diff(unwrapped.xyz, axis=0)).max() < 0.1
+    assert np.abs(np.diff(wrapped.xyz, axis=0)).max() > edge / 2
+    periods = (unwrapped.xyz - wrapped.xyz) / edge
+    np.testing.assert_allclose(periods, np.round(periods), atol=1e-5)
+
+
+# --- what is shown ---
+
+
+def test_table_of_constant_pressure_has_the_density(box, npt_run, capsys):
+    again = ["run", box, "--platform", "Reference", "--out", "a.dcd", "--start", npt_run / "npt.chk", "--steps", "10"]
+    run(*again, "--ensemble", "npt", "--pressure", "-500")
+    table = capsys.readouterr().out
+    volume = log("a.csv")["Box Volume (nm^3)"]
+    density = float(table.split("density")[1].split("g/ml")[0].split()[-1])
+    # 27 waters of 18.01528 g/mol, by Avogadro's number.
+    expected = (27 * 18.01528 / 6.02214076e23 / (volume * 1e-21)).mean()
+    assert density == pytest.approx(expected, abs=1e-4)
+    run(*again, "--ensemble", "nve", "--overwrite")
+    assert "density" not in capsys.readouterr().out
+
+
+def test_progress_lines_where_there_is_no_terminal(box, capsys, monkeypatch):
+    monkeypatch.setattr(console, "LINE_AFTER", 0.0)
+    monkeypatch.setattr(command, "LONGEST_CHUNK", 1)
+    run("run", box, *SMALL, "--equilibrate", "0", "--steps", "4")
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(" steps")[0] for line in lines] == [f"SIER4: {i}/4" for i in (1, 2, 3, 4)]
+    assert "50 %, " in lines[1]
+    assert " ns/day, 0:00:0" in lines[1]
+
+
+def test_progress_lines_are_rare(monkeypatch, capsys):
+    """A line after 30 s, then one for every twentieth of the time so far, and at least every ten minutes."""
+    now = [0.0]
+    monkeypatch.setattr(console, "clock", lambda: now[0])
+    with console.ProgressBar("run", 100_000, 0.001) as show:
+        at = []
+        for second in range(1, 40_000):
+            now[0] = second
+            show(second)
+            if capsys.readouterr().err:
+                at.append(second)
+    assert at[:3] == [30, 60, 90]
+    assert 600 < max(np.diff(at)) + 1 <= 602
+    # 20 until 600 s, ln(20)/ln(1.05) = 61 until 12000 s, and 47 in the rest.
+    assert len(at) < 130
+
+
+def test_progress_on_a_closed_terminal_stops_nothing(monkeypatch):
+    def fails(*_, **__):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(console, "LINE_AFTER", 0.0)
+    with console.ProgressBar("run", 10, 0.001) as show:
+        monkeypatch.setattr("sys.stderr.write", fails)
+        show(1)

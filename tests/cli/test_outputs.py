@@ -1,0 +1,324 @@
+"""Files of a run: none destroys an input or another, and what cannot be written is said in one line."""
+
+import os
+import resource
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from openmm_sier.cli import main, records
+from openmm_sier.measure import starts
+from tests.support.commands import SMALL, complaint, frames, write_lattice
+
+LIMIT = 120
+
+
+@pytest.fixture(scope="module")
+def lattice(tmp_path_factory):
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb").read_bytes()
+
+
+@pytest.fixture
+def box(tmp_path, monkeypatch, lattice):
+    """A PDB file of the test's own in the current directory."""
+    monkeypatch.chdir(tmp_path)
+    Path("box.pdb").write_bytes(lattice)
+    return Path("box.pdb")
+
+
+@pytest.fixture
+def no_equilibration(monkeypatch):
+    """Fails where something that could be refused at once is not."""
+    monkeypatch.setattr(starts, "equilibrate", lambda *_: pytest.fail("the equilibration was begun"))
+
+
+# --- inputs are not destroyed ---
+
+
+def link(original, name):
+    Path(name).symlink_to(original)
+
+
+def hard_link(original, name):
+    os.link(original, name)
+
+
+@pytest.mark.parametrize(
+    ("make", "options"),
+    [
+        (None, ["--report", "box.pdb"]),
+        (None, ["--report", "../{here}/box.pdb"]),
+        (link, ["--out", "other.dcd"]),
+        (hard_link, ["--out", "other.dcd"]),
+        (hard_link, ["--bodies", "other.h5"]),
+        # The checkpoint, and what is written on the way to it and to HDF5 files.
+        (link, ["--out", "x.dcd", "other.chk"]),
+        (hard_link, ["--out", "x.dcd", "other.chk.tmp"]),
+        (hard_link, ["--out", "x.h5", "other.h5.dcd"]),
+        (link, ["--bodies", "x.h5", "unfinished-other.h5"]),
+    ],
+)
+def test_no_output_is_the_pdb_file(box, tmp_path, capsys, lattice, no_equilibration, make, options):
+    options = [option.format(here=tmp_path.name) for option in options]
+    if make:
+        name = options.pop() if len(options) == 3 else options[1]
+        make("box.pdb", name.replace("other", "x"))
+        options[1] = options[1].replace("other", "x")
+    message = complaint(capsys, "run", box, *SMALL, *options, "--overwrite")
+    assert "would destroy the input box.pdb" in message
+    assert box.read_bytes() == lattice
+
+
+def test_no_output_is_a_force_field(box, capsys, no_equilibration):
+    field = Path("mine.xml")
+    field.write_bytes((Path(starts.openmm.app.__file__).parent / "data" / "tip3p.xml").read_bytes())
+    before = field.read_bytes()
+    message = complaint(capsys, "run", box, "--forcefield", "mine.xml", "--report", "mine.xml", "--overwrite")
+    assert "the log mine.xml would destroy the input mine.xml" in message
+    # One that lies beside the PDB file and is looked for there.
+    Path("there").mkdir()
+    moved = field.rename("there/mine.xml")
+    box = box.rename("there/box.pdb")
+    options = ["--forcefield", "mine.xml", "--report", "there/mine.xml", "--overwrite"]
+    assert "would destroy the input there/mine.xml" in complaint(capsys, "run", box, *options)
+    assert moved.read_bytes() == before
+
+
+def test_no_output_is_the_checkpoint_that_a_run_starts_from(box, capsys):
+    assert main.main(["run", str(box), *SMALL, "--steps", "5"]) == 0
+    before = Path("box.chk").read_bytes()
+    message = complaint(capsys, "run", box, *SMALL, "--start", "box.chk", "--overwrite")
+    assert "the checkpoint box.chk would destroy the input box.chk" in message
+    assert Path("box.chk").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--report", "x.dcd"],
+        ["--report", "x.chk"],
+        ["--report", "x.chk.tmp"],
+        ["--report", "linked.csv"],
+        ["--out", "x.h5", "--bodies", "x.h5"],
+        ["--out", "x.h5", "--report", "x.h5.dcd"],
+        ["--bodies", "y.h5", "--report", "y.h5.frames"],
+    ],
+)
+def test_no_output_is_another_one(box, capsys, no_equilibration, options):
+    # A link to nothing yet.
+    Path("linked.csv").symlink_to("x.dcd")
+    command = ["run", box, *SMALL, "--out", "x.dcd", *options, "--overwrite"]
+    assert "outputs must be different files" in complaint(capsys, *command)
+
+
+# --- what cannot be written is found at once ---
+
+
+def test_paths_that_are_refused(box, capsys, no_equilibration):
+    Path("there.dcd").mkdir()
+    Path("full.csv").write_text("mine\n")
+    for options, expected in (
+        (["--out", "."], "--out . is a directory, expected the name of a file"),
+        (["--out", ".."], "--out .. is a directory"),
+        (["--out", "there.dcd"], "--out there.dcd is a directory"),
+        (["--report", "there.dcd"], "--report there.dcd is a directory"),
+        (["--bodies", "."], "--bodies . is a directory"),
+        (["--bodies", "states.dcd"], "a file that ends in .h5, got states.dcd"),
+        (["--bodies-every", "1"], "--bodies-every needs --bodies"),
+        # A root who overwrites it would lose the device.
+        (["--report", "/dev/null", "--overwrite"], "/dev/null is no regular file"),
+        (["--out", "none/a.dcd"], "there is no directory none"),
+        (["--out", "/proc/a.dcd"], "/proc/a.chk cannot be written: No such file or directory in /proc"),
+        (["--report", "full.csv"], "full.csv exists"),
+        (["--platform", "Abacus"], "there is no registered Platform Abacus, expected one of Reference"),
+    ):
+        message = complaint(capsys, "run", box, *options)
+        assert expected in message
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+    assert sorted(path.name for path in Path().iterdir()) == ["box.pdb", "full.csv", "there.dcd"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_directory_without_permission(box, capsys, no_equilibration):
+    Path("closed").mkdir(mode=0o555)
+    assert "cannot be written: Permission denied" in complaint(capsys, "run", box, "--out", "closed/a.dcd")
+
+
+def test_files_that_are_missing_at_a_restart(box, capsys):
+    pytest.importorskip("h5py")
+    assert main.main(["run", str(box), *SMALL, "--steps", "10", "--bodies", "states.h5"]) == 0
+    capsys.readouterr()
+    again = ["run", box, "--platform", "Reference", "--steps", "20", "--restart", "box.chk"]
+    for name in ("box.dcd", "box.csv", "states.h5"):
+        content = Path(name).read_bytes()
+        Path(name).unlink()
+        missing = "states.h5.frames" if name == "states.h5" else name
+        assert f"{missing} is missing" in complaint(capsys, *again)
+        Path(name).write_bytes(content)
+    assert main.main([str(argument) for argument in again]) == 0
+
+
+def run_process(command, **options):
+    """Exit code, standard output and standard error of a shell command, in which $RUN is our command."""
+    environment = {**os.environ, "RUN": f"{sys.executable} -m openmm_sier.cli"}
+    done = subprocess.run(
+        ["sh", "-c", command], env=environment, capture_output=True, text=True, timeout=LIMIT, check=False, **options
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_closed_standard_output(box):
+    """Without standard input too, whose number the first file would get otherwise."""
+    code, _, err = run_process("$RUN run box.pdb >&- <&-")
+    assert (code, err) == (1, "openmm-sier: standard output is closed; send it to a file, or to /dev/null\n")
+    assert [path.name for path in Path().iterdir()] == ["box.pdb"]
+
+
+def test_closed_standard_error(box):
+    """Nothing can be said there; no file of the run becomes number 2, into which other code would write."""
+    code, out, _ = run_process(f"$RUN run box.pdb {' '.join(SMALL)} --steps 10 2>&-")
+    assert code == 0
+    assert "wrote box.chk, box.dcd, box.csv" in out
+    assert frames(Path("box.dcd"), box).n_frames == 2
+
+
+def test_standard_output_on_a_full_disk(box):
+    code, _, err = run_process("$RUN run box.pdb > /dev/full")
+    assert (code, err) == (1, "openmm-sier: standard output: No space left on device\n")
+    assert [path.name for path in Path().iterdir()] == ["box.pdb"]
+
+
+def test_reader_of_standard_output_that_has_gone(box):
+    code, _, err = run_process("{ sleep 1; $RUN info box.pdb; echo $? >code; } | :")
+    assert (code, err, Path("code").read_text()) == (0, "", "1\n")
+
+
+# --- disks that become full ---
+
+
+@pytest.fixture
+def file_size_limit():
+    """A function that limits the bytes of any file that this process writes, as a quota does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("name", ["box.dcd", "states.h5.frames"])
+def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
+    """The run ends with the file's name, keeps its last checkpoint, and goes on when there is room."""
+    h5py = pytest.importorskip("h5py")
+    # One of them is written at every step, the other and the log at every hundredth.
+    often, rare = ("--every", "--bodies-every") if name == "box.dcd" else ("--bodies-every", "--every")
+    options = ["--platform", "Reference", "--equilibrate", "0", "--checkpoint-every", "0.02", "--bodies", "states.h5"]
+    options += [often, "0.004", rare, "0.4", "--report-every", "0.4"]
+    assert main.main(["run", str(box), *options, "--steps", "1", "--out", "first.dcd", "--bodies", "first.h5"]) == 0
+    # Checkpoints fit, which differ a little in size.
+    room = round(1.3 * Path("first.chk").stat().st_size)
+    capsys.readouterr()
+    file_size_limit(room)
+    message = complaint(capsys, "run", box, *options, "--steps", "400")
+    file_size_limit(resource.RLIM_INFINITY)
+    assert message.startswith(f"openmm-sier: {name}: File too large, at step ")
+    assert "The last good checkpoint is box.chk" in message
+    notes = records.read_checkpoint(Path("box.chk"))[1]
+    assert f"of step {notes['step']};" in message
+    assert not list(Path().glob("*.tmp"))
+    # No half of a frame is left: of 12 numbers and 13 a molecule, or of a box and three times 81 numbers with marks.
+    size = Path(name).stat().st_size
+    assert (size - 276) % (56 + 3 * (81 * 4 + 8)) == 0 if name == "box.dcd" else size % (8 * (12 + 27 * 13)) == 0
+    more = notes["step"] + 5
+    assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", str(more)]) == 0
+    if name == "box.dcd":
+        assert frames(Path(name), box).n_frames == more
+    else:
+        with h5py.File("states.h5") as file:
+            np.testing.assert_array_equal(file["step"], np.arange(1, more + 1))
+
+
+def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
+    assert main.main(["run", str(box), *SMALL, "--steps", "20"]) == 0
+    before = Path("box.chk").read_bytes()
+    capsys.readouterr()
+    file_size_limit(len(before) - 1000)
+    message = complaint(capsys, "run", box, "--platform", "Reference", "--restart", "box.chk", "--steps", "40")
+    file_size_limit(resource.RLIM_INFINITY)
+    assert message.startswith("openmm-sier: box.chk: File too large, at step 25")
+    assert "is box.chk, of step 20; --restart goes on from it" in message
+    assert Path("box.chk").read_bytes() == before
+    assert not Path("box.chk.tmp").exists()
+    assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", "40"]) == 0
+    assert frames(Path("box.dcd"), box).n_frames == 8
+
+
+def test_record_that_a_full_disk_takes_a_part_of(tmp_path):
+    """The system writes what fits and says so by a number; only the next attempt is an error."""
+
+    class Disk:
+        room = 10
+
+        def __init__(self, file):
+            self.file = file
+
+        def write(self, record):
+            if not self.room:
+                raise OSError(28, "No space left on device")
+            written = self.file.write(record[: self.room])
+            self.room -= written
+            return written
+
+        def __getattr__(self, name):
+            return getattr(self.file, name)
+
+    growing = records.GrowingFile(tmp_path / "growing")
+    growing._file = Disk(growing._file)
+    growing.append(b"123456")
+    with pytest.raises(OSError, match=r"No space left on device: '.*growing'"):
+        growing.append(b"abcdef")
+    assert (growing.size, growing.count) == (6, 1)
+    growing._file.room = 100
+    growing.append(b"ABCDEF")
+    assert growing.path.read_bytes() == b"123456ABCDEF"
+
+
+def test_interrupted_writes_are_completed(tmp_path):
+    """A part that is taken without an error, as a signal makes of a write to some file systems."""
+
+    class Slow:
+        def __init__(self, file):
+            self.file = file
+
+        def write(self, record):
+            return self.file.write(record[:2])
+
+    growing = records.GrowingFile(tmp_path / "growing")
+    growing._file = Slow(growing._file)
+    growing.append(b"12345")
+    assert growing.path.read_bytes() == b"12345"
+
+
+@pytest.mark.parametrize("option", ["--out", "--bodies"])
+def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, option):
+    pytest.importorskip("h5py")
+
+    def full(self, path):
+        path.write_bytes(b"half")
+        raise RuntimeError("HDF5 error back trace\n ... No space left on device")
+
+    kind = "HDF5Trajectory" if option == "--out" else "BodyStates"
+    module = records if option == "--out" else __import__("openmm_sier.cli.body_states", fromlist=["BodyStates"])
+    with monkeypatch.context() as patch:
+        patch.setattr(getattr(module, kind), "_write_frames", full)
+        message = complaint(capsys, "run", box, *SMALL, "--steps", "10", option, "made.h5")
+    frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
+    assert "made.h5 could not be written" in message
+    assert f"No space left on device. Its frames are kept in {frames_in}" in message
+    assert not Path("unfinished-made.h5").exists()
+    checkpoint = "made.chk" if option == "--out" else "box.chk"
+    assert main.main(["run", str(box), "--platform", "Reference", "--restart", checkpoint]) == 0
+    assert Path("made.h5").exists()
+    assert not Path(frames_in).exists()

@@ -1,0 +1,228 @@
+"""Runs whose energy or temperature runs away end with a code of their own and keep the last good checkpoint."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier.cli import main, records, runaway
+from openmm_sier.cli.plan import Options, new_plan
+from openmm_sier.cli.runaway import Guard, Runaway
+from openmm_sier.context import conservation
+from openmm_sier.context.temperature import DegreesOfFreedom
+from openmm_sier.measure import starts
+from tests.support.commands import SMALL, complaint, frames, log, write_lattice
+
+#: kJ/mol, of the made-up runs: K of 500 waters at 297 K is 3700.
+KINETIC = 3700.0
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
+
+
+@pytest.fixture(autouse=True)
+def directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def plan(ensemble="nve", **options):
+    return new_plan(Options(Path("box.pdb"), ensemble=ensemble, **options))
+
+
+#: Of 500 waters, where momentum is not conserved.
+WATERS = DegreesOfFreedom(1500, 1500)
+
+
+def row(time, energy, kinetic=KINETIC, T=297.0):
+    names = (
+        "Time (ps)",
+        "Conserved Energy (kJ/mole)",
+        "Kinetic Energy (kJ/mole)",
+        "Translational Temperature (K)",
+        "Rotational Temperature (K)",
+    )
+    return dict(zip(names, (time, energy, kinetic, T, T), strict=True))
+
+
+def follow(guard, energies, interval=0.04):
+    """The time in ps at which a guard stops a run, None if it does not."""
+    for i, energy in enumerate(energies):
+        try:
+            guard.look(row(i * interval, energy))
+        except Runaway:
+            return i * interval
+    return None
+
+
+# --- the bounds ---
+
+
+def test_sane_runs_go_on():
+    rng = np.random.default_rng(1)
+    # SIER2 at 8 fs: rms(H) of 20 kJ/mol, and H drifts by 1.6 % of K in a ps for a while.
+    noisy = rng.normal(0, 20, 1000) + np.minimum(60 * 0.04 * np.arange(1000), 300)
+    assert follow(Guard(plan(), WATERS), noisy) is None
+    # With a heat bath 0.44 % of K in a ps, for ever: after 100 ns the sum is 400 times K.
+    assert follow(Guard(plan("nvt"), WATERS), 16.0 * np.arange(100_000), interval=1.0) is None
+
+
+def test_fast_change_stops_with_any_ensemble():
+    for ensemble in ("nve", "nvt", "npt"):
+        # 10 % of K in a ps is the bound, for rows of whatever distance; 12 % a ps comes to it after 0.833 ps.
+        for interval, expected in ((0.04, 0.84), (0.5, 1.0), (5.0, 5.0)):
+            energies = -0.12 * KINETIC * interval * np.arange(100)
+            assert follow(Guard(plan(ensemble), WATERS), energies, interval) == pytest.approx(expected)
+    # 8 % a ps goes on, with a heat bath for ever, and at constant energy until half of K is passed.
+    for ensemble, interval, stopped in (("nve", 0.04, None), ("nvt", 0.04, None), ("npt", 5.0, None), ("nve", 5.0, 10)):
+        energies = 0.08 * KINETIC * interval * np.arange(100)
+        assert follow(Guard(plan(ensemble), WATERS), energies, interval) == stopped
+
+
+def test_slow_change_stops_at_constant_energy_when_half_of_the_kinetic_energy_is_passed():
+    slow = 0.05 * KINETIC * np.arange(50)
+    assert follow(Guard(plan(), WATERS), slow, interval=1.0) == 11
+    assert follow(Guard(plan("nvt"), WATERS), slow, interval=1.0) is None
+    # What was gained before a restart counts.
+    assert follow(Guard(plan(), WATERS, start=-0.3 * KINETIC), slow, interval=1.0) == 5
+
+
+def test_temperatures_that_stop():
+    guard = Guard(plan(), WATERS)
+    guard.look(row(0, 0, T=2900))
+    for T in (3100, math.inf):
+        with pytest.raises(Runaway, match=r"T_trans is .* K, above 3000 K"):
+            guard.look(row(0, 0, T=T))
+    with pytest.raises(Runaway, match="not finite"):
+        guard.look(row(0, math.nan))
+    # Nothing that turns has no temperature.
+    Guard(plan(), WATERS).look_at_temperatures(297, math.nan)
+
+
+def test_few_degrees_of_freedom_may_be_hot_by_chance():
+    """Of 3 degrees of freedom at 297 K, 10^7 samples; the bound's own claim is a chance of e^-50."""
+    guard = Guard(plan(), DegreesOfFreedom(3, 0))
+    hottest = 297 * np.random.default_rng(2).chisquare(3, 10**7).max() / 3
+    assert hottest > 3000
+    guard.look_at_temperatures(hottest, math.nan)
+    with pytest.raises(Runaway):
+        guard.look_at_temperatures(13_000, math.nan)
+
+
+def test_start_at_rest_may_warm_up():
+    """From 0 K the potential energy of a lattice becomes heat, and H is constant to the noise of single precision."""
+    guard = Guard(plan(temperature=0.0), WATERS)
+    for i in range(100):
+        guard.look(row(0.04 * i, -20_000 + 0.005 * (-1) ** i, kinetic=20.0 * i, T=6.0 * i))
+
+
+# --- runs ---
+
+
+def test_long_step_ends_with_its_code_and_a_good_checkpoint(box, capsys):
+    long = ["run", box, *SMALL, "--scheme", "sier2", "--dt", "20", "--time", "20", "--checkpoint-every", "0.02"]
+    message = complaint(capsys, *long, code=runaway.EXIT_CODE)
+    assert "ran away at step" in message
+    assert "the step of 20 fs is too long for SIER2, for which 2 fs is usual: --dt 2." in message
+    rows, (_, notes) = log("box.csv"), records.read_checkpoint(Path("box.chk"))
+    assert f"The last good checkpoint is box.chk, of step {notes['step']}; --start begins a new run" in message
+    # Nothing that is out of bounds has got to a file.
+    H = rows["Conserved Energy (kJ/mole)"]
+    assert np.abs(H - H[0]).max() < runaway.LARGEST * rows["Kinetic Energy (kJ/mole)"].max()
+    assert rows["Temperature (K)"].max() < runaway.HOTTEST
+    assert notes["step"] in (rows["Step"][-1], rows["Step"][-1] + 1)
+    # The way on that the message names.
+    again = ["run", str(box), "--start", "box.chk", "--out", "again.dcd", "--scheme", "sier2", "--dt", "2"]
+    assert main.main([*again, "--steps", "20", "--platform", "Reference"]) == 0
+
+
+@pytest.mark.parametrize("column", ["Conserved Energy (kJ/mole)", "Translational Temperature (K)"])
+def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatch, column):
+    """Frames at every 5th step, rows at every 10th and checkpoints at every 25th; 50 is a step for all of them."""
+    honest = conservation.row
+
+    def run_away(context):
+        values = dict(zip(conservation.COLUMNS, honest(context), strict=True))
+        values[column] += 1e4 * (context.getStepCount() >= 50)
+        return tuple(values.values())
+
+    monkeypatch.setattr(conservation, "row", run_away)
+    message = complaint(capsys, "run", box, *SMALL, "--time", "0.4", code=runaway.EXIT_CODE)
+    assert "of step 25" in message
+    assert "4 fs is not above the 4 fs that is usual for SIER4" in message
+    _, notes = records.read_checkpoint(Path("box.chk"))
+    assert notes["step"] == 25
+    assert log("box.csv")["Step"][-1] == 40
+    assert frames(Path("box.dcd"), box).n_frames == 9
+
+
+def test_hot_bodies_stop_between_rows(box, capsys):
+    """Where rows are far apart temperatures are looked at all the same; 100 fs end in a force that is not finite."""
+    long = ["run", box, *SMALL, "--dt", "100", "--steps", "100000", "--report-every", "1000", "--every", "1000"]
+    message = complaint(capsys, *long, "--checkpoint-every", "1000", code=runaway.EXIT_CODE)
+    assert "too long for SIER4" in message
+    assert records.read_checkpoint(Path("box.chk"))[1]["step"] == 0
+
+
+def test_equilibration_that_breaks_down(box, capsys, monkeypatch):
+    monkeypatch.setattr(starts, "STEP", 0.2)
+    message = complaint(capsys, "run", box, *SMALL, "--equilibrate", "200", code=runaway.EXIT_CODE)
+    assert "the equilibration broke down" in message
+    assert not list(Path().iterdir())
+
+
+def test_other_errors_of_openmm_are_no_runaway(box, capsys, monkeypatch):
+    def fails(*_):
+        raise openmm.OpenMMException("the device was lost")
+
+    monkeypatch.setattr("openmm_sier.context.integrator.SIERIntegrator.step", fails)
+    assert complaint(capsys, "run", box, *SMALL, "--equilibrate", "0") == "openmm-sier: the device was lost\n"
+
+
+# --- the warning in the table ---
+
+
+def fluctuating(rms, time=10.0, drift=0.0, walk=0.0, interval=0.04):
+    """A made-up log: V of rms 60 kJ/mol and H of some rms, drift in 1/ps, and random walk in 1/sqrt(ps)."""
+    rng = np.random.default_rng(3)
+    t = interval * np.arange(round(time / interval) + 1)
+    walked = np.sqrt(interval) * walk * np.cumsum(rng.normal(size=t.size))
+    H = rng.normal(0, rms, t.size) + drift * t + walked
+    return {
+        "Time (ps)": t,
+        "Conserved Energy (kJ/mole)": H,
+        "Potential Energy (kJ/mole)": rng.normal(-20000, 60, t.size),
+    }
+
+
+@pytest.mark.parametrize(
+    ("scheme", "log", "warns"),
+    [
+        # In percent of rms(V); a straight line and a mean take some of the 25 deviations in a window.
+        ("sier2", fluctuating(0.013 * 60), False),
+        ("sier2", fluctuating(0.04 * 60), True),
+        ("sier4g", fluctuating(0.0041 * 60), False),
+        ("sier4g", fluctuating(0.015 * 60), True),
+        # 0.005 kJ/mol/ps for 100 ns at 0.08 %: rms(H) is 144 kJ/mol, by drift alone.
+        ("sier4g", fluctuating(0.0008 * 60, time=4000, drift=0.125), False),
+        ("sier4g", fluctuating(0.0008 * 60, time=4000, drift=0.125, interval=10), False),
+        # SIER4G at 6 fs with a friction of 20/ps: 0.36 % after 3 ps.
+        ("sier4g", fluctuating(0.0008 * 60, time=1000, walk=0.3), False),
+        ("sier4g", fluctuating(1.0, time=0.2), False),
+    ],
+    ids=["SIER2", "SIER2 long", "SIER4G", "SIER4G long", "drift", "sparse drift", "bath", "few rows"],
+)
+def test_fluctuations_that_are_warned_about(scheme, log, warns):
+    assert (runaway.fluctuation_warning(plan(scheme=scheme, dt=2.0), log) is not None) == warns
+
+
+def test_table_warns_of_a_step_that_is_too_long(box, capsys):
+    options = ["run", str(box), *SMALL, "--scheme", "sier2", "--time", "0.4", "--overwrite"]
+    for dt, warns in (("2", False), ("8", True)):
+        assert main.main([*options, "--dt", dt]) == 0
+        out = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert ("WARNING" in out) == warns
+    assert "the step of 8 fs is too long for SIER2, for which 2 fs is usual" in out

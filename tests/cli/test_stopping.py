@@ -1,0 +1,219 @@
+"""Runs that signals end: the files are complete, the exit code is the signal's, and a restart goes on."""
+
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from openmm_sier.cli import main, outputs, records, run
+from tests.support.commands import SMALL, datasets, frames, log, wait_for, write_lattice
+
+#: Seconds after which a test fails rather than wait. A run of the command takes a few.
+LIMIT = 120
+
+#: The command with the handling of signals that a terminal gives it, whatever that of the tests is.
+COMMAND = """
+import signal, sys
+for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+    number = getattr(signal, name)
+    signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+from openmm_sier.cli import main, outputs, run, stopping
+{patch}
+sys.exit(main.main(sys.argv[1:]))
+"""
+
+#: Code of OpenMM's kind: it leaves Python to other threads, returns after minutes, and no signal cuts it short.
+BUSY = """
+def busy(*_, **__):
+    import hashlib
+    open("busy", "w").close()
+    hashlib.pbkdf2_hmac("sha512", b"a", b"b", 10**9)
+"""
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
+
+
+@pytest.fixture(autouse=True)
+def directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(params=["SIGINT", "SIGTERM", "SIGHUP"])
+def signum(request):
+    """A signal that does not end the tests where the command fails to handle it."""
+    number = getattr(signal, request.param)
+    before = signal.signal(number, lambda *_: pytest.fail(f"{request.param} was not handled"))
+    yield number
+    signal.signal(number, before)
+
+
+def started(box, *options, patch="", **streams):
+    command = [sys.executable, "-c", COMMAND.format(patch=patch), "run", str(box), *SMALL, *options]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **streams)
+
+
+def ended(process):
+    """Exit code and standard error of a process that is to end soon."""
+    try:
+        _, err = process.communicate(timeout=LIMIT)
+    finally:
+        process.kill()
+    return process.returncode, err
+
+
+def signal_after_rows(monkeypatch, number, rows):
+    """Sends a signal to this process when a run has written so many rows."""
+    write = records.Log.write
+
+    def write_and_signal(self, values):
+        write(self, values)
+        if self.count == rows:
+            os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(records.Log, "write", write_and_signal)
+
+
+def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsys):
+    options = ["run", str(box), *SMALL, "--bodies", "cut.h5"]
+    with monkeypatch.context() as patch:
+        signal_after_rows(patch, signum, 4)
+        assert main.main([*options, "--time", "0.4", "--out", "cut.dcd"]) == 128 + signum
+    name = signal.Signals(signum).name
+    # Rows come every 10 steps, the first at step 0. Checkpoints at 25 and 50 are not what is gone on from.
+    assert capsys.readouterr().err == (
+        f"openmm-sier: stopped by {name} at step 30 (0.12 ps), all files are written; go on with --restart cut.chk\n"
+    )
+    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == 30
+    assert frames(Path("cut.dcd"), box).n_frames == 6
+    assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.dcd", "cut.h5.frames"]
+    # The handlers are those of before.
+    assert signal.getsignal(signum).__module__ == __name__
+
+
+def test_run_that_was_stopped_goes_on_bit_for_bit(box, monkeypatch):
+    """Trajectory, log and body states of a run that SIGTERM ended, against those of one that was let alone."""
+    options = ["run", str(box), *SMALL, "--time", "0.2"]
+    assert main.main([*options, "--out", "whole.dcd", "--bodies", "whole.h5"]) == 0
+    previous = signal.signal(signal.SIGTERM, lambda *_: pytest.fail("SIGTERM was not handled"))
+    with monkeypatch.context() as patch:
+        signal_after_rows(patch, signal.SIGTERM, 3)
+        assert main.main([*options, "--out", "cut.dcd", "--bodies", "cut.h5"]) == 143
+    signal.signal(signal.SIGTERM, previous)
+    assert main.main([*options, "--restart", "cut.chk"]) == 0
+    assert Path("cut.csv").read_bytes() == Path("whole.csv").read_bytes()
+    np.testing.assert_array_equal(frames(Path("cut.dcd"), box).xyz, frames(Path("whole.dcd"), box).xyz)
+    ours, theirs = datasets("cut.h5"), datasets("whole.h5")
+    assert len(theirs["step"]) == 10
+    np.testing.assert_equal(ours, theirs)
+
+
+def test_ignored_signals_stay_ignored(box, monkeypatch):
+    """`nohup` and the background jobs of a script ask for it."""
+    for number in (signal.SIGHUP, signal.SIGINT):
+        previous = signal.signal(number, signal.SIG_IGN)
+        with monkeypatch.context() as patch:
+            signal_after_rows(patch, number, 2)
+            assert main.main(["run", str(box), *SMALL, "--steps", "25", "--overwrite"]) == 0
+        assert signal.getsignal(number) is signal.SIG_IGN
+        signal.signal(number, previous)
+
+
+def test_signal_before_the_first_step_ends_at_once(box, signum, monkeypatch, capsys):
+    def prepare(*_):
+        os.kill(os.getpid(), signum)
+        time.sleep(LIMIT)
+
+    monkeypatch.setattr(run, "prepare", prepare)
+    began = time.monotonic()
+    assert main.main(["run", str(box), *SMALL]) == 128 + signum
+    assert time.monotonic() - began < LIMIT / 2
+    name = signal.Signals(signum).name
+    assert capsys.readouterr().err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"
+    assert not list(Path().iterdir())
+
+
+def test_signal_in_a_minimization_that_takes_long(box):
+    """OpenMM returns to Python when it is done; the program does not wait for that."""
+    process = started(box, patch=f"{BUSY}\nrun.prepare, stopping.PATIENCE = busy, 0.1")
+    wait_for(Path("busy").exists, process)
+    process.send_signal(signal.SIGTERM)
+    code, err = ended(process)
+    assert code == 143
+    assert err == "openmm-sier: SIGTERM: stopped before the first step; nothing was written\n"
+    assert [path.name for path in Path().iterdir()] == ["busy"]
+
+
+def test_second_signal_ends_at_once(box):
+    process = started(box, "--time", "1000", patch=f"{BUSY}\noutputs.Outputs._write_frame = busy\nstopping.SAME = 0.2")
+    wait_for(Path("busy").exists, process)
+    process.send_signal(signal.SIGTERM)
+    time.sleep(0.5)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    code, err = ended(process)
+    assert code == 130
+    assert err == "openmm-sier: SIGINT: ended at once by a second signal; go on from the last checkpoint\n"
+
+
+def test_signal_that_is_sent_twice_at_once_is_one(box):
+    """`timeout` sends SIGTERM to the process and to its group; what follows a real one must be in order."""
+    process = started(box, "--time", "1000", "--out", "cut.dcd")
+    wait_for(lambda: Path("cut.csv").exists() and Path("cut.csv").read_text().count("\n") > 3, process)
+    for _ in range(2):
+        process.send_signal(signal.SIGTERM)
+        time.sleep(0.01)
+    code, err = ended(process)
+    assert code == 143
+    found = re.fullmatch(r"openmm-sier: stopped by SIGTERM at step (\d+) .*--restart cut\.chk\n", err)
+    assert found
+    step = int(found.group(1))
+    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == step
+    more = ["run", str(box), "--restart", "cut.chk", "--steps", str(step + 10), "--platform", "Reference"]
+    assert main.main(more) == 0
+    np.testing.assert_array_equal(log("cut.csv")["Step"], np.arange(0, step + 11, 10))
+
+
+def test_closed_terminal(box):
+    """Hanging up sends SIGHUP, and whatever is written to the terminal afterwards fails."""
+    child, terminal = pty.fork()
+    if child == 0:
+        code = COMMAND.format(patch="")
+        arguments = ["run", str(box), *SMALL, "--time", "1000", "--out", "cut.dcd"]
+        os.execv(sys.executable, [sys.executable, "-c", code, *arguments])
+    ended_at = time.monotonic() + LIMIT
+    while not (Path("cut.csv").exists() and Path("cut.csv").read_text().count("\n") > 3):
+        assert time.monotonic() < ended_at
+        os.read(terminal, 1000)
+    os.close(terminal)
+    while not (status := os.waitpid(child, os.WNOHANG))[0]:
+        assert time.monotonic() < ended_at, os.kill(child, signal.SIGKILL)
+        time.sleep(0.05)
+    assert os.waitstatus_to_exitcode(status[1]) == 129
+    # Nothing was written after this checkpoint.
+    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] >= log("cut.csv")["Step"][-1]
+
+
+def test_stopped_writing_of_a_frame_is_completed(box, monkeypatch):
+    """A signal that comes while a file is being written does not cut it."""
+    previous = signal.signal(signal.SIGTERM, lambda *_: pytest.fail("SIGTERM was not handled"))
+    write = outputs.Outputs._write_frame
+
+    def signalled_write(self, context):
+        os.kill(os.getpid(), signal.SIGTERM)
+        write(self, context)
+
+    monkeypatch.setattr(outputs.Outputs, "_write_frame", signalled_write)
+    assert main.main(["run", str(box), *SMALL, "--time", "0.4"]) == 143
+    signal.signal(signal.SIGTERM, previous)
+    assert frames(Path("box.dcd"), box).n_frames == 1
+    assert records.read_checkpoint(Path("box.chk"))[1]["step"] == 5

@@ -1,0 +1,246 @@
+"""Constant pressure: the distribution of the volume, what is moved, restarts, and what is refused."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator
+from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
+from tests.support.restarts import WAYS, assert_same, everything, simulation_of
+from tests.support.waters import cluster_system, context_at, periodic_system, platform, relaxed
+
+TEMPERATURE, PRESSURE = 300.0, 100 * BAR
+KT = GAS_CONSTANT * TEMPERATURE
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system()
+    return topology, system, relaxed(topology, positions, system)
+
+
+def integrator(pressure=1e3, interval=4, seed=3, **options):
+    made = SIERLangevinIntegrator(
+        297.0, 2.0, 0.001, scheme=SIER2, pressure=pressure, barostatInterval=interval, **options
+    )
+    made.setRandomNumberSeed(seed)
+    return made
+
+
+def nitrogen(n=60, edge=1.65):
+    """Rigid dumbbells with Lennard-Jones sites, on a lattice: System and positions."""
+    system, force = openmm.System(), openmm.NonbondedForce()
+    force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    force.setCutoffDistance(0.7)
+    force.setUseDispersionCorrection(False)
+    for i in range(n):
+        for _ in range(2):
+            system.addParticle(14.0067)
+            force.addParticle(0, 0.331, 0.308)
+        system.addConstraint(2 * i, 2 * i + 1, 0.11)
+        force.addException(2 * i, 2 * i + 1, 0, 0.3, 0)
+    system.addForce(force)
+    system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
+    lattice = np.argwhere(np.ones((4, 4, 4)))[:n] * (edge / 4)
+    return system, (lattice[:, None] + np.array([[0, 0, 0], [0.11, 0, 0]])).reshape(-1, 3)
+
+
+@pytest.mark.slow
+def test_volume_is_that_of_openmms_barostat():
+    """A dense fluid at 150 K and 800 bar, less than half as dense without its energy.
+
+    Blocks of 4000 steps have standard errors of some 1 % for either, so that 6 % are four times that of the difference.
+    """
+    system, positions = nitrogen()
+    ours = SIERLangevinIntegrator(150, 20, 0.004, scheme=SIER2, pressure=800, barostatInterval=2)
+    theirs = openmm.LangevinMiddleIntegrator(150, 20, 0.004)
+    with_theirs = openmm.XmlSerializer.clone(system)
+    barostat = openmm.MonteCarloBarostat(800, 150, 2)
+    with_theirs.addForce(barostat)
+    means = []
+    for made, its_system in ((ours, system), (theirs, with_theirs)):
+        made.setRandomNumberSeed(1)
+        barostat.setRandomNumberSeed(1)
+        context = context_at(its_system, made, (positions, 0 * positions))
+        context.setVelocitiesToTemperature(150, 1)
+        made.step(2000)
+        found = []
+        for _ in range(200):
+            made.step(20)
+            found.append(context.getState().getPeriodicBoxVolume()._value)
+        means.append(np.mean(found))
+    assert means[0] == pytest.approx(means[1], rel=0.06)
+
+
+# --- in a Context -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_energy_less_heat_is_conserved(box):
+    """Moves of the box and the bath change the energy by 24 kJ/mol; what second order leaves is 1.3.
+
+    The moves alone change it by 6.
+    """
+    _, system, point = box
+    made = integrator(interval=2)
+    context = context_at(system, made, point)
+    totals, heats, sizes = [], [], [context.getState().getPeriodicBoxVolume()._value]
+    for _ in range(60):
+        made.step(1)
+        state = context.getState(energy=True)
+        totals.append((state.getKineticEnergy() + state.getPotentialEnergy())._value)
+        heats.append(made.getHeat()._value)
+        sizes.append(state.getPeriodicBoxVolume()._value)
+    changed = np.flatnonzero(np.diff(sizes)) + 1
+    assert 5 < len(changed) < 30
+    assert not (changed % 2).any()
+    assert np.ptp(totals) > 20
+    assert np.ptp(np.array(totals) - heats) < 3.0
+    # Molecules stay as they are.
+    made.getBodyState()
+
+
+@pytest.mark.parametrize(("save", "load"), WAYS, ids=lambda value: getattr(value, "__name__", value))
+def test_restart_is_exact_at_any_step(tmp_path, box, save, load):
+    """Also between two moves, which OpenMM's barostats do not allow: they count for themselves alone."""
+    topology, system, point = box
+    whole = simulation_of(topology, system, integrator(), point=point)
+    volume = whole.context.getState().getPeriodicBoxVolume()
+    save(whole, tmp_path / "saved")
+    assert whole.context.getState().getPeriodicBoxVolume() != volume
+    continued = simulation_of(topology, system, integrator())
+    getattr(continued, load)(str(tmp_path / "saved"))
+    continued.step(15)
+    assert_same(everything(continued.context), everything(whole.context))
+
+
+def test_chunks_of_steps_do_not_matter(box):
+    _, system, point = box
+    ends = []
+    for chunks in ([24], [1] * 24, [5, 7, 12]):
+        made = integrator()
+        context = context_at(system, made, point)
+        for steps in chunks:
+            made.step(steps)
+        ends.append(everything(context))
+    assert_same(ends[0], ends[1])
+    assert_same(ends[0], ends[2])
+
+
+def test_without_friction_the_volume_still_moves(box):
+    _, system, point = box
+    made = SIERLangevinIntegrator(297.0, 0.0, 0.001, pressure=1e3, barostatInterval=1)
+    made.setRandomNumberSeed(1)
+    context = context_at(system, made, point)
+    found = set()
+    for _ in range(6):
+        made.step(1)
+        found.add(context.getState().getPeriodicBoxVolume()._value)
+    assert len(found) > 2
+
+
+@pytest.mark.parametrize("way", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))], ids=["deepcopy", "pickle"])
+def test_copies_and_settings(way):
+    made = integrator(pressure=200 * unit.atmosphere, interval=7)
+    made.setPressure(3)
+    assert made.getBarostatInterval() == 7
+    other = way(made)
+    assert other.getPressure().value_in_unit(unit.bar) == pytest.approx(3)
+    assert other.getBarostatInterval() == 7
+    plain = SIERLangevinIntegrator(297.0, 2.0, 0.001)
+    assert plain.getBarostatInterval() is None
+    assert way(plain).getPressure() is None
+    with pytest.raises(ValueError, match="create it with a pressure"):
+        plain.setPressure(1)
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("pressure", "interval", "message"),
+    [
+        (float("nan"), 25, "pressure must be finite"),
+        (1 * unit.kelvin, 25, "pressure must be in units like bar"),
+        ("high", 25, "pressure must be a quantity or a number in bar"),
+        (1, 0, "barostatInterval must be at least 1"),
+        (1, 2.5, "barostatInterval must be a whole number"),
+    ],
+)
+def test_impossible_settings(pressure, interval, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        SIERLangevinIntegrator(297.0, 2.0, 0.001, pressure=pressure, barostatInterval=interval)
+
+
+def with_barostat(system):
+    system.addForce(openmm.MonteCarloBarostat(1.0, 297.0))
+
+
+def with_fixed_particle(system):
+    system.addParticle(0.0)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.addParticle(0.0, 0.1, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (with_barostat, "so does a MonteCarloBarostat of the System"),
+        (with_fixed_particle, "particle 177 belongs to no"),
+    ],
+)
+def test_systems_that_are_refused(box, change, message):
+    system = openmm.XmlSerializer.clone(box[1])
+    change(system)
+    with pytest.raises(openmm.OpenMMException, match=message):
+        openmm.Context(system, integrator(), platform())
+
+
+def test_a_refused_reinitialization_leaves_no_bodies(box):
+    _, system, point = box
+    made = integrator()
+    context = context_at(openmm.XmlSerializer.clone(system), made, point)
+    made.step(1)
+    with_barostat(context.getSystem())
+    with pytest.raises(openmm.OpenMMException, match="one is enough"):
+        context.reinitialize(preserveState=True)
+    with pytest.raises(openmm.OpenMMException, match="not bound to a Context"):
+        made.step(1)
+
+
+def test_particles_left_out_cannot_follow_the_box(box):
+    _, system, _ = box
+    some = RigidBodies.from_system(system)
+    some = RigidBodies([some.species[0].of_atoms(some.species[0].atoms[1:])], some.n_particles)
+    with pytest.raises(openmm.OpenMMException, match="particle 0 belongs to no body"):
+        openmm.Context(system, integrator(bodies=some), platform())
+
+
+def test_a_box_too_small_for_the_cutoff(box):
+    _, system, point = box
+    made = integrator(pressure=1e6, interval=1)
+    context = context_at(system, made, point)
+    with pytest.raises(openmm.OpenMMException, match=r"could not try a box of 1\.\d+ x .* twice the nonbonded cutoff"):
+        made.step(500)
+    steps = context.getState().getStepCount()
+    assert steps > 0
+    # All is as the last completed step left it.
+    volume = context.getState().getPeriodicBoxVolume()._value
+    assert volume > (2 * 0.55) ** 3
+    again = integrator(pressure=1e6, interval=1)
+    other = context_at(system, again, point)
+    again.step(steps)
+    assert_same(everything(other), everything(context))
+
+
+def test_a_cluster_has_no_pressure():
+    _, _, system = cluster_system()
+    with pytest.raises(openmm.OpenMMException, match="periodic"):
+        openmm.Context(system, integrator(), platform())

@@ -1,0 +1,435 @@
+"""Rigid bodies found in the constraints of an OpenMM System, and the Systems that are refused."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from itertools import combinations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+from scipy.spatial.transform import Rotation
+
+from openmm_sier import SIER4G, RigidBodies, RigidityError, SIER2Integrator, SIERIntegrator
+from tests.support import methanols
+from tests.support.waters import cluster_system, context_at, energies, platform
+
+OH, HH = 0.09572, 0.15139
+WATER = ((15.999, 1.008, 1.008), {(0, 1): OH, (0, 2): OH, (1, 2): HH})
+
+
+def system_of(*molecules):
+    """A System of molecules (masses, {pair: constraint length}), with indices from the molecule's first particle."""
+    system = openmm.System()
+    for masses, constraints in molecules:
+        start = system.getNumParticles()
+        for mass in masses:
+            system.addParticle(mass)
+        for (a, b), length in constraints.items():
+            system.addConstraint(start + a, start + b, length)
+    return system
+
+
+def topology_of(*residues):
+    """A topology of residues (name, number of atoms), numbered from 1."""
+    topology = app.Topology()
+    chain = topology.addChain()
+    for number, (name, k) in enumerate(residues, 1):
+        residue = topology.addResidue(name, chain, str(number))
+        for i in range(k):
+            topology.addAtom(f"X{i}", app.element.hydrogen, residue)
+    return topology
+
+
+def lists(bodies):
+    """The atoms of every body."""
+    return [list(map(int, bodies.atoms_of(i))) for i in range(bodies.n)]
+
+
+def lengths_in(species):
+    """Distances between all sites of a species."""
+    sites = species.sites.T
+    return np.linalg.norm(sites[:, None] - sites[None], axis=2)
+
+
+# --- what is found ----------------------------------------------------------------------------------------------------
+
+
+def test_water_takes_its_geometry_from_the_constraints():
+    bodies = RigidBodies.from_system(system_of(WATER, WATER))
+    assert lists(bodies) == [[0, 1, 2], [3, 4, 5]]
+    (species,) = bodies.species
+    found = lengths_in(species)
+    assert found[0, 1] == pytest.approx(OH, abs=1e-15)
+    assert found[0, 2] == pytest.approx(OH, abs=1e-15)
+    assert found[1, 2] == pytest.approx(HH, abs=1e-15)
+    assert np.allclose(bodies.masses, 18.015)
+    # About the symmetry axis only the hydrogens turn, at half their distance.
+    assert np.isclose(species.moments, 2 * 1.008 * (HH / 2) ** 2, rtol=1e-14).any()
+    assert species.moments[0] + species.moments[1] == pytest.approx(species.moments[2], rel=1e-14)
+    assert bodies.dof == 12
+
+
+@pytest.mark.parametrize(
+    ("field", "model", "sites"), [("tip3p.xml", "tip3p", 3), ("tip4pew.xml", "tip4pew", 4), ("tip5p.xml", "tip5p", 5)]
+)
+def test_water_models_of_openmm(field, model, sites):
+    """Virtual sites belong to no body; all molecules are of one species whose moments are those of the atoms."""
+    forcefield = app.ForceField(field)
+    modeller = app.Modeller(app.Topology(), [] * unit.nanometer)
+    modeller.addSolvent(forcefield, model=model, numAdded=8)
+    system = forcefield.createSystem(modeller.topology)
+    bodies = RigidBodies.from_system(system, modeller.topology)
+    n = modeller.topology.getNumResidues()
+    assert n == 8
+    assert lists(bodies) == [[sites * i, sites * i + 1, sites * i + 2] for i in range(n)]
+    assert len(bodies.species) == 1
+    assert bodies.n_particles == sites * n
+    assert bodies.dof == 6 * n
+
+    x = np.array(modeller.positions.value_in_unit(unit.nanometer))
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
+    context.setPositions(modeller.positions)
+    context.applyConstraints(1e-10)
+    x = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    q, A = bodies.fit(x)
+    # SETTLE works with lengths rounded to single precision, some 1e-9 nm.
+    massive = np.concatenate([s.atoms.ravel() for s in bodies.species])
+    assert np.abs(bodies.place(q, A, x.copy()) - x)[massive].max() < 1e-8
+
+
+def test_two_atoms_are_a_line():
+    bodies = RigidBodies.from_system(system_of(((14.0, 16.0), {(0, 1): 0.115})))
+    (species,) = bodies.species
+    reduced = 14.0 * 16.0 / 30.0
+    assert species.moments[0] == 0
+    assert species.moments[1:] == pytest.approx([reduced * 0.115**2] * 2, rel=1e-14)
+    assert bodies.dof == 5
+
+
+def test_three_atoms_in_a_row_are_a_line():
+    bodies = RigidBodies.from_system(system_of(((16.0, 12.0, 16.0), {(0, 1): 0.116, (1, 2): 0.116, (0, 2): 0.232})))
+    (species,) = bodies.species
+    assert species.moments[0] == 0
+    assert species.moments[1:] == pytest.approx([2 * 16.0 * 0.116**2] * 2, rel=1e-12)
+    assert bodies.dof == 5
+
+
+def test_particles_in_a_row_to_the_digits_of_a_force_field():
+    """Lengths rounded to 1e-6 nm that can be no triangle are a line."""
+    bodies = RigidBodies.from_system(
+        system_of(((16.0, 12.0, 16.0), {(0, 1): 0.115997, (1, 2): 0.115997, (0, 2): 0.231995}))
+    )
+    assert bodies.dof == 5
+
+
+def test_ions_unconstrained_atoms_and_fixed_particles():
+    """Atoms of no constraint are points; a massless particle is of no body."""
+    ion, fixed, free = ((22.99,), {}), ((0.0,), {}), ((12.0, 1.0), {})
+    bodies = RigidBodies.from_system(system_of(ion, WATER, fixed, free, WATER, ion))
+    assert sorted(lists(bodies)) == [[0], [1, 2, 3], [5], [6], [7, 8, 9], [10]]
+    assert len(bodies.species) == 4
+    assert bodies.dof == 2 * 6 + 4 * 3
+    assert bodies.n_particles == 11
+    assert all(not species.moments.any() for species in bodies.species if len(species.masses) == 1)
+
+
+def test_virtual_sites_outside_bodies():
+    system = system_of(((12.0, 1.0, 0.0), {}))
+    system.setVirtualSite(2, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
+    assert sorted(lists(RigidBodies.from_system(system))) == [[0], [1]]
+
+
+def test_molecules_of_other_masses_or_lengths_are_other_species():
+    heavy = ((15.999, 2.014, 2.014), WATER[1])
+    wide = (WATER[0], {**WATER[1], (1, 2): 0.16})
+    bodies = RigidBodies.from_system(system_of(WATER, heavy, wide, WATER))
+    assert sorted(len(species.atoms) for species in bodies.species) == [1, 1, 2]
+
+
+def test_order_of_atoms_and_constraints_does_not_matter():
+    """Hydrogens first, pairs in either direction, molecules interleaved."""
+    system = openmm.System()
+    for mass in (1.008, 1.008, 1.008, 15.999, 15.999, 1.008):
+        system.addParticle(mass)
+    for a, b, length in ((3, 0, OH), (2, 0, HH), (2, 3, OH), (1, 4, OH), (5, 4, OH), (5, 1, HH)):
+        system.addConstraint(a, b, length)
+    bodies = RigidBodies.from_system(system)
+    assert sorted(lists(bodies)) == [[0, 2, 3], [1, 4, 5]]
+    reference = RigidBodies.from_system(system_of(WATER)).species[0].moments
+    for species in bodies.species:
+        assert np.allclose(species.moments, reference, rtol=1e-13)
+
+
+def test_a_larger_rigid_molecule(rng):
+    """Twelve atoms held by all of their 66 distances."""
+    x = rng.normal(scale=0.2, size=(12, 3))
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2)
+    pairs = {(i, j): apart[i, j] for i in range(12) for j in range(i)}
+    system = system_of((rng.uniform(1, 30, 12), pairs))
+    bodies = RigidBodies.from_system(system, positions=x)
+    q, A = bodies.fit(x)
+    assert np.abs(bodies.place(q, A, np.zeros((12, 3))) - x).max() < 1e-13
+
+
+def test_either_hand_of_a_molecule(rng):
+    """Distances do not tell a molecule from its mirror image, positions do."""
+    x = rng.normal(scale=0.1, size=(4, 3))
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2)
+    molecule = ((12.0, 1.0, 35.0, 80.0), {(i, j): apart[i, j] for i in range(4) for j in range(i)})
+    system = system_of(molecule, molecule, molecule)
+    both = np.concatenate([x, x * [1, 1, -1] + 1, x - 1])
+    bodies = RigidBodies.from_system(system, positions=both * unit.nanometer)
+    q, A = bodies.fit(both)
+    assert np.linalg.det(A.transpose(2, 0, 1)) == pytest.approx(1)
+    assert np.abs(bodies.place(q, A, np.zeros((12, 3))) - both).max() < 1e-13
+    with pytest.raises(RigidityError, match="give positions"):
+        RigidBodies.from_system(system)
+
+
+def test_an_empty_system():
+    assert RigidBodies.from_system(openmm.System()).n == 0
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def test_constrained_but_not_rigid():
+    """As with constraints=HBonds: hydrogens on one heavy atom."""
+    methyl = ((12.011, 1.008, 1.008, 1.008), {(0, 1): 0.109, (0, 2): 0.109, (0, 3): 0.109})
+    with pytest.raises(RigidityError) as error:
+        RigidBodies.from_system(system_of(WATER, methyl), topology_of(("HOH", 3), ("CH3", 4)))
+    message = str(error.value)
+    assert message.startswith("residue CH3 2 (atoms 3, 4, 5, 6) is constrained but not rigid")
+    assert "3 of its 6 distances are free, the first between atoms 4 and 5" in message
+    assert "rigidWater=True and constraints=None" in message
+
+
+def test_a_constraint_between_two_molecules():
+    system = system_of(WATER, WATER)
+    system.addConstraint(0, 3, 0.3)
+    with pytest.raises(RigidityError) as error:
+        RigidBodies.from_system(system, topology_of(("HOH", 3), ("HOH", 3)))
+    message = str(error.value)
+    assert message.startswith("residue HOH 1 and HOH 2 (atoms 0, 1, 2, 3, 4, 5) is constrained but not rigid")
+    assert "8 of its 15 distances are free" in message
+    assert "none to other atoms" in message
+
+
+def test_a_massless_particle_that_is_constrained():
+    with pytest.raises(RigidityError, match=r"atoms 0, 1, 2.*: atom 1 is constrained but has no mass.*virtual site"):
+        RigidBodies.from_system(system_of(((15.999, 0.0, 1.008), WATER[1])))
+
+
+def test_contradictory_lengths():
+    impossible = (WATER[0], {(0, 1): 0.1, (0, 2): 0.1, (1, 2): 0.25})
+    with pytest.raises(RigidityError) as error:
+        RigidBodies.from_system(system_of(WATER, impossible), topology_of(("HOH", 3), ("BAD", 3)))
+    message = str(error.value)
+    assert "the constraints of residue BAD 2 (atoms 3, 4, 5) contradict each other" in message
+    assert "0.1000, 0.1000, 0.2500 nm" in message
+    assert "misses by" in message
+
+
+def test_lengths_that_need_a_fourth_dimension():
+    """Six distances of which every triangle closes and the tetrahedron does not."""
+    pairs = {(0, 1): 0.1, (0, 2): 0.1, (1, 2): 0.1, (0, 3): 0.055, (1, 3): 0.055, (2, 3): 0.055}
+    with pytest.raises(RigidityError, match="contradict each other"):
+        RigidBodies.from_system(system_of((4 * (12.0,), pairs)))
+
+
+def test_without_a_topology_atoms_are_named():
+    with pytest.raises(RigidityError, match="atoms 3, 4, 5, 6"):
+        RigidBodies.from_system(system_of(WATER, (4 * (1.0,), {(0, 1): 0.1, (1, 2): 0.1, (2, 3): 0.1})))
+
+
+def test_a_topology_of_another_system():
+    with pytest.raises(ValueError, match="the topology has 4 atoms, the System 3 particles"):
+        RigidBodies.from_system(system_of(WATER), topology_of(("HOH", 4)))
+
+
+def test_contradictions_between_repeated_constraints():
+    """The same pair constrained twice, to other lengths."""
+    system = system_of(WATER)
+    system.addConstraint(1, 0, OH + 0.01)
+    with pytest.raises(RigidityError, match="atoms 0 and 1"):
+        RigidBodies.from_system(system)
+
+
+# --- one geometry for each kind ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("constrained", [True, False], ids=["constrained", "named"])
+def test_molecules_of_a_pdb_file_are_of_one_species(constrained):
+    """Rounded coordinates give 124 sets of constraint lengths; their mean is that of no rounding."""
+    positions, topology = methanols.positions_of(125), methanols.topology_of(125)
+    pairs = list(combinations(range(6), 2)) if constrained else []
+    system = methanols.system_of(125, pairs, positions)
+    rigid = None if constrained else {"MOH": "rigid"}
+    with pytest.warns(UserWarning, match="share one geometry") as said:
+        bodies = RigidBodies.from_system(system, topology, rigid, positions)
+    assert len(said) == 1
+    assert said[0].filename == __file__
+    message = str(said[0].message)
+    assert message.startswith("125 bodies like residue MOH 1 (atoms 0, 1, 2, 3, 4, 5) share one geometry")
+    deviation = float(re.search(r"differ by up to (\S+) nm", message)[1])
+    # Each coordinate is off by up to half a digit.
+    assert 0.5 * methanols.DIGIT < deviation < np.sqrt(3) * methanols.DIGIT
+    (species,) = bodies.species
+    exact = np.linalg.norm(methanols.GEOMETRY[:, None] - methanols.GEOMETRY[None], axis=2)
+    # Rounding has a standard deviation of DIGIT/sqrt(12) a coordinate, so a mean of 125 lengths one of 4e-6 nm.
+    assert np.abs(lengths_in(species) - exact).max() < 2e-5
+    _, _, misfit = bodies.fit_with_misfit(positions)
+    assert misfit.max() < np.sqrt(3) * methanols.DIGIT
+
+
+def test_equal_molecules_share_a_geometry_in_silence():
+    """Rounding of lengths that are computed from double precision, and lengths that are the same."""
+    positions = methanols.positions_of(8, digit=None)
+    system = methanols.system_of(8, list(combinations(range(6), 2)), positions)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(RigidBodies.from_system(system, positions=positions).species) == 1
+        assert len(RigidBodies.from_system(system_of(WATER, WATER)).species) == 1
+        named = RigidBodies.from_system(methanols.system_of(8), rigid=np.arange(48).reshape(8, 6), positions=positions)
+    assert len(named.species) == 1
+
+
+def test_constraint_lengths_of_two_types_are_two_species():
+    """Force fields tell bonds apart by 1e-3 nm, which no rounding in a PDB file does."""
+    pairs = [((12.0, 1.0), {(0, 1): length}) for length in (0.109, 0.108, 0.1091, 0.109)]
+    with pytest.warns(UserWarning, match="3 bodies like the body of atoms 0, 1 share") as said:
+        bodies = RigidBodies.from_system(system_of(*pairs))
+    assert "7e-05 nm (the body of atoms 4, 5)" in str(said[0].message)
+    assert sorted(len(species.atoms) for species in bodies.species) == [1, 3]
+    (three,) = [species for species in bodies.species if len(species.atoms) == 3]
+    assert lengths_in(three)[0, 1] == pytest.approx((2 * 0.109 + 0.1091) / 3, abs=1e-15)
+
+
+def test_conformations_are_species_of_their_own(rng):
+    """A hydroxyl group turned by 20 degrees makes another body, whatever the order of the molecules."""
+    axis = methanols.GEOMETRY[4]
+    turned = methanols.GEOMETRY.copy()
+    turned[5] = axis + Rotation.from_rotvec([np.radians(20), 0, 0]).apply(turned[5] - axis)
+    kinds = rng.integers(0, 2, 30)
+    parts = [methanols.positions_of(1, turned if kind else methanols.GEOMETRY, seed) for seed, kind in enumerate(kinds)]
+    positions = np.concatenate([x + np.array([0.5 * i, 0, 0]) for i, x in enumerate(parts)])
+    with pytest.warns(UserWarning, match="share one geometry"):
+        bodies = RigidBodies.from_system(
+            methanols.system_of(30), rigid=np.arange(180).reshape(30, 6), positions=positions
+        )
+    found = {tuple(sorted(species.atoms[:, 0] // 6)) for species in bodies.species}
+    assert found == {tuple(np.flatnonzero(kinds == kind)) for kind in (0, 1)}
+
+
+def test_the_shared_geometry_is_the_mean_and_not_the_first(rng):
+    """Atoms that scatter by 0.003 nm: the mean of 50 is sqrt(50) times nearer to the truth than any one of them."""
+    exact = methanols.positions_of(50, digit=None)
+    positions = exact + rng.uniform(-0.003, 0.003, exact.shape)
+    with pytest.warns(UserWarning, match="50 bodies"):
+        bodies = RigidBodies.from_system(
+            methanols.system_of(50), rigid=np.arange(300).reshape(50, 6), positions=positions
+        )
+    (species,) = bodies.species
+    exact = np.linalg.norm(methanols.GEOMETRY[:, None] - methanols.GEOMETRY[None], axis=2)
+    # A uniform scatter of 0.003 has a standard deviation of 0.0017; sqrt(2) times that in a length, over sqrt(50).
+    assert np.abs(lengths_in(species) - exact).max() < 4 * 2.4e-4
+
+
+# --- heavy atoms with hydrogens ---------------------------------------------------------------------------------------
+
+GROUPS = "heavy atoms with hydrogens"
+X_H = [(0, 1), (0, 2), (0, 3), (4, 5)]
+
+
+@pytest.mark.parametrize("pairs", [[], X_H], ids=["no constraints", "HBonds"])
+def test_each_heavy_atom_with_its_hydrogens_is_a_body(pairs):
+    positions, topology = methanols.positions_of(20), methanols.topology_of(20)
+    system = methanols.system_of(20, pairs, positions)
+    with pytest.warns(UserWarning, match="share one geometry"):
+        bodies = RigidBodies.from_system(system, topology, GROUPS, positions * unit.nanometer)
+    found = sorted(lists(bodies))
+    assert found == sorted([[6 * i + a for a in group] for i in range(20) for group in ([0, 1, 2, 3], [4, 5])])
+    assert len(bodies.species) == 2
+    assert bodies.dof == 20 * (6 + 5)
+    _, _, misfit = bodies.fit_with_misfit(positions)
+    assert misfit.max() < np.sqrt(3) * methanols.DIGIT
+
+
+def test_groups_satisfy_the_constraints_inside_them():
+    """From positions of a force field with C-H of 0.109 nm, constraints of one with 0.111 nm."""
+    longer = methanols.GEOMETRY * 0.111 / np.linalg.norm(methanols.GEOMETRY[1])
+    constraints = methanols.positions_of(4, longer, digit=None)
+    positions, topology = methanols.positions_of(4), methanols.topology_of(4)
+    with pytest.warns(UserWarning, match="share one geometry"):
+        bodies = RigidBodies.from_system(methanols.system_of(4, X_H, constraints), topology, GROUPS, positions)
+    methyl = next(species for species in bodies.species if len(species.masses) == 4)
+    assert np.abs(lengths_in(methyl)[0, 1:] - 0.111).max() < 1e-12
+    # H-H is free: the projection moves hydrogens along their bonds by 0.002 nm, and H-H by sqrt(8/3) of that.
+    assert lengths_in(methyl)[1, 2] == pytest.approx(np.sqrt(8 / 3) * 0.111, abs=1e-3)
+
+
+def test_water_keeps_the_geometry_of_its_constraints():
+    topology, positions, system = cluster_system(3)
+    bodies = RigidBodies.from_system(system, topology, GROUPS)
+    assert len(bodies.species) == 1
+    assert lengths_in(bodies.species[0])[0, 1] == pytest.approx(OH, abs=1e-15)
+    topology, positions, system = cluster_system(3, rigidWater=False)
+    with pytest.warns(UserWarning, match="3 bodies"):
+        flexible = RigidBodies.from_system(system, topology, GROUPS, positions)
+    assert sorted(lists(flexible)) == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
+
+
+def test_constraints_between_groups_are_refused():
+    positions, topology = methanols.positions_of(2), methanols.topology_of(2)
+    system = methanols.system_of(2, [*X_H, (0, 4)], positions)
+    with pytest.raises(RigidityError, match=r"between atoms 0 and 4 joins .*constraints=None or HBonds"):
+        RigidBodies.from_system(system, topology, GROUPS, positions)
+    # A molecule all of whose distances are constrained is one body, as without groups.
+    system = methanols.system_of(2, list(combinations(range(6), 2)), positions)
+    with pytest.warns(UserWarning, match="2 bodies"):
+        assert RigidBodies.from_system(system, topology, GROUPS, positions).n == 2
+
+
+def test_groups_that_cannot_be_found():
+    positions, topology = methanols.positions_of(1), methanols.topology_of(1)
+    system = methanols.system_of(1)
+    with pytest.raises(ValueError, match="need the topology"):
+        RigidBodies.from_system(system, None, GROUPS, positions)
+    with pytest.raises(ValueError, match='mapping or "heavy atoms with hydrogens", got "hydrogens"'):
+        RigidBodies.from_system(system, topology, "hydrogens", positions)
+    with pytest.raises(RigidityError, match="give positions"):
+        RigidBodies.from_system(system, topology, GROUPS)
+    with pytest.raises(ValueError, match="topology, which has 0 bonds"):
+        RigidBodies.from_system(system, topology_of(("MOH", 6)), GROUPS, positions)
+
+
+def test_the_remedies_that_a_refusal_names_work():
+    """A molecule with constraints=HBonds: groups at 6 fs, no constraints at 3 fs with SIER4G and 0.8 fs with SIER2."""
+    positions, topology = methanols.positions_of(8), methanols.topology_of(8)
+    held, free = methanols.system_of(8, X_H, positions), methanols.system_of(8)
+    with pytest.raises(RigidityError) as caught:
+        openmm.Context(held, SIERIntegrator(0.006, SIER4G), platform())
+    message = str(caught.value)
+    assert f'rigid="{GROUPS}"' in message
+    assert "fixes H-X-H angles" in message
+    assert "steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2" in message
+    with pytest.warns(UserWarning, match="share one geometry"):
+        groups = RigidBodies.from_system(held, topology, GROUPS, positions)
+    runs = [(held, SIERIntegrator(0.006, SIER4G, bodies=groups)), (free, SIERIntegrator(0.003, SIER4G))]
+    for system, integrator in [*runs, (free, SIER2Integrator(0.0008))]:
+        with warnings.catch_warnings():
+            # Neither the step nor the positions call for a remark.
+            warnings.simplefilter("error")
+            context = context_at(system, integrator, (positions, 0 * positions))
+            openmm.LocalEnergyMinimizer.minimize(context, 10, 200)
+            context.setVelocitiesToTemperature(300, 1)
+            integrator.step(0)
+            totals = []
+            for _ in range(round(0.3 / integrator.getStepSize()._value)):
+                integrator.step(1)
+                totals.append(sum(energies(context)))
+        # Of a kinetic energy of 2.5 kJ/mol for two freedoms, 110 to 180 kJ/mol, a half goes to and fro.
+        assert np.std(totals) < 1.0

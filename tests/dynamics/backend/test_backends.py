@@ -1,0 +1,125 @@
+"""The backends: Numba gives what NumPy gives, and NumPy alone is enough."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from openmm_sier import SIER2, SIER4
+from openmm_sier.dynamics import backend, operators, rotation
+from openmm_sier.dynamics.bodies import BodyState
+from openmm_sier.dynamics.schemes import SIER4G
+from tests.support import molecules
+from tests.support.steps import constant_torques, with_a_fast_body
+
+#: Sums and products that are contracted to fused operations, or not, differ by rounding of terms of order one; the
+#: formulas have some 300 of them.
+ROUNDING = 1e-14
+
+
+def both(function):
+    """What NumPy gives, and what Numba gives."""
+    with backend.using(backend.NUMPY):
+        plain = function()
+    if backend.active() is backend.NUMPY:
+        raise RuntimeError("this test needs Numba: pip install 'openmm-sier[fast]'")
+    return plain, function()
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)])
+@pytest.mark.parametrize("kind", molecules.GEOMETRIES)
+def test_rotations_agree(kind, order):
+    """For every order of the axes and for steps within the first rule, the second one, and beyond both."""
+    bodies, state = molecules.ensemble(kind, 500)
+    moments = bodies.species[0].moments[list(order)]
+    A = state.A[list(order)]
+    L = np.random.default_rng(1).normal(size=state.L.shape) * 0.3
+    for h in (-1e-3, 1e-4, 3e-3, 0.02, 1.0):
+        plain, fast = both(lambda h=h: rotation.exact(A, L, moments, h)[0])
+        # Long steps turn by thousands of radians, which rounding of |L| h multiplies.
+        turn = 1.0 if not moments.any() else 1 + 3 * abs(h) / moments[moments > 0].min()
+        assert np.abs(plain - fast).max() < ROUNDING * turn
+
+
+def test_bodies_at_rest_and_out_of_range_agree():
+    A = np.repeat(np.eye(3)[:, :, None], 4, axis=2)
+    L = np.array([[0.0, 1e-200, 1e150, 1.0], [0.0, 0.0, 1e150, 2.0], [0.0, 0.0, 0.0, 3.0]])
+    plain, fast = both(lambda: rotation.exact(A, L, (0.6, 1.1, 1.7), 1e-3)[0])
+    # The third body turns by 1e147 rad, of which nothing is known but that it is a rotation.
+    assert np.abs(plain - fast)[:, :, [0, 1, 3]].max() < ROUNDING
+    assert np.abs(np.einsum("ijn,kjn->ikn", fast, fast) - np.eye(3)[:, :, None]).max() < ROUNDING
+
+
+def test_sums_and_places_agree(mixture):
+    bodies, state, forces = mixture
+    for function in (
+        lambda: np.stack(bodies.forces_and_torques(forces, state.A)),
+        lambda: np.stack(bodies.momenta(forces, state.A)),
+        lambda: bodies.place(state.q, state.A, forces.copy()),
+        lambda: bodies.move(state, forces.copy()),
+    ):
+        plain, fast = both(function)
+        assert np.abs(plain - fast).max() < ROUNDING * max(1.0, np.abs(plain).max())
+
+
+@pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G], ids=lambda scheme: scheme.name)
+def test_steps_agree(mixture, scheme):
+    bodies, state, forces = mixture
+    state = with_a_fast_body(bodies, state)
+
+    def after_a_step():
+        flows = operators.body_operators(bodies, constant_torques(bodies, forces))
+        return operators.stepper(scheme, flows, 0.004)(state)
+
+    plain, fast = both(after_a_step)
+    assert not np.array_equal(plain.A, state.A)
+    for name in "qpAL":
+        one, other = getattr(plain, name), getattr(fast, name)
+        # Some stages, of the fast body by angles up to 30, each rounded.
+        assert np.abs(one - other).max() < 100 * ROUNDING * np.abs(one).max(), name
+
+
+def test_steps_of_no_bodies_and_of_points(rng):
+    for kinds in ([], [molecules.ION]):
+        bodies = molecules.scattered(kinds, each=5)
+        state = molecules.thermal_state(rng, bodies, rng.normal(size=(3, bodies.n)))
+        flows = operators.body_operators(bodies, operators.CachedForces(lambda q, A: (-q, 0 * q)))
+        plain, fast = both(lambda flows=flows, s=state: operators.stepper(SIER4G, flows, 0.01)(s))
+        for name in "qpAL":
+            assert getattr(plain, name).shape == getattr(state, name).shape
+            # A gradient kick gives points the moment of parallel vectors, which is rounding of 1e-3 x 1.
+            assert np.allclose(getattr(plain, name), getattr(fast, name), rtol=10 * ROUNDING, atol=1e-3 * ROUNDING)
+
+
+@pytest.mark.parametrize("without_numba", [False, True])
+def test_wrong_shapes_are_refused(mixture, without_numba):
+    """Compiled loops look at no bounds."""
+    bodies, state, _ = mixture
+    fewer = BodyState(state.q[:, :4], state.p[:, :4], state.A[:, :, :4], state.L[:, :4])
+    with backend.using(backend.NUMPY) if without_numba else contextlib.nullcontext():
+        with pytest.raises(ValueError, match=r"q of shape \(3, 280\), got \(3, 4\)"):
+            operators.drift(bodies)(fewer, 0.001)
+        short = operators.CachedForces(lambda q, A: (q[:, :1], q))
+        with pytest.raises(ValueError, match=r"\(3, 280\) of q, got \(3, 1\) and \(3, 280\)"):
+            operators.kick(short)(state, 0.001)
+
+
+def test_a_backend_is_in_use_until_the_end_or_an_error():
+    before = backend.active()
+    with contextlib.suppress(RuntimeError), backend.using(backend.NUMPY):
+        assert backend.active() is backend.NUMPY
+        raise RuntimeError
+    assert backend.active() is before
+
+
+@pytest.mark.parametrize(("value", "name"), [("0", "NumPy"), ("1", "Numba")])
+def test_the_environment_keeps_numba_out(value, name):
+    code = "from openmm_sier.dynamics import backend; print(backend.active().name)"
+    environment = os.environ | {"OPENMM_SIER_NUMBA": value}
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert found.stdout.strip() == name

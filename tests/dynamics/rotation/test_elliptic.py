@@ -1,0 +1,102 @@
+"""The elliptic functions and integrals of the free top against mpmath and SciPy."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.special import ellipj, ellipk
+
+from openmm_sier.dynamics.rotation import elliptic
+
+
+def increment(p, q, t, series=elliptic.sn_coefficients):
+    """S, S^2, C and D at the time t."""
+    return elliptic.sn_increment(series(p, q), p, q, t)
+
+
+def exact_increment(p, q, t):
+    """S to 40 digits by mpmath, for p >= q."""
+    with mpmath.workdps(40):
+        root, modulus = mpmath.sqrt(mpmath.mpf(p)), mpmath.mpf(q) / mpmath.mpf(p)
+        return mpmath.ellipfun("sn", root * mpmath.mpf(t), m=modulus) / root
+
+
+def test_coefficients_are_the_taylor_series():
+    """The Maclaurin series of S from its differential equation S'' = -(p + q) S + 2 p q S^3, in rational numbers."""
+    for p, q in ((1, 0), (1, 1), (3, 2), (5, 1)):
+        with mpmath.workdps(30):
+            series = [mpmath.mpf(0), mpmath.mpf(1)]
+            for n in range(12):
+                cube = sum(series[i] * series[j] * series[n - i - j] for i in range(n + 1) for j in range(n - i + 1))
+                series.append((-(p + q) * series[n] + 2 * p * q * cube) / ((n + 1) * (n + 2)))
+        found = elliptic.sn_coefficients(float(p), float(q))
+        assert len(found) == 6
+        assert elliptic.short_sn_coefficients(float(p), float(q)) == found[:4]
+        for coefficient, expected in zip(found, series[3::2], strict=True):
+            assert coefficient == pytest.approx(float(expected), rel=1e-14)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5, 0.9, 1 - 1e-9, 1.0])
+@pytest.mark.parametrize(
+    ("series", "limit"),
+    [
+        (elliptic.sn_coefficients, elliptic.SERIES_LIMIT),
+        (elliptic.short_sn_coefficients, elliptic.SHORT_SERIES_LIMIT),
+    ],
+)
+def test_series_truncate_below_rounding_at_their_limits(series, limit, ratio):
+    """In extended precision; the first term left out is 1.5e-17 and 2.7e-17 of S where p = q."""
+    t = 0.5
+    p = limit / t**2
+    exact = exact_increment(p, ratio * p, t)
+    S = increment(np.longdouble(p), np.longdouble(ratio * p), np.longdouble(t), series)[0]
+    with mpmath.workdps(40):
+        error = abs(mpmath.mpf(str(S)) / exact - 1)
+    assert error < max(3e-17, 4 * np.finfo(np.longdouble).eps)
+
+
+def test_increments_match_scipy(rng):
+    """All of S, C and D below the limit, with their signs, for either order of p and q, and backwards in time."""
+    n = 10_000
+    p = 10 ** rng.uniform(-12, 0, n)
+    q = p * rng.uniform(0, 1, n)
+    t = np.sqrt(elliptic.SERIES_LIMIT / p) * rng.uniform(-1, 1, n)
+    sn, cn, dn, _ = ellipj(np.sqrt(p) * t, q / p)
+    for larger, smaller, expected in ((p, q, (cn, dn)), (q, p, (dn, cn))):
+        S, S2, C, D = increment(larger, smaller, t)
+        # One rounding of each of the factors and of SciPy's result.
+        assert np.abs(S * np.sqrt(p) - sn).max() < 4e-16
+        assert np.array_equal(S2, S * S)
+        assert np.abs(C - expected[0]).max() < 4e-16
+        assert np.abs(D - expected[1]).max() < 4e-16
+
+
+def test_a_body_that_does_not_nutate():
+    assert increment(0.0, 0.0, 0.3) == (0.3, 0.09, 1.0, 1.0)
+
+
+def test_complete_integral_of_the_first_kind():
+    """At moderate moduli SciPy's ellipk, and the logarithm ln(4/kc) as the complementary modulus vanishes."""
+    kc = np.linspace(0.01, 1, 500)
+    K, _ = elliptic.complete_integrals(kc, np.full(500, 2.0))
+    # ellipk's argument 1 - kc^2 is rounded; its derivative there is 1/(2 kc^2).
+    assert (np.abs(K / ellipk(1 - kc**2) - 1) < 1e-15 + 1e-16 / kc**2).all()
+    small = 10.0 ** -np.arange(9, 155, 5)
+    K, _ = elliptic.complete_integrals(small, np.full(small.size, 2.0))
+    assert np.abs(K / np.log(4 / small) - 1).max() < 1e-15
+
+
+@pytest.mark.parametrize("nu", [1e-4, 0.2, 0.999, 1.0, 1.001, 3.0, 1e4])
+@pytest.mark.parametrize("kc", [1e-30, 1e-6, 0.05, 0.7, 1 - 1e-9, 1.0])
+def test_mean_turn_in_a_period(kc, nu):
+    """1 - (nu - 1)/(2 nu) Q is the complete integral of the third kind over that of the first, by mpmath."""
+    K, Q = elliptic.complete_integrals(np.array([kc]), np.array([nu]))
+    # mpmath's own algorithm loses as many digits as 1 - m and 1 - nu have zeros.
+    with mpmath.workdps(100):
+        m = 1 - mpmath.mpf(kc) ** 2
+        expected = mpmath.ellippi(1 - mpmath.mpf(nu), m) / mpmath.ellipk(m)
+        assert abs(mpmath.mpf(K[0]) / mpmath.ellipk(m) - 1) < 1e-15
+    found = 1 - (nu - 1) / (2 * nu) * Q[0]
+    # 1/nu bounds the integrand, so that its rounding is the scale of the cancellation.
+    assert abs(found - float(expected)) < 1e-15 * max(1, 1 / nu)

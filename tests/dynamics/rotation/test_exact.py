@@ -1,0 +1,210 @@
+"""The exact propagator against independent solutions, over every kind of body and state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from openmm_sier.dynamics import rotation
+from tests.support import oracles
+from tests.support.families import FAMILIES, STATES, sample, unit
+from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
+
+# In double precision A L carries some 2e-16 |L|. That grows by at most exp(5) = 150 next to the separatrix (`growth` in
+# `sample`) and turns a thin body, whose moments span three decades, up to 1000 times further than others. So 1e-12 is
+# what any algorithm in double precision can promise over all families; away from these two the errors are near 1e-15.
+ERROR = 1e-12
+RETURN = 1e-13
+
+
+def times(rng, count):
+    """Times of alternating sign and any magnitude."""
+    return [float((-1) ** i * 10 ** rng.uniform(-9, 9)) for i in range(count)]
+
+
+def check(A, L, moments, angle, h):
+    """No NaN, the right rotation, an orthogonal matrix, and the L at the start."""
+    new, new_L = rotation.exact(A, L, moments, h)
+    expected, body_L = oracles.rotation_by_taylor(A, L, np.broadcast_to(moments.reshape(3, -1), L.shape), h)
+    assert np.isfinite(new).all()
+    assert worst(new - expected, angle) < ERROR
+    assert orthogonality_error(new) < ORTHOGONAL
+    assert np.array_equal(new_L, L)
+    # The lab frame's L, recovered from what Euler's equations alone say of L~, is the one at the start.
+    recovered = np.einsum("abn,an->bn", new, body_L)
+    assert (np.abs(recovered - L) <= ERROR * np.linalg.norm(L, axis=0) * np.maximum(1, angle)).all()
+
+
+# --- accuracy ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_million_bodies(rng, family):
+    """20 families of 50 000 bodies, each body with its own moments."""
+    for h in times(rng, 5):
+        A, L, moments, angle = sample(rng, [family], 10_000, h)
+        check(A, L, moments, angle, h)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_bodies_that_share_their_moments(rng, executed_by, family):
+    for h in times(rng, 6):
+        A, L, moments, angle = sample(rng, [family], 500, h, alike=True)
+        check(A, L, moments[:, 0], angle, h)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_backwards_and_in_parts(rng, executed_by, family):
+    for i, h in enumerate(times(rng, 4)):
+        A, L, moments, angle = sample(rng, [family], 500, h, growth=4.0, alike=i < 3)
+        moments = moments[:, 0] if i < 3 else moments
+        there = rotation.exact(A, L, moments, h)[0]
+        back = rotation.exact(there, L, moments, -h)[0]
+        assert worst(back - A, angle) < RETURN
+        first = float(rng.uniform(0, 1)) * h
+        parts = rotation.exact(rotation.exact(A, L, moments, first)[0], L, moments, h - first)[0]
+        assert worst(parts - there, angle) < RETURN
+
+
+def test_bodies_of_all_families_in_one_call(rng):
+    """What one body needs (long steps, rescaled momenta, symmetry) does not disturb its neighbours."""
+    A, L, moments, angle = sample(rng, list(FAMILIES), 20_000, 0.37)
+    check(A, L, moments, angle, 0.37)
+    new = rotation.exact(A, L, moments, 0.37)[0]
+    alone = np.concatenate(
+        [rotation.exact(A[:, :, [i]], L[:, [i]], moments[:, [i]], 0.37)[0] for i in range(200)], axis=2
+    )
+    # Neighbours may choose a body's quadrature, which changes the last bits.
+    assert np.abs(alone - new[:, :, :200]).max() < 1e-13
+
+
+def test_all_states_of_one_body_in_one_call(rng, executed_by):
+    for h in times(rng, 4):
+        A, L, moments, angle = sample(rng, STATES, 2_000, h, alike=True)
+        check(A, L, moments[:, 0], angle, h)
+
+
+def test_against_an_ode_solver(rng):
+    """DOP853 at rtol 1e-13, some 1e-12 of its own over a few turns, for one body of each family, both ways in time."""
+    for family in FAMILIES:
+        for h in (1.3, -1.3):
+            A, L, moments, _ = sample(rng, [family], 1, h, least=0.5, most=8, growth=2)
+            size = moments.max() if moments.any() else 1.0
+            expected = oracles.rotation_by_dop853(A[:, :, 0], L[:, 0] / size, moments[:, 0] / size, h)
+            assert np.abs(rotation.exact(A, L, moments, h)[0][:, :, 0] - expected).max() < 3e-12, family
+
+
+@pytest.mark.parametrize("most", [10.0, 1e3, 1e6])
+def test_long_steps_match_elliptic_functions(rng, most):
+    """Whole periods of the nutation, for 10^5 asymmetric bodies in all, against SciPy's ellipj, R_F and R_J."""
+    A, L, moments, angle = sample(rng, ["asymmetric"], 34_000, 2.5, least=1e-3, most=most, growth=np.inf)
+    l = unit(apply(A, L))
+    order = np.argsort(moments, axis=0)
+    x, y, z = np.take_along_axis(l, order, axis=0)
+    a, b, c = 1 / np.take_along_axis(moments, order, axis=0)
+    # The closed form loses digits near the separatrix and for symmetric bodies, the propagator does not.
+    p, q = ((a - c) * x * x + (b - c) * y * y) * (a - b), ((a - b) * y * y + (a - c) * z * z) * (b - c)
+    good = (np.abs(p - q) > 0.05 * np.maximum(p, q)) & (np.minimum(a - b, b - c) > 0.02 * a)
+    good &= np.minimum(np.abs(x), np.abs(z)) > 1e-2
+    assert np.count_nonzero(good) > 25_000
+    A, L, moments, angle = A[:, :, good], L[:, good], moments[:, good], angle[good]
+    expected = oracles.closed_form_rotation(A, L, moments, 2.5)
+    assert worst(rotation.exact(A, L, moments, 2.5)[0] - expected, angle) < ERROR
+
+
+# --- interface --------------------------------------------------------------------------------------------------------
+
+
+MODELS = [(1.7, 0.6, 1.1), (1.1, 1.1, 0.4), (2.0, 2.0, 2.0), (0.0, 1.3, 1.3), (0.0, 0.0, 0.0)]
+
+
+@pytest.mark.parametrize("moments", MODELS)
+def test_shared_moments_equal_moments_for_each_body(rng, moments):
+    A, L = random_attitudes(rng, 5_000), rng.normal(size=(3, 5_000))
+    shared = rotation.exact(A, L, moments, 0.8)[0]
+    each = rotation.exact(A, L, np.repeat(np.reshape(moments, (3, 1)), 5_000, axis=1), 0.8)[0]
+    assert np.abs(shared - each).max() < 1e-14
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)])
+def test_principal_axes_may_come_in_any_order(rng, order):
+    A, L, moments = random_attitudes(rng, 100), rng.normal(size=(3, 100)), np.array([0.6, 1.1, 1.7])
+    order = list(order)
+    # An odd permutation of the axes makes a left-handed frame; reversing one mends it.
+    hand = np.array([[[np.linalg.det(np.eye(3)[order])]], [[1.0]], [[1.0]]])
+    expected = rotation.exact(A, L, moments, 2.0)[0][order] * hand
+    assert np.abs(rotation.exact(A[order] * hand, L, moments[order], 2.0)[0] - expected).max() < 1e-14
+
+
+def test_a_symmetric_body_precesses(rng):
+    """The elementary solution: turn about L at the rate |L|/I, then spin about the own axis."""
+    moments = np.array([1.4, 1.4, 0.3])
+    A, L, h = random_attitudes(rng, 50), rng.normal(size=(3, 50)), 1.7
+    angle = np.linalg.norm(L, axis=0) * h / moments[0]
+    spin = (1 / moments[2] - 1 / moments[0]) * apply(A, L)[2] * h
+    for i in range(50):
+        about_L = oracles.Rotation.from_rotvec(angle[i] * L[:, i] / np.linalg.norm(L[:, i])).as_matrix()
+        about_axis = oracles.Rotation.from_rotvec([0, 0, -spin[i]]).as_matrix()
+        expected = about_axis @ A[:, :, i] @ about_L.T
+        assert np.abs(rotation.exact(A[:, :, [i]], L[:, [i]], moments, h)[0][:, :, 0] - expected).max() < 1e-14
+
+
+def test_inputs_are_left_alone(rng):
+    A, L, moments, _ = sample(rng, list(FAMILIES), 300, 0.4)
+    copies = A.copy(), L.copy(), moments.copy()
+    for array in (A, L, moments):
+        array.flags.writeable = False
+    new, new_L = rotation.exact(A, L, moments, 0.4)
+    assert all(np.array_equal(array, copy) for array, copy in zip((A, L, moments), copies, strict=True))
+    assert new.flags.writeable
+    assert new_L.flags.writeable
+    assert not np.shares_memory(new_L, L)
+    assert not np.shares_memory(new, A)
+
+
+def test_any_memory_layout_and_no_bodies(rng):
+    A, L = random_attitudes(rng, 60), rng.normal(size=(3, 60))
+    expected = rotation.exact(A, L, (0.6, 1.1, 1.7), 0.4)[0]
+    apart = np.asfortranarray(A), np.asfortranarray(L)
+    assert np.abs(rotation.exact(*apart, [0.6, 1.1, 1.7], 0.4)[0] - expected).max() < 1e-15
+    half = rotation.exact(A[:, :, ::2], L[:, ::2], (0.6, 1.1, 1.7), 0.4)[0]
+    assert np.abs(half - expected[:, :, ::2]).max() < 1e-15
+    new, new_L = rotation.exact(np.empty((3, 3, 0)), np.empty((3, 0)), (1.0, 2.0, 3.0), 0.1)
+    assert new.shape == (3, 3, 0)
+    assert new_L.shape == (3, 0)
+
+
+A_2, L_2 = np.repeat(np.eye(3)[:, :, None], 2, axis=2), np.ones((3, 2))
+NOT_FINITE = np.array([[1.0, 1.0], [1.0, np.nan], [1.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("A", "L", "moments", "h", "message"),
+    [
+        (A_2[:, :, 0], L_2, (1, 2, 3), 0.1, r"A must have shape \(3, 3, n\).*got \(3, 3\)"),
+        (A_2, L_2.T, (1, 2, 3), 0.1, r"L \(3, n\), got .* \(2, 3\)"),
+        (A_2, L_2[:, :1], (1, 2, 3), 0.1, r"got \(3, 3, 2\) and \(3, 1\)"),
+        (A_2, L_2, (1, 2), 0.1, r"moments must have shape \(3,\) or \(3, n\), got \(2,\)"),
+        (A_2, L_2, np.ones((3, 5)), 0.1, "moments are given for 5 bodies, A and L for 2"),
+        (A_2, L_2, (1, -2, 3), 0.1, r"moments must be finite and not negative, got -2\.0"),
+        (A_2, L_2, (1, np.nan, 3), 0.1, "moments must be finite and not negative, got nan"),
+        (A_2, L_2, [[1, 1], [1, 1], [1, np.inf]], 0.1, "got inf for body 1"),
+        (A_2, L_2, (0, 1, 2), 0.1, "one zero moment is linear and its other two must be equal"),
+        (A_2, L_2, (0, 0, 2), 0.1, "one zero moment is linear and its other two must be equal"),
+        (A_2, L_2, (1, 2, 3), np.nan, "h must be finite, got nan"),
+        (A_2, L_2, (1, 2, 3), -np.inf, "h must be finite, got -inf"),
+        (A_2, NOT_FINITE, (1, 2, 3), 0.1, "angular momentum of body 1 is not finite"),
+        (A_2, NOT_FINITE * np.inf, (1, 2, 3), 0.1, "angular momentum of body 0 is not finite"),
+    ],
+)
+def test_errors_name_what_is_wrong(A, L, moments, h, message):
+    with pytest.raises(ValueError, match=message):
+        rotation.exact(A, L, moments, h)
+
+
+def test_the_body_named_is_the_callers(rng):
+    L = np.ones((3, 5_000))
+    L[1, 4_321] = np.nan
+    with pytest.raises(ValueError, match="body 4321 "):
+        rotation.exact(random_attitudes(rng, 5_000), L, (1, 2, 3), 0.1)

@@ -1,0 +1,163 @@
+"""What the exact propagator leaves out, and the ends of the range of its arguments."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from openmm_sier.dynamics import rotation
+from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
+from openmm_sier.dynamics.rotation.elliptic import (
+    LONGEST,
+    SERIES_LIMIT,
+    SHORT,
+    SHORT_SERIES_LIMIT,
+    SHORT_TIMES,
+    SHORT_WEIGHTS,
+    TIMES,
+    WEIGHTS,
+)
+from tests.support import oracles
+from tests.support.families import FAMILIES, asymmetric, linear, point, sample, spherical
+from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
+
+# --- truncation -------------------------------------------------------------------------------------------------------
+
+
+def squared_phase(u, rates):
+    """max(p, q) of `exact.euler_rates` at |L| h = 1, for rates in descending order."""
+    (a, b, c), (x2, y2, z2) = rates, u * u
+    return np.maximum(((a - c) * x2 + (b - c) * y2) * (a - b), ((a - b) * y2 + (a - c) * z2) * (b - c))
+
+
+def bodies_at(rng, n, phase, decades, dtype=float):
+    """Descending rates over some decades, unit L~ and |L| h of bodies that nutate by a squared phase."""
+    rates = np.sort(10 ** rng.uniform(0, decades, (3, n)), axis=0)[::-1].astype(dtype)
+    u = rng.normal(size=(3, n)).astype(dtype) * 10 ** rng.uniform(0, decades / 2, (3, n))
+    u /= np.sqrt((u * u).sum(axis=0))
+    return rates, u, np.sqrt(phase / squared_phase(u, rates))
+
+
+@pytest.mark.parametrize("factor", [1 - 1e-9, 1 + 1e-9, 4.0])
+@pytest.mark.parametrize("limit", [SHORT, LONGEST])
+def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
+    """Just below a limit, where truncation is worst, and above, where the next rule or composition takes over."""
+    rates, u, k = bodies_at(rng, 250, limit * factor, decades=1)
+    A, moments = random_attitudes(rng, 250), 1 / rates
+    L = np.einsum("abn,an->bn", A, u * k)
+    expected, _ = oracles.rotation_by_taylor(A, L, moments, 1.0, dtype=np.longdouble, order=20)
+    # Rounding of A L turns the body by up to 2e-16 of its fastest angle; some ten operations follow.
+    scale = np.maximum(1, k * rates[0])
+    assert worst(rotation.exact(A, L, moments, 1.0)[0] - expected, scale) < 2e-15
+
+
+def series_of_directions(middle, difference, order=24):
+    """Taylor coefficients in time of the direction of L~."""
+    series = np.zeros((order + 1, *middle.shape), middle.dtype)
+    series[0] = middle
+    for j in range(order):
+        product = np.einsum("kan,kan->an", series[: j + 1][:, [1, 2, 0]], series[j::-1][:, [2, 0, 1]])
+        series[j + 1] = difference * product / (j + 1)
+    return series
+
+
+@pytest.mark.parametrize(
+    ("limit", "times", "weights"),
+    [(SHORT, SHORT_TIMES, SHORT_WEIGHTS), (LONGEST, TIMES, WEIGHTS)],
+    ids=["short", "long"],
+)
+def test_quadrature_truncates_below_rounding(rng, limit, times, weights):
+    """The claim at `elliptic.LONGEST`: the rule, in extended precision, against Gauss-Legendre with 24 nodes."""
+    rates, middle, k = bodies_at(rng, 20_000, limit, 4, np.longdouble)
+    a, b, c = rates
+    series = series_of_directions(middle, k * np.stack([c - b, a - c, b - a]))
+
+    def g(t):
+        """omega . (m + v) / (1 + m . v) at the time t/2 from the middle of the step."""
+        v = sum(coefficient * (np.longdouble(t) / 2) ** j for j, coefficient in enumerate(series))
+        return (k * rates * v * (middle + v)).sum(axis=0) / (1 + (middle * v).sum(axis=0))
+
+    leading = (k * rates * middle * middle).sum(axis=0)
+    by_rule = leading
+    for time, weight in zip(times, weights, strict=True):
+        by_rule = by_rule + weight * ((g(2 * time) + g(-2 * time)) / 2 - leading)
+    gauss = mpmath.calculus.quadrature.GaussLegendre(mpmath.mp).calc_nodes(4, 100)
+    exact = sum(np.longdouble(str(w)) * g(str(x)) for x, w in gauss) / 2
+
+    error = np.abs(by_rule - exact) / np.maximum(1, np.abs(exact))
+    assert error.max() < max(1e-17, 8 * np.finfo(np.longdouble).eps)
+
+
+def test_quadrature_limits_follow_from_the_series():
+    """The series is used over half a step at most."""
+    assert SHORT / 4 <= SHORT_SERIES_LIMIT
+    assert LONGEST / 4 <= SERIES_LIMIT
+
+
+def test_sine_and_cosine_of_small_angles():
+    """The claim at `formulas.SMALL_ANGLE`, in extended precision, where the first term left out is 1.2e-17."""
+    x = np.linspace(-SMALL_ANGLE, SMALL_ANGLE, 1001).astype(np.longdouble)
+    sine, cosine = small_sine_cosine(x)
+    assert np.abs(sine - np.sin(x)).max() < 3e-17
+    assert np.abs(cosine - np.cos(x)).max() < 3e-17
+
+
+# --- ends of the range ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("exponents", [(-300, -20), (1, 6), (6, 15), (15, 100)])
+def test_any_angle_gives_a_rotation(rng, exponents):
+    """Steps far beyond any accuracy: finite, orthogonal and, as long as a period is resolved, the same energy."""
+    A, L, moments, _ = sample(
+        rng, list(FAMILIES), 200, 1.0, least=10.0 ** exponents[0], most=10.0 ** exponents[1], growth=np.inf
+    )
+    scale = 10.0 ** rng.uniform(-15, 15)
+    L, moments = L * scale, moments * scale
+    new, new_L = rotation.exact(A, L, moments, 1.0)
+    assert np.isfinite(new).all()
+    assert orthogonality_error(new) < ORTHOGONAL
+    assert np.array_equal(new_L, L)
+    if exponents[1] <= 15:
+        rates = oracles.rates_of(moments)
+        size = np.maximum(np.linalg.norm(L, axis=0), 1e-300)
+        before, after = ((rates * (apply(B, L) / size) ** 2).sum(axis=0) for B in (A, new))
+        # A thousand sub-steps, each with the rounding of L~ times the largest rate.
+        assert (np.abs(after - before) <= 1e-13 * rates.max(axis=0)).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("angle", [1.0, -1e3, 1e5])
+def test_uniform_rotation_lasts(axis, angle):
+    """A body that turns exactly about a principal axis goes on so, about the unstable one (here the second) too."""
+    moments, direction = np.array([0.6, 1.1, 1.7]), np.eye(3)[axis]
+    new, _ = rotation.exact(np.eye(3)[:, :, None], direction[:, None], moments, angle * moments[axis])
+    expected = Rotation.from_rotvec(-angle * direction).as_matrix()
+    # The angle, a product of three numbers, is rounded.
+    assert np.abs(new[:, :, 0] - expected).max() < 1e-15 * max(1, abs(angle))
+
+
+def test_no_scale_is_preferred(rng):
+    """Scaling |L| against h or against the moments over 600 orders of magnitude changes nothing but rounding."""
+    A, L, moments = random_attitudes(rng, 50), rng.normal(size=(3, 50)), asymmetric(rng, 50)
+    expected = rotation.exact(A, L, moments, 0.9)[0]
+    for exponent in (-290, -200, -100, -15, 15, 100, 200, 290):
+        scale = 10.0**exponent
+        assert np.abs(rotation.exact(A, L * scale, moments, 0.9 / scale)[0] - expected).max() < 1e-13
+        assert np.abs(rotation.exact(A, L * scale, moments * scale, 0.9)[0] - expected).max() < 1e-13
+
+
+@pytest.mark.parametrize(("size", "h"), [(1e300, -1e300), (1e-300, 1e300), (1e300, 1e-300), (1e-300, 0.0)])
+def test_the_largest_and_smallest_numbers(rng, size, h):
+    A, L = random_attitudes(rng, 80), size * rng.uniform(-1, 1, (3, 80))
+    moments = np.concatenate([bodies(rng, 20) for bodies in (asymmetric, spherical, linear, point)], axis=1)
+    new, _ = rotation.exact(A, L, moments, h)
+    assert np.isfinite(new).all()
+    assert orthogonality_error(new) < ORTHOGONAL
+
+
+def test_no_time_and_no_momentum_change_nothing(rng):
+    A = random_attitudes(rng, 10)
+    for L, h in ((rng.normal(size=(3, 10)), 0.0), (np.zeros((3, 10)), 5.0)):
+        assert np.abs(rotation.exact(A, L, (0.6, 1.1, 1.7), h)[0] - A).max() < 1e-15

@@ -1,0 +1,194 @@
+"""The paper's formulas as it prints them, with its misprints mended, against the package; and each misprint's failure.
+
+Source: van Zon and Schofield (2007).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from openmm_sier import SIER4, Scheme
+from openmm_sier.dynamics import rotation
+from openmm_sier.dynamics.schemes import DRIFT, KICK
+from tests.support import oracles
+from tests.support.oracles import (
+    R1,
+    R2,
+    apply,
+    derivatives_of_w,
+    hermite_weights,
+    in_paper_frame,
+    matmul,
+    orthogonality_error,
+    paper_propagator,
+    psi_by_hermite,
+    random_attitudes,
+)
+
+MOMENTS = np.array([0.6, 1.1, 1.7])
+
+
+def states(rng, n):
+    """Attitudes, angular momenta of size 2 and moments in any order."""
+    order = np.argsort(rng.random((3, n)), axis=0)
+    L = rng.normal(size=(3, n))
+    return random_attitudes(rng, n), 2 * L / np.linalg.norm(L, axis=0), MOMENTS[order]
+
+
+def by_the_paper(A, L, moments, h, terms, frame=in_paper_frame):
+    """A after the time h by Eqs. Pmatrix and psiapprox; L~* comes from the integrated Euler equations."""
+    U, l, I = frame(apply(A, L), moments)
+    final = apply(U, oracles.rotation_by_taylor(A, L, moments, h)[1])
+    psi = np.array([psi_by_hermite(l[:, i], final[:, i], I[:, i], h, terms) for i in range(l.shape[1])])
+    return matmul(U.transpose(1, 0, 2), matmul(paper_propagator(l, final, psi), matmul(U, A)))
+
+
+@pytest.mark.slow
+def test_propagator(rng):
+    """P(h) = R1(L~*) R2(psi) R1(L~)^T for every order of the moments and both cases of Iy, either way in time."""
+    A, L, moments = states(rng, 500)
+    for h in (0.1, -0.1):
+        expected = by_the_paper(A, L, moments, h, terms=7)
+        # L_perp in the paper's frame is at least 0.28 |L|, so that R1 loses no more than a digit.
+        assert np.abs(rotation.exact(A, L, moments, h)[0] - expected).max() < 2e-14
+
+
+@pytest.mark.slow
+def test_hermite_sum_converges(rng):
+    """Corrections of order h^(2n+1): more terms bring the paper's sum to the package's rotation."""
+    A, L, moments = states(rng, 100)
+    exact = rotation.exact(A, L, moments, 0.1)[0]
+    errors = [np.abs(by_the_paper(A, L, moments, 0.1, n) - exact).max() for n in (1, 2, 3, 4, 5)]
+    assert all(later < earlier / 20 for earlier, later in pairwise(errors))
+    for n in (1, 2):
+        wide, narrow = (
+            np.abs(by_the_paper(A, L, moments, h, n) - rotation.exact(A, L, moments, h)[0]).max() for h in (0.02, 0.01)
+        )
+        assert np.log2(wide / narrow) == pytest.approx(2 * n + 1, abs=0.1)
+
+
+def test_hermite_weights_integrate_polynomials():
+    """n terms use 2n values and so are exact to degree 2n - 1."""
+    for n in range(1, 7):
+        w = np.polynomial.Polynomial(np.arange(1.0, 2 * n + 1))
+        slopes = [w.deriv(j) if j else w for j in range(n)]
+        total = sum(
+            weight * (slope(0.0) + (-1) ** j * slope(1.0))
+            for j, (weight, slope) in enumerate(zip(hermite_weights(n), slopes, strict=True))
+        )
+        assert total == pytest.approx(w.integ()(1.0), rel=1e-13)
+
+
+def test_derivatives_of_w(rng):
+    """The polynomials S_j against the Taylor series of w along the integrated motion."""
+    A, L, _ = states(rng, 1)
+    moments = MOMENTS[:, None]
+    _, l, I = in_paper_frame(apply(A, L), moments)
+    times = 0.05 * np.cos(np.pi * (np.arange(24) + 0.5) / 24)
+    path = [oracles.rotation_by_taylor(np.eye(3)[:, :, None], l, I, t)[1][:, 0] for t in times]
+    w = [v @ v / (v[0] ** 2 + v[1] ** 2) for v in path]
+    fit = np.polynomial.Chebyshev.fit(times, w, 16)
+    found = derivatives_of_w(l[:, 0], I[:, 0], 5)
+    for j, value in enumerate(found):
+        # Rounding of w grows by (j^2 / 0.05) in each derivative of the fit.
+        scale = np.abs(found).max()
+        assert value == pytest.approx(fit.deriv(j)(0.0) if j else fit(0.0), abs=1e-9 * 100**j / 100 + 1e-9 * scale)
+
+
+def test_printed_polynomials_follow_from_the_recursion():
+    a, b, c = 0.7, -1.3, 0.4
+    S = oracles.derivative_polynomials(a, b, c, 4)
+    assert np.allclose(S[2].coef, [2 * a, 4 * (b * c - a), 6 * (c - b) * c, -8 * c**2], rtol=1e-15)
+    assert np.allclose(S[3].coef, S[2].deriv().coef, rtol=1e-15)
+
+
+def test_time_reversal_of_the_hermite_sum(rng):
+    A, L, _ = states(rng, 1)
+    _, l, I = in_paper_frame(apply(A, L), MOMENTS[:, None])
+    final = oracles.rotation_by_taylor(np.eye(3)[:, :, None], l, I, 0.3)[1]
+    there = psi_by_hermite(l[:, 0], final[:, 0], I[:, 0], 0.3, 4)
+    back = psi_by_hermite(final[:, 0], l[:, 0], I[:, 0], -0.3, 4)
+    assert back == pytest.approx(-there, rel=1e-14)
+
+
+def test_exchange_is_a_rotation():
+    U = oracles.exchange_matrix()
+    assert np.array_equal(U @ U.T, np.eye(3))
+    assert np.linalg.det(U) == pytest.approx(1)
+    assert np.array_equal(U @ [1.0, 2.0, 3.0], [3.0, -2.0, 1.0])
+
+
+# --- misprints --------------------------------------------------------------------------------------------------------
+
+
+def test_misprint_in_R1(rng):
+    """Element (2, 2) is +L Lx: so R1 is a rotation that takes z to L~; with the printed sign it is not orthogonal."""
+    l = rng.normal(size=(3, 200))
+    mended = R1(l)
+    assert orthogonality_error(mended) < 1e-14
+    assert np.linalg.det(mended.transpose(2, 0, 1)) == pytest.approx(1)
+    assert np.abs(mended[:, 2] - l / np.linalg.norm(l, axis=0)).max() < 1e-15
+    printed = R1(l, middle_sign=-1)
+    deviation = np.abs(matmul(printed, printed.transpose(1, 0, 2)) - np.eye(3)[:, :, None]).max(axis=(0, 1))
+    assert np.median(deviation) > 0.1
+
+
+def test_printed_R1_gives_no_rotation(rng):
+    A, L, moments = states(rng, 20)
+    U, l, _ = in_paper_frame(apply(A, L), moments)
+    final = apply(U, oracles.rotation_by_taylor(A, L, moments, 0.3)[1])
+    P = matmul(matmul(R1(final, -1), R2(np.full(20, 0.2))), R1(l, -1).transpose(1, 0, 2))
+    assert orthogonality_error(P) > 0.1
+
+
+def test_misprint_in_the_scheme():
+    """With h5 = h - 2(h1 + h2) the kicks sum to -0.51 h; h5 = h - 2(h1 + h3) is what the package has."""
+    h1, h2, h3 = 0.1720865590295143, 0.5915620307551568, -0.1616217622107222
+    h4 = 0.5 - h2
+
+    def scheme(h5):
+        wing = ((KICK, h1), (DRIFT, h2), (KICK, h3), (DRIFT, h4))
+        return Scheme("EFRL", (*wing, (KICK, h5), *reversed(wing)))
+
+    printed, mended = 1 - 2 * (h1 + h2), 1 - 2 * (h1 + h3)
+    assert 2 * (h1 + h3) + printed == pytest.approx(-0.5064, abs=1e-4)
+    with pytest.raises(ValueError, match=r"fractions of 'kick' must sum to 1, they sum to -0\.506"):
+        scheme(printed)
+    assert scheme(mended).order == 4
+    fractions = [[stage.fraction for stage in s.stages] for s in (scheme(mended), SIER4)]
+    assert np.allclose(*fractions, rtol=1e-15)
+
+
+def printed_condition(l, I):
+    """2 E > Iy L^2, as printed."""
+    return (l * l / I).sum(axis=0) > I[1] * (l * l).sum(axis=0)
+
+
+def test_misprint_in_the_condition(rng):
+    """The printed condition depends on the unit of mass, while the motion does not."""
+    l, I = rng.normal(size=(3, 200)), MOMENTS[:, None]
+    gram = [printed_condition(l * unit, I * unit) for unit in (1e-3, 1.0, 1e3)]
+    assert gram[0].all()
+    assert gram[1].any()
+    assert not gram[2].any()
+    mended = [I[1] * unit * (l * l / I).sum(axis=0) * unit > (l * l).sum(axis=0) * unit**2 for unit in (1e-3, 1.0, 1e3)]
+    assert np.array_equal(mended[0], mended[1])
+    assert np.array_equal(mended[1], mended[2])
+
+
+def test_printed_condition_chooses_a_pole_that_the_path_comes_near():
+    """A body that turns about z: exchanged, the sum has converged; unexchanged, as the print has it, it fails."""
+    A, moments = np.eye(3)[:, :, None], 0.1 * MOMENTS[:, None]
+    L = np.array([[0.002], [0.001], [0.1]])
+    h = 4.0
+    assert printed_condition(apply(A, L), moments).all()
+    exact = rotation.exact(A, L, moments, h)[0]
+
+    def unexchanged(body_L, moments):
+        return np.eye(3)[:, :, None], body_L, moments
+
+    assert np.abs(by_the_paper(A, L, moments, h, 8) - exact).max() < 1e-9
+    assert np.abs(by_the_paper(A, L, moments, h, 8, frame=unexchanged) - exact).max() > 1e-2

@@ -1,0 +1,255 @@
+"""The schemes on interacting rigid bodies, without OpenMM: order, symplecticity, reversal and conservation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from openmm_sier import SIER2, SIER4
+from openmm_sier.dynamics.operators import CachedForces, drift, kick, stepper
+from openmm_sier.dynamics.schemes import DRIFT, KICK
+from tests.support.convergence import operators_of, run
+from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
+from tests.support.oracles import orthogonality_error
+from tests.support.phase_space import distance, reversed_momenta, symplectic_defect, turned
+
+
+@pytest.fixture
+def waters():
+    return SoftCluster([WATER] * 3)
+
+
+@pytest.fixture
+def mixture():
+    return SoftCluster([WATER, ION, CARBON_DIOXIDE, METHANE, WATER])
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
+
+
+def test_model_forces_are_the_gradient(rng, mixture):
+    """Without this nothing below means anything: finite differences of V along translations and rotations."""
+    state = mixture.start(rng)
+    F, tau = mixture.forces(state.q, state.A)
+    for body in range(mixture.bodies.n):
+        for axis in np.eye(3):
+            shift = np.zeros((3, mixture.bodies.n))
+            shift[:, body] = 1e-5 * axis
+            energies = [mixture.potential_energy(replace(state, q=state.q + sign * shift)) for sign in (1, -1)]
+            # The error of a central difference of 1e-5 nm is 1e-10 times third derivatives of 1e6 kJ/mol/nm^3.
+            assert (energies[1] - energies[0]) / 2e-5 == pytest.approx(axis @ F[:, body], abs=1e-3)
+            energies = [mixture.potential_energy(turned(state, body, sign * 1e-5 * axis)) for sign in (1, -1)]
+            assert (energies[1] - energies[0]) / 2e-5 == pytest.approx(axis @ tau[:, body], abs=1e-4)
+
+
+# --- order ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scheme", "steps", "slope", "tolerance"), [(SIER2, (64, 128, 256), 2.0, 0.05), (SIER4, (16, 32, 64), 4.0, 0.1)]
+)
+@pytest.mark.parametrize("system", ["waters", "mixture"])
+def test_global_error_falls_with_the_order(rng, request, system, scheme, steps, slope, tolerance):
+    """At the largest step the next term of the error, smaller by h^2, changes the slope by a few thousandths."""
+    cluster = request.getfixturevalue(system)
+    start, time = cluster.start(rng), 0.032
+    exact = cluster.exact_flow(start, time)
+    errors = [distance(run(cluster, scheme, start, time / n, n), exact) for n in steps]
+    measured = np.polyfit(np.log(1 / np.array(steps)), np.log(errors), 1)[0]
+    assert measured == pytest.approx(slope, abs=tolerance)
+
+
+@pytest.mark.parametrize(("scheme", "order"), [(SIER2, 2), (SIER4, 4)])
+def test_energy_error_falls_with_the_order_and_does_not_drift(rng, waters, scheme, order):
+    start = waters.start(rng)
+    energy = waters.energy(start)
+
+    def errors(h, steps):
+        _, operators = operators_of(waters)
+        step = stepper(scheme, operators, h)
+        state, found = start, []
+        for _ in range(steps):
+            state = step(state)
+            found.append(waters.energy(state) - energy)
+        return np.abs(found)
+
+    wide, narrow = errors(0.002, 200), errors(0.001, 400)
+    assert np.log2(wide.max() / narrow.max()) == pytest.approx(order, abs=0.4)
+    # A drift would show as an error that grows with time.
+    assert wide[100:].max() < 3 * wide[:100].max()
+
+
+# --- symplecticity ----------------------------------------------------------------------------------------------------
+
+# Tangent vectors (dq, dp, dphi, dL) of one body, with dphi the turn in the lab frame: A exp([dphi])^T. The canonical
+# one-form is p.dq + L.dphi. Turns do not commute: d(dphi)(1, 2) = dphi_1 x dphi_2, and so minus its derivative is
+#     dq_1.dp_2 - dp_1.dq_2 + dphi_1.dL_2 - dL_1.dphi_2 - L.(dphi_1 x dphi_2).
+
+
+#: Differences of width w err by w^4 = 1.6e-11 times fifth derivatives and by rounding of 1e-15 / w = 5e-13.
+SYMPLECTIC = 1e-9
+
+
+@pytest.fixture
+def pair():
+    return SoftCluster([WATER] * 2)
+
+
+@pytest.mark.parametrize(("scheme", "h"), [(SIER2, 0.004), (SIER4, 0.008), (SIER2, -0.004)])
+def test_a_step_of_two_waters_is_symplectic(rng, pair, scheme, h):
+    state = pair.start(rng)
+    assert symplectic_defect(lambda s: run(pair, scheme, s, h, 1), state) < SYMPLECTIC
+
+
+@pytest.mark.slow
+def test_the_form_is_that_of_the_exact_flow(rng, pair):
+    """The true motion keeps the form, interacting or free; with the sign of the last term changed it does not."""
+    state = pair.start(rng)
+    free = drift(pair.bodies)
+
+    def motion(s):
+        return free(s, 0.01)
+
+    assert symplectic_defect(motion, state) < SYMPLECTIC
+    assert symplectic_defect(motion, state, twist=+1.0) > 1e-3
+    assert symplectic_defect(motion, state, twist=0.0) > 1e-3
+    assert symplectic_defect(lambda s: pair.exact_flow(s, 0.004), state) < SYMPLECTIC
+
+
+def test_a_wrong_coefficient_is_not_symplectic(rng, pair):
+    """Torques that are not those of the forces' potential: a factor 0.99 in the kick of L is seen at once."""
+    state = pair.start(rng)
+
+    def wrong(factor):
+        def compute(q, A):
+            F, tau = pair.forces(q, A)
+            return F, factor * tau
+
+        return {KICK: kick(CachedForces(compute)), DRIFT: drift(pair.bodies)}
+
+    def defect(factor):
+        return symplectic_defect(stepper(SIER2, wrong(factor), 0.004), state)
+
+    assert defect(1.0) < SYMPLECTIC
+    assert defect(0.99) > 1e4 * SYMPLECTIC
+
+
+# --- reversal and conservation ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("scheme", "h"), [(SIER2, 0.002), (SIER4, 0.006)])
+def test_time_reversal(rng, mixture, scheme, h):
+    """Back by reversed momenta and by a reversed step: rounding of 1e-15 grows with the flow's instability only."""
+    start = mixture.start(rng)
+    there = run(mixture, scheme, start, h, 50)
+    assert distance(there, start) > 0.1
+    back = reversed_momenta(run(mixture, scheme, reversed_momenta(there), h, 50))
+    assert distance(back, start) < 1e-11
+    assert distance(run(mixture, scheme, there, -h, 50), start) < 1e-11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", [SIER2, SIER4])
+def test_momentum_and_angular_momentum_are_constant(rng, mixture, scheme):
+    start = mixture.start(rng)
+    P, J = mixture.bodies.total_momenta(start)
+    end = run(mixture, scheme, start, 0.003, 500)
+    P_end, J_end = mixture.bodies.total_momenta(end)
+    # 500 steps, some 10^3 operations each: a random walk of roundings of the largest momentum and of its moment.
+    size = np.abs(start.p).max()
+    assert np.abs(P_end - P).max() < 1e-13 * size
+    assert np.abs(J_end - J).max() < 1e-13 * size * np.abs(end.q).max()
+    assert orthogonality_error(end.A) < 1e-13
+
+
+# --- what a step costs and leaves alone -------------------------------------------------------------------------------
+
+
+def test_an_operator_that_nothing_executes_is_refused(waters):
+    _, operators = operators_of(waters)
+    with pytest.raises(ValueError, match="nothing executes the operator 'bath' of the scheme SIER2"):
+        stepper(SIER2.with_bath(), operators, 0.002)
+
+
+@pytest.mark.parametrize(("scheme", "evaluations"), [(SIER2, 1), (SIER4, 4)])
+def test_force_evaluations(rng, waters, scheme, evaluations):
+    forces, operators = operators_of(waters)
+    step = stepper(scheme, operators, 0.002)
+    state = step(waters.start(rng))
+    # The first step has no force from the one before.
+    assert forces.evaluations == evaluations + 1
+    for done in range(2, 8):
+        state = step(state)
+        assert forces.evaluations == done * evaluations + 1
+    forces.invalidate()
+    step(state)
+    assert forces.evaluations == 7 * evaluations + 1 + evaluations + 1
+
+
+def test_cached_forces_recognize_arrays_not_values(rng, waters):
+    forces, _ = operators_of(waters)
+    state = waters.start(rng)
+    F, tau = forces(state)
+    assert forces(replace(state, p=-state.p)) == (F, tau)
+    assert forces.evaluations == 1
+    for count, changed in ((2, replace(state, q=state.q.copy())), (4, replace(state, A=state.A.copy()))):
+        again = forces(changed)
+        assert np.array_equal(again[0], F)
+        assert np.array_equal(again[1], tau)
+        assert forces.evaluations == count
+        forces(state)
+
+
+def test_a_failed_evaluation_leaves_nothing_behind(rng, waters):
+    """The force of another state must not serve after an error."""
+    state = waters.start(rng)
+    broken = []
+
+    def compute(q, A):
+        if broken:
+            raise ArithmeticError("no force")
+        return waters.forces(q, A)
+
+    forces = CachedForces(compute)
+    forces(state)
+    broken.append(True)
+    elsewhere = replace(state, q=state.q + 1)
+    for asked in (elsewhere, elsewhere, state):
+        with pytest.raises(ArithmeticError):
+            forces(asked)
+
+
+def test_steps_leave_the_state_they_start_from(rng, mixture):
+    state = mixture.start(rng)
+    for array in (state.q, state.p, state.A, state.L):
+        array.flags.writeable = False
+    after = run(mixture, SIER4, state, 0.002, 2)
+    assert after.q is not state.q
+    assert not np.shares_memory(after.A, state.A)
+
+
+def test_a_step_of_no_length_changes_nothing(rng, mixture):
+    state = mixture.start(rng)
+    assert distance(run(mixture, SIER4, state, 0.0, 1), state) < 1e-14
+
+
+def test_drift_takes_any_rotation(rng, mixture):
+    """The map gets each species with its moments; points have nothing to turn."""
+    calls = []
+
+    def rotation(A, L, moments, h):
+        calls.append((A.shape, L.shape, tuple(moments), h))
+        return -A, 2 * L
+
+    state = mixture.start(rng)
+    after = drift(mixture.bodies, rotation)(state, 0.5)
+    turning = [i for i in range(mixture.bodies.n) if mixture.bodies.moments[:, i].any()]
+    assert [moments for _, _, moments, _ in calls] == [tuple(mixture.bodies.moments[:, i]) for i in turning]
+    assert {(A, L, h) for A, L, _, h in calls} == {((3, 3, 1), (3, 1), 0.5)}
+    assert np.array_equal(after.A[:, :, turning], -state.A[:, :, turning])
+    assert np.array_equal(after.L[:, turning], 2 * state.L[:, turning])
+    assert np.array_equal(after.A[:, :, 1], state.A[:, :, 1])
+    assert np.allclose(after.q, state.q + 0.5 * state.p / mixture.bodies.masses, rtol=1e-15)
+    assert after.p is state.p

@@ -1,0 +1,73 @@
+"""The steps that schemes bear in a harmonic mode, beside the motion that their own operators make of one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from openmm_sier import SIER2, SIER4G, Scheme
+from openmm_sier.dynamics import operators
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, Species
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.dynamics.stability import INEQUALITY
+
+every_scheme = pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE.keys())
+POSITION_VERLET = Scheme("position Verlet", (("drift", 0.5), ("kick", 1.0), ("drift", 0.5)))
+
+
+def motion(scheme, z, steps):
+    """q and p/(m omega) of a harmonic mode after each step of a point body, with omega h = z."""
+    mass, strength = 3.0, 7.0
+    omega = math.sqrt(strength / mass)
+    bodies = RigidBodies([Species.from_coordinates([[0]], [mass], [[0, 0, 0]])], 1)
+    forces = operators.CachedForces(lambda q, A: (-strength * q, np.zeros_like(q)))
+    step = operators.stepper(scheme, operators.body_operators(bodies, forces), z / omega)
+    state = BodyState(np.array([[1.0], [0.0], [0.0]]), np.zeros((3, 1)), np.eye(3)[:, :, None], np.zeros((3, 1)))
+    path = []
+    for _ in range(steps):
+        state = step(state)
+        path.append((state.q[0, 0], state.p[0, 0] / (mass * omega)))
+    return np.array(path)
+
+
+def test_limits_that_are_known():
+    """Velocity Verlet has the trace 2 - z^2, SIER4G 2 - z^2 + z^4/12 - z^6/432 = -2 - (z^2 - 12)^3/432."""
+    assert pytest.approx(2.0, rel=1e-14) == SIER2.stability_limit
+    assert pytest.approx(2.0, rel=1e-14) == POSITION_VERLET.stability_limit
+    # A triple root: rounding of 1e-16 moves it by the cube root of that.
+    assert pytest.approx(math.sqrt(12), rel=2e-5) == SIER4G.stability_limit
+    # The mean kinetic energy of velocity Verlet is 1 - z^2/4 of the potential one.
+    assert pytest.approx(math.sqrt(4 / 11), rel=1e-12) == SIER2.accuracy_limit
+    # That of position Verlet is 1 / (1 - z^2/4) of it.
+    assert pytest.approx(math.sqrt(4 * INEQUALITY), rel=1e-12) == POSITION_VERLET.accuracy_limit
+
+
+@every_scheme
+def test_amplitudes_are_bounded_below_the_limit_only(scheme):
+    """Near the limit the ellipse of the motion is long; beyond it growth is exponential.
+
+    SIER4V becomes stable again 1 % beyond its limit, and SIER4G hardly grows there, as the cube of the distance.
+    """
+    below = motion(scheme, 0.999 * scheme.stability_limit, 20_000)
+    assert np.abs(below).max() < 1e3
+    assert np.abs(below[10_000:]).max() < 1.01 * np.abs(below[:10_000]).max()
+    with np.errstate(over="ignore", invalid="ignore"):
+        beyond = motion(scheme, 1.005 * scheme.stability_limit, 20_000)
+    assert not np.abs(beyond).max() < 1e6
+
+
+@every_scheme
+def test_energies_differ_by_a_tenth_at_the_accuracy_limit(scheme):
+    potential, kinetic = (motion(scheme, scheme.accuracy_limit, 40_000) ** 2).mean(axis=0)
+    # The mean over a time that is no whole number of periods is off by less than one part in the number of steps.
+    assert abs(potential / kinetic - 1) == pytest.approx(INEQUALITY, abs=1e-3)
+    potential, kinetic = (motion(scheme, 0.9 * scheme.accuracy_limit, 40_000) ** 2).mean(axis=0)
+    assert abs(potential / kinetic - 1) < INEQUALITY
+
+
+@every_scheme
+def test_a_heat_bath_does_not_matter(scheme):
+    # Stages that the bath divides have the same product, to the rounding of coefficients of the sixth power in z.
+    assert scheme.with_bath().stability_limit == pytest.approx(scheme.stability_limit, rel=1e-9)

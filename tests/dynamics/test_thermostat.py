@@ -1,0 +1,76 @@
+"""The thermostat: its distribution, its noise, its bookkeeping."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from tests.support import molecules
+
+TEMPERATURE = 297.0
+THERMAL = GAS_CONSTANT * TEMPERATURE
+
+KINDS = (molecules.WATER, molecules.CARBON_DIOXIDE, molecules.METHANE, molecules.ION)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_canonical_distribution_is_reached_from_any_start(kind):
+    n = 20000
+    bodies, state = molecules.ensemble(kind, n)
+    thermostat = OrnsteinUhlenbeck(TEMPERATURE, 5.0, 5.0, seed=1).operator(bodies)
+    for _ in range(10):
+        state = thermostat(state, 1.0)  # the start is forgotten by exp(-50)
+    moments = bodies.species[0].moments
+    samples = [(state.p[i], bodies.species[0].mass) for i in range(3)]
+    samples += [(body_frame(state.A, state.L)[i], moments[i]) for i in range(3) if moments[i] > 0]
+    for values, inertia in samples:
+        # One in 10^4 true normal samples fails. A moment of a wrong axis is off by 30 % or more, 45 standard errors.
+        assert stats.kstest(values / np.sqrt(THERMAL * inertia), "norm").pvalue > 1e-4
+    if kind == molecules.CARBON_DIOXIDE:
+        assert np.abs(body_frame(state.A, state.L)[0]).max() < 1e-12
+    if kind == molecules.ION:
+        assert not state.L.any()
+
+
+def test_it_forgets_at_the_friction():
+    n = 20000
+    bodies, state = molecules.ensemble(molecules.WATER, n)
+    after = OrnsteinUhlenbeck(TEMPERATURE, 2.0, 7.0, seed=2).operator(bodies)(state, 0.1)
+    error = np.sqrt(THERMAL * bodies.species[0].mass / n)
+    assert np.abs(after.p.mean(axis=1) - 20.0 * np.exp(-0.2)).max() < 4.5 * error
+    tilde = body_frame(after.A, after.L)
+    errors = np.sqrt(THERMAL * bodies.species[0].moments / n)
+    assert (np.abs(tilde.mean(axis=1) - np.exp(-0.7)) < 4.5 * errors).all()
+
+
+def test_it_composes():
+    """Two half times have the distribution of one whole: variances agree."""
+    n = 20000
+    bodies, state = molecules.ensemble(molecules.WATER, n)
+    thermostat = OrnsteinUhlenbeck(TEMPERATURE, 3.0, 3.0, seed=3).operator(bodies)
+    once, twice = thermostat(state, 0.2), thermostat(thermostat(state, 0.1), 0.1)
+    # The variance of n normal numbers has the relative error sqrt(2/n) = 1 %.
+    assert np.allclose(once.p.var(axis=1), twice.p.var(axis=1), rtol=0.06)
+    assert np.allclose(once.p.var(axis=1), THERMAL * bodies.species[0].mass * -np.expm1(-1.2), rtol=0.045)
+
+
+def test_noise_depends_on_seed_and_draw_alone():
+    bodies, state = molecules.ensemble(molecules.WATER, 10)
+    one, two = (OrnsteinUhlenbeck(TEMPERATURE, 1.0, 1.0, seed).operator(bodies) for seed in (1, 2))
+    assert np.array_equal(one(state, 0.1).p, one(state, 0.1).p)
+    assert not np.allclose(one(state, 0.1).p, two(state, 0.1).p)
+    first = one(state, 0.1)
+    later = one(first, 0.1)
+    assert later.draws == 2
+    assert not np.allclose(first.p - state.p, later.p - first.p)
+
+
+def test_heat_is_the_change_of_kinetic_energy():
+    bodies, state = molecules.ensemble(molecules.WATER, 100)
+    after = OrnsteinUhlenbeck(TEMPERATURE, 1.0, 1.0, seed=1).operator(bodies)(state, 0.1)
+    gained = sum(bodies.kinetic_energies(after)) - sum(bodies.kinetic_energies(state))
+    assert after.heat == pytest.approx(gained, rel=1e-12)

@@ -1,0 +1,199 @@
+"""The start of a run: settled, at the temperature, with the energy that keeps it there."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER2Integrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.measure import forcefields, starts
+from openmm_sier.measure.starts import EquilibrationWarning, equilibrate, prepare
+from tests.support.commands import write_lattice
+from tests.support.reports import Told
+from tests.support.tethers import falling_water, tethered_water
+from tests.support.waters import energies, phase_point, platform
+
+TEMPERATURE = 300.0
+
+
+def context_of(system, positions, integrator=None):
+    context = openmm.Context(system, integrator or SIER2Integrator(0.001), platform())
+    context.setPositions(positions)
+    return context
+
+
+@pytest.fixture(scope="module")
+def tethered():
+    return tethered_water(60)
+
+
+def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
+    """From springs at rest: half of the energy has still to come when the bath has the temperature already."""
+    told = Told()
+    found = equilibrate(context_of(*tethered), TEMPERATURE, report=told)
+    assert found.settled
+    assert 3 <= found.time < starts.LONGEST
+    # 180 degrees of freedom each: the bounds.
+    bound = TEMPERATURE * math.sqrt(2 / 180)
+    assert abs(found.translation - TEMPERATURE) < bound
+    assert abs(found.rotation - TEMPERATURE) < bound
+    # 360 springs with kT/2 each, known over 2 ps to a tenth (a correlation time of 0.2 ps); four times that.
+    thermal = 180 * GAS_CONSTANT * TEMPERATURE
+    assert found.potential == pytest.approx(thermal, rel=4 * math.sqrt(2 / 360 / 5))
+    (note,) = told.notes
+    assert "T_trans = " in note
+    assert "T_rot = " in note
+    assert "not settled" not in note
+    ((_, fractions),) = told.runs
+    assert fractions == sorted(fractions)
+
+
+def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
+    """80 waters fall at their terminal velocity, g over the friction of 5/ps, 0.15 nm/ps.
+
+    Translations are warmer by m v^2/3R = 16 K, within the bound of 27 K, but 160 kJ/mol of potential energy a ps go to
+    the bath, where two standard deviations of the kinetic energy are 77 kJ/mol.
+    """
+    monkeypatch.setattr(starts, "LONGEST", 4.0)
+    with pytest.warns(EquilibrationWarning, match="not equilibrated after 4"):
+        found = equilibrate(context_of(*falling_water(80, 0.75)), TEMPERATURE)
+    assert not found.settled
+    assert abs(found.translation - TEMPERATURE) < TEMPERATURE * math.sqrt(2 / 240)
+
+
+def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered):
+    monkeypatch.setattr(starts, "LONGEST", 4.0)
+    system = openmm.XmlSerializer.clone(tethered[0])
+    other = openmm.AndersenThermostat(2 * TEMPERATURE, 50)
+    other.setRandomNumberSeed(1)
+    system.addForce(other)
+    with pytest.warns(EquilibrationWarning, match="a temperature is out of bounds"):
+        found = equilibrate(context_of(system, tethered[1]), TEMPERATURE)
+    assert not found.settled
+
+
+@pytest.mark.parametrize("time", [0.0, 0.06])
+def test_a_time_that_is_given_is_kept(tethered, time):
+    told = Told()
+    found = equilibrate(context_of(*tethered), TEMPERATURE, time=time, report=told)
+    assert found.time == pytest.approx(time)
+    assert not found.settled
+    assert len(told.notes) == bool(time)
+    assert all(note.endswith("not settled") for note in told.notes)
+
+
+def test_without_an_equilibration_velocities_are_drawn(tethered):
+    context = context_of(*tethered)
+    prepare(context, tethered[1] * unit.nanometer, TEMPERATURE, time=0)
+    # 360 degrees of freedom, 7 % of scatter; four times that.
+    assert context.getIntegrator().computeTemperatures().total == pytest.approx(TEMPERATURE, rel=0.3)
+
+
+def test_it_is_decided_by_the_seed(tethered):
+    ends = []
+    for seed in (1, 1, 2):
+        context = context_of(*tethered)
+        prepare(context, tethered[1] * unit.nanometer, TEMPERATURE, seed, time=0.06)
+        ends.append(np.array(phase_point(context)))
+    assert np.array_equal(ends[0], ends[1])
+    assert not np.array_equal(ends[0], ends[2])
+
+
+def test_energy_of_a_run_at_constant_energy_is_the_mean_of_the_equilibration(tethered):
+    """Mean potential energy, and kT/2 for each of the 360 degrees of freedom, which springs leave all of them."""
+    context = context_of(*tethered)
+    found = equilibrate(context, TEMPERATURE)
+    prepare(context, tethered[1] * unit.nanometer, TEMPERATURE)
+    expected = found.potential + 180 * GAS_CONSTANT * TEMPERATURE
+    assert sum(energies(context)) == pytest.approx(expected, rel=1e-9)
+    # A snapshot of the bath has another energy, which is what this is for.
+    context.setState(found.state)
+    assert sum(energies(context)) != pytest.approx(expected, rel=1e-3)
+
+
+def test_mean_temperature_of_runs_at_constant_energy(tethered):
+    """Of a snapshot the mean temperature would be off by T sqrt(1/360) = 16 K, since half of the energy is potential.
+
+    A mean potential energy over 2 ps with a correlation time of 0.2 ps leaves 5 K. The rms of eight seeds is known to
+    a quarter: 10 K lie two and a half standard errors from either.
+    """
+    off = []
+    for seed in range(1, 9):
+        context = context_of(*tethered)
+        integrator = context.getIntegrator()
+        prepare(context, tethered[1] * unit.nanometer, TEMPERATURE, seed)
+        samples = []
+        for _ in range(100):
+            integrator.step(10)
+            samples.append(integrator.computeTemperatures().total)
+        off.append(np.mean(samples) - TEMPERATURE)
+    assert np.sqrt(np.mean(np.square(off))) < 10
+
+
+def test_a_run_with_a_bath_starts_from_the_snapshot(tethered):
+    context = context_of(*tethered, SIERLangevinIntegrator(TEMPERATURE, 1.0, 0.001))
+    found = equilibrate(context, TEMPERATURE)
+    prepare(context, tethered[1] * unit.nanometer, TEMPERATURE)
+    _, velocities = phase_point(context)
+    expected = found.state.getVelocities(asNumpy=True)._value
+    masses = np.array([tethered[0].getParticleMass(i)._value for i in range(len(expected))])
+    # But for the motion of the centre of mass, and the rounding of a fit to rigid bodies.
+    np.testing.assert_allclose(velocities, expected - masses @ expected / masses.sum(), atol=1e-12)
+    assert np.abs(masses @ velocities).max() < 1e-10
+
+
+def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path):
+    """Positions and volume at the end of the equilibration are those at the start of the run."""
+    box = forcefields.read_box(write_lattice(tmp_path / "box.pdb"))
+    barostat = openmm.MonteCarloBarostat(2e4, 297.0, 2)
+    barostat.setRandomNumberSeed(1)
+    box.system.addForce(barostat)
+    context = starts.make_context(box.system, SIER2Integrator(0.001), "Reference")
+    context.setPositions(box.positions)
+    context.computeVirtualSites()
+    context.applyConstraints(1e-6)
+    end = equilibrate(context, 297.0, time=0.1).state
+    prepare(context, box.positions, 297.0, time=0.1, minimize=False)
+    state = context.getState(positions=True)
+    assert state.getPeriodicBoxVolume() == end.getPeriodicBoxVolume()
+    initial = np.prod([vector[i]._value for i, vector in enumerate(box.system.getDefaultPeriodicBoxVectors())])
+    assert state.getPeriodicBoxVolume()._value != pytest.approx(initial, rel=1e-3)
+    # Positions are fitted to rigid bodies, which rounds them.
+    positions, expected = (s.getPositions(asNumpy=True)._value for s in (state, end))
+    assert np.abs(positions - expected).max() < 1e-14
+
+
+WITHOUT_EXTRAS = """
+import sys
+
+for name in ("rich", "matplotlib", "h5py", "numba"):
+    sys.modules[name] = None
+
+import openmm_sier.studies.bench
+import openmm_sier.studies.equipartition
+import openmm_sier.studies.paper
+import openmm_sier.studies.scheme_comparison
+from openmm_sier import RigidBodies, SIER2Integrator
+from openmm_sier.measure import observables, sampling, starts
+from openmm_sier.studies.bench.layer import free_water
+
+system, positions = free_water(3)
+context = starts.make_context(system, SIER2Integrator(0.001), "Reference")
+starts.prepare(context, positions, 300.0, time=0.05)
+series = sampling.sample(context, RigidBodies.from_system(system), 20, 1)
+print(len(series.time), observables.energy_drift(series.time, series.total)[0] < 1e-6)
+assert not any(name.split(".")[0] in ("rich", "matplotlib") for name, module in sys.modules.items() if module)
+"""
+
+
+def test_equilibrating_and_sampling_need_neither_rich_nor_matplotlib():
+    done = subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["20", "True"]

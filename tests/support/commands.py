@@ -1,0 +1,93 @@
+"""The command line as the tests call it: small boxes, what a command wrote, and how it complained."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import time
+from pathlib import Path
+
+import mdtraj
+import numpy as np
+import pytest
+from openmm import unit
+
+from openmm_sier.cli import main, records
+from openmm_sier.context import conservation
+from openmm_sier.measure import forcefields
+
+SYSTEMS = Path(__file__).parents[2] / "systems"
+
+SMALL = ["--platform", "Reference", "--equilibrate", "0.1", "--every", "0.02", "--checkpoint-every", "0.1"]
+
+
+def load_program(path):
+    """A program of the project as a module."""
+    path = SYSTEMS.parent / path
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+make = load_program("systems/make.py")
+
+
+def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
+    """A box of water that has not seen an equilibration."""
+    topology = make.make_topology(molecules, 0)
+    edge = make.box_edge(topology, 0.997)
+    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
+    geometry = make.water_geometry(forcefields.load([file], SYSTEMS))
+    positions = make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(3)) * unit.nanometer
+    make.write(path, topology, positions, edge, [f"FORCEFIELD {file}"] if named else [])
+    return path
+
+
+def frames(path, box):
+    return mdtraj.load(str(path)) if path.suffix == ".h5" else mdtraj.load(str(path), top=str(box))
+
+
+def log(path):
+    return records.Log(Path(path), conservation.COLUMNS, Path(path).stat().st_size).read()
+
+
+def datasets(path):
+    """All datasets of an HDF5 file by name, those in groups too."""
+    found = {}
+    with pytest.importorskip("h5py").File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]} if hasattr(item, "shape") else {}))
+    return found
+
+
+def complaint(capsys, *arguments, code=1):
+    """The one line on standard error with which a command line fails."""
+    if code == main.MISUSED:
+        with pytest.raises(SystemExit) as stop:
+            main.main(list(arguments))
+        assert stop.value.code == code
+    else:
+        assert main.main([str(argument) for argument in arguments]) == code
+    # Lines about progress come from slow machines.
+    said = capsys.readouterr().err.splitlines(keepends=True)
+    err = "".join(line for line in said if not line.endswith(" left\n"))
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    assert err.startswith("openmm-sier")
+    return err
+
+
+def run(*arguments):
+    assert main.main([str(argument) for argument in arguments]) == 0
+
+
+def wait_for(condition, process, limit=120.0):
+    """Wait until something is true of what a process has done, but not for more than `limit` s."""
+    end = time.monotonic() + limit
+    while not condition():
+        assert process.poll() is None, "the command ended by itself"
+        if time.monotonic() > end:
+            process.kill()
+            pytest.fail(f"the command did not come so far in {limit:g} s")
+        time.sleep(0.02)

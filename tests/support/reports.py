@@ -1,0 +1,28 @@
+"""A report that remembers what it was told."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+from openmm_sier.measure.report import Table
+
+
+class Told:
+    """Notes, tables, and for everything that took time its description and the fractions done."""
+
+    def __init__(self):
+        self.notes: list[str] = []
+        self.tables: list[Table] = []
+        self.runs: list[tuple[str, list[float]]] = []
+
+    def note(self, message: str) -> None:
+        self.notes.append(message)
+
+    def table(self, table: Table) -> None:
+        self.tables.append(table)
+
+    @contextmanager
+    def progress(self, description: str, total: float = 1.0, ps: float | None = None):
+        fractions: list[float] = []
+        self.runs.append((description, fractions))
+        yield lambda done, what=None: fractions.append(done / total)

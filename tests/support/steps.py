@@ -1,0 +1,25 @@
+"""Steps of bodies of every kind, for the tests of backends and threads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from openmm_sier.dynamics import operators
+
+
+def with_a_fast_body(bodies, state):
+    """The state with a body at rest and one that spins too fast for the series: the loops leave both to NumPy."""
+    L, slow = state.L.copy(), bodies.parts[1].start
+    L[:, slow], L[:, slow + 1] = 0.0, 100 * L[:, slow + 1]
+    return replace(state, L=L)
+
+
+def constant_torques(bodies, forces):
+    """Forces that hold the bodies near the origin, and torques of atom forces, none on the body at rest."""
+
+    def forces_at(q, A):
+        F, tau = bodies.forces_and_torques(forces, A)
+        tau[:, bodies.parts[1].start] = 0.0
+        return F - 100.0 * q, tau
+
+    return operators.CachedForces(forces_at)

@@ -1,0 +1,21 @@
+"""What an import of the package brings along."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        ("import openmm_sier", {"numba", "matplotlib", "h5py", "rich", "mdtraj", "scipy"}),
+        ("import openmm_sier.cli.main; openmm_sier.cli.main.build_parser()", {"numba", "mdtraj", "rich"}),
+    ],
+)
+def test_imports_are_lean(code, absent):
+    check = f"{code}\nimport sys\nprint(*sorted({absent!r} & set(sys.modules)))"
+    found = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.split()
+    assert found == []

@@ -1,0 +1,249 @@
+"""openmmtools with these integrators: its cache of Contexts, its Monte Carlo moves, and replica exchange."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from typing import ClassVar
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER2, SIER4, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
+from tests.support.waters import array, droplet, periodic_system, platform, relaxed
+
+pytest.importorskip("openmmtools", reason="pip install openmm-sier[validation]")
+from openmmtools import cache, mcmc, multistate, states
+
+FEMTOSECOND, KELVIN, KILOJOULE = unit.femtosecond, unit.kelvin, unit.kilojoule_per_mole
+FRICTION = 20 / unit.picosecond
+
+
+@pytest.fixture(scope="module")
+def drop():
+    """System of a small drop of water, and positions and velocities."""
+    topology, positions, system = droplet(8)
+    return system, relaxed(topology, positions, system)
+
+
+def sampler_state(drop):
+    positions, velocities = drop[1]
+    return states.SamplerState(
+        positions=positions * unit.nanometer, velocities=velocities * unit.nanometer / unit.picosecond
+    )
+
+
+def state_at(drop, temperature=300.0):
+    return states.ThermodynamicState(drop[0], temperature * KELVIN)
+
+
+def langevin(temperature=300.0, friction=FRICTION, step=4 * FEMTOSECOND, **settings):
+    return SIERLangevinIntegrator(temperature * KELVIN, friction, step, **settings)
+
+
+# --- the cache of Contexts --------------------------------------------------------------------------------------------
+
+
+INTEGRATORS = {
+    "SIER2": lambda: SIERIntegrator(6 * FEMTOSECOND, SIER2),
+    "SIER4G": lambda: SIERIntegrator(6 * FEMTOSECOND, SIER4G),
+    "SIER4P": lambda: SIERIntegrator(6 * FEMTOSECOND, SIER4P),
+    "Langevin with SIER2": lambda: langevin(scheme=SIER2),
+    "Langevin with SIER4G": lambda: langevin(scheme=SIER4G),
+    "Langevin with two frictions": lambda: langevin(scheme=SIER2, rotationalFriction=1 / unit.picosecond),
+    "Langevin with bodies": lambda: langevin(scheme=SIER2, bodies=[[0, 1, 2]]),
+    "Langevin with a pressure": lambda: langevin(scheme=SIER2, pressure=1 * unit.bar),
+}
+
+
+def described(integrator):
+    settings = [type(integrator), integrator.scheme, integrator.getStepSize(), integrator._given_bodies]
+    if isinstance(integrator, SIERLangevinIntegrator):
+        settings += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
+        settings.append(integrator.getPressure())
+    return settings
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system(removeCMMotion=False)
+    return system, relaxed(topology, positions, system)
+
+
+def test_the_cache_gives_what_it_is_asked_for(box):
+    """In every order of two of them: each has a Context of its own, and is found again."""
+    state = state_at(box)
+    for before, asked in itertools.permutations(INTEGRATORS, 2):
+        contexts = cache.ContextCache(platform=platform())
+        found = [contexts.get_context(state, INTEGRATORS[name]()) for name in (before, asked)]
+        assert found[0][0] is not found[1][0], (before, asked)
+        for name, (context, integrator) in zip((before, asked), found, strict=True):
+            assert described(integrator) == described(INTEGRATORS[name]()), (before, asked)
+            assert contexts.get_context(state, INTEGRATORS[name]())[0] is context, (before, asked)
+
+
+def test_every_context_of_the_cache_moves(drop):
+    contexts, ends = cache.ContextCache(platform=platform()), []
+    for name in ("SIER2", "Langevin with SIER2", "SIER4G", "Langevin with SIER4G", "SIER2"):
+        context, integrator = contexts.get_context(state_at(drop), INTEGRATORS[name]())
+        sampler_state(drop).apply_to_context(context)
+        if not isinstance(integrator, SIERLangevinIntegrator):
+            # openmmtools gives it an Andersen thermostat.
+            context.setParameter(openmm.AndersenThermostat.CollisionFrequency(), 0)
+        integrator.step(3)
+        ends.append(array(context.getState(positions=True).getPositions(asNumpy=True)))
+    # The last one asked for is the first one, in the same Context, and does the same.
+    assert np.array_equal(ends[0], ends[-1])
+    for one, two in itertools.combinations(ends[:-1], 2):
+        assert np.abs(one - two).max() > 1e-6
+
+
+def test_the_cache_sets_the_friction_that_is_asked_for(drop):
+    """It leaves friction and step out of its keys, as for OpenMM's integrators: one Context serves all values."""
+    contexts = cache.ContextCache(platform=platform())
+    first, _ = contexts.get_context(state_at(drop), langevin())
+    second, integrator = contexts.get_context(
+        state_at(drop), langevin(friction=1 / unit.picosecond, step=2 * FEMTOSECOND)
+    )
+    assert second is first
+    assert integrator.getFriction() == integrator.getRotationalFriction() == 1 / unit.picosecond
+    assert integrator.getStepSize() == 2 * FEMTOSECOND
+
+
+def test_the_cache_sets_the_temperature_of_the_state(drop):
+    """openmmtools leaves the temperature out of its keys: one Context serves all temperatures."""
+    contexts = cache.ContextCache(platform=platform())
+    first, integrator = contexts.get_context(state_at(drop, 300), langevin(300))
+    assert integrator.getTemperature() == 300 * KELVIN
+    second, integrator = contexts.get_context(state_at(drop, 350), langevin(350))
+    assert second is first
+    assert integrator.getTemperature() == 350 * KELVIN
+    assert integrator.getFriction() == FRICTION
+
+
+def test_the_cache_keeps_a_pressure(box):
+    """Of the integrator's own Monte Carlo moves, and of OpenMM's barostat beside a Langevin integrator without one."""
+    system, point = box
+    contexts = cache.ContextCache(platform=platform("CPU"))
+    constant_volume = states.ThermodynamicState(system, 300 * KELVIN)
+    asked = langevin(step=2 * FEMTOSECOND, scheme=SIER2, pressure=1 * unit.bar, barostatInterval=5)
+    context, integrator = contexts.get_context(constant_volume, asked)
+    assert integrator.getPressure() == 1 * unit.bar
+    assert integrator.getBarostatInterval() == 5
+    barostat = states.ThermodynamicState(system, 300 * KELVIN, 1 * unit.bar)
+    other, plain = contexts.get_context(barostat, langevin(step=2 * FEMTOSECOND, scheme=SIER2))
+    assert other is not context
+    assert plain.getPressure() is None
+    for used, moved in ((context, integrator), (other, plain)):
+        used.setPositions(point[0])
+        used.setVelocities(point[1])
+        volume = used.getState().getPeriodicBoxVolume()
+        moved.step(100)
+        assert used.getState().getPeriodicBoxVolume() != volume
+
+
+# --- moves ------------------------------------------------------------------------------------------------------------
+
+
+class LangevinMove(mcmc.BaseIntegratorMove):
+    """Rigid-body Langevin dynamics as a move; it keeps the temperatures that it finds by that of the state, in K."""
+
+    #: Of the class, since samplers copy their moves.
+    found: ClassVar[dict[int, list[float]]] = {}
+
+    def _get_integrator(self, thermodynamic_state):
+        return langevin(thermodynamic_state.temperature / KELVIN, scheme=SIER4G)
+
+    def _after_integration(self, context, thermodynamic_state):
+        integrator = context.getIntegrator()
+        assert isinstance(integrator, SIERLangevinIntegrator)
+        assert integrator.scheme == SIER4G.with_bath()
+        assert integrator.getTemperature() == thermodynamic_state.temperature
+        temperature = integrator.computeSystemTemperature() / KELVIN
+        self.found.setdefault(round(thermodynamic_state.temperature / KELVIN), []).append(temperature)
+
+
+class ConstantEnergyMove(mcmc.IntegratorMove):
+    """openmmtools gives an integrator without a bath an Andersen thermostat, which is switched off here."""
+
+    def _before_integration(self, context, thermodynamic_state):
+        context.setParameter(openmm.AndersenThermostat.CollisionFrequency(), 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "least", "most"), [(ConstantEnergyMove, 0, 0.1), (mcmc.IntegratorMove, 0.3, 100)], ids=["NVE", "Andersen"]
+)
+def test_moves_of_integrators_without_a_bath(drop, kind, least, most):
+    """The move and its copy use one Context.
+
+    In kJ/mol: the energy fluctuates by some 0.01 with SIER4G at 4 fs, and by kT = 2.5 with the thermostat.
+    """
+    contexts = cache.ContextCache(platform=platform())
+    found, energies = sampler_state(drop), []
+    first = kind(SIERIntegrator(4 * FEMTOSECOND, SIER4G), n_steps=50)
+    start = array(found.positions)
+    for move in (first, copy.deepcopy(first), first):
+        move.apply(state_at(drop), found, context_cache=contexts)
+        energies.append((found.potential_energy + found.kinetic_energy) / KILOJOULE)
+    assert len(contexts) == 1
+    assert np.abs(array(found.positions) - start).max() > 0.01
+    assert least < np.ptp(energies) < most
+
+
+def test_langevin_moves_after_moves_at_constant_energy(drop):
+    contexts = cache.ContextCache(platform=platform())
+    mixed = mcmc.SequenceMove(
+        [mcmc.IntegratorMove(SIERIntegrator(4 * FEMTOSECOND, SIER4), n_steps=5), LangevinMove(n_steps=5)]
+    )
+    sampler = mcmc.MCMCSampler(state_at(drop), sampler_state(drop), mixed)
+    sampler.run(3, contexts)
+    assert len(contexts) == 2
+    assert np.isfinite(array(sampler.sampler_state.positions)).all()
+
+
+def test_moves_do_not_repeat_their_noise(drop):
+    """Every move asks for a new integrator, and the cache gives the old one."""
+    contexts = cache.ContextCache(platform=platform())
+    ends = []
+    for _ in range(3):
+        found = sampler_state(drop)
+        LangevinMove(n_steps=2).apply(state_at(drop), found, context_cache=contexts)
+        ends.append(array(found.velocities))
+    for one, two in itertools.combinations(ends, 2):
+        assert np.abs(one - two).max() > 0.01
+
+
+# --- replica exchange -------------------------------------------------------------------------------------------------
+
+#: K, of the replicas; iterations, and steps in each of them.
+LADDER, ITERATIONS, STEPS = (250, 300, 350), 100, 25
+
+
+@pytest.mark.slow
+def test_replica_exchange(drop, tmp_path):
+    """Replicas change places, and each state has its temperature.
+
+    An iteration of 0.1 ps leaves exp(-2 * 20/ps * 0.1 ps) = 2 % of a kinetic energy. The mean of 100 of them with 48
+    degrees of freedom has an error of T sqrt(2/48/100) = 2 %, 5 to 7 K, and another place in the ladder is 50 K away.
+    """
+    LangevinMove.found.clear()
+    sampler = multistate.ReplicaExchangeSampler(
+        mcmc_moves=LangevinMove(n_steps=STEPS), number_of_iterations=ITERATIONS, online_analysis_interval=None
+    )
+    sampler.sampler_context_cache = cache.ContextCache(platform=platform("CPU"))
+    sampler.energy_context_cache = cache.ContextCache(platform=platform("CPU"))
+    reporter = multistate.MultiStateReporter(str(tmp_path / "replicas.nc"), checkpoint_interval=ITERATIONS)
+    sampler.create([state_at(drop, kelvin) for kelvin in LADDER], [sampler_state(drop)], storage=reporter)
+    sampler.run()
+    visited = np.array([reporter.read_replica_thermodynamic_states(i) for i in range(ITERATIONS + 1)])
+    reporter.close()
+    # Every replica has been in every state.
+    assert all(set(column) == {0, 1, 2} for column in visited.T)
+    assert sorted(LangevinMove.found) == list(LADDER)
+    for kelvin, values in LangevinMove.found.items():
+        assert len(values) == ITERATIONS
+        # Four standard errors; the first iterations are left out, in which velocities of 297 K are forgotten.
+        mean, error = np.mean(values[5:]), kelvin * np.sqrt(2 / 48 / (ITERATIONS - 5))
+        assert abs(mean - kelvin) < 4 * error
