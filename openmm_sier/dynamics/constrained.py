@@ -33,12 +33,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from openmm_sier.dynamics import operators
+from openmm_sier.dynamics import backend, operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.geodesic import SUZUKI, TRIPLE_JUMP, Composition
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
-from openmm_sier.dynamics.rotation import rotor
+from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
 #: Free motion of some of the bodies: (q, p, h) -> (q, p), each (3, m).
@@ -49,7 +49,7 @@ def constrained_operators(
     bodies: RigidBodies,
     forces: CachedForces,
     constraints: Constraints,
-    rotation: Rotation = rotor.exact,
+    rotation: Rotation = exact,
     composition: Composition = SUZUKI,
     groups=None,
 ) -> dict[str, Operator]:
@@ -116,7 +116,7 @@ def constrained_gradient_kick(
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
         F, tau = forces(state)
         F = constraints.project(state.q, F)
-        q, A = operators._displaced(bodies, state, F, tau, shift)
+        q, A = backend.active().displace(state.q, state.A, F, tau, shift, bodies.inverse_masses, bodies.inverse_moments)
         part = constraints.members
         q[:, part] = constraints.displaced(state.q, F, shift)[:, part]
         F, tau = forces.at(q, A)
@@ -220,16 +220,16 @@ class FastForces:
     def __init__(self, compute: Callable[[np.ndarray], np.ndarray]):
         self._compute = compute
         self.evaluations = 0
-        self.forget()
+        self.invalidate()
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Compute anew next time: the potential has changed."""
         self._where: np.ndarray | None = None
         self._value = np.empty(0)
 
     def __call__(self, q) -> np.ndarray:
         if self._where is not q:
-            self.forget()
+            self.invalidate()
             self._value = self.at(q)
             self._where = q
         return self._value

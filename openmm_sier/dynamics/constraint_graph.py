@@ -118,9 +118,9 @@ def gather_stars(found: list[tuple[int, list[int]]], pairs, lengths, masses) -> 
     stars = []
     for _, group in sorted(by_size.items()):
         centres = np.array([centre for centre, _ in group], dtype=np.int64)
-        numbers = np.array([numbers for _, numbers in group]).T
-        leaves = np.ascontiguousarray(pairs[numbers].sum(axis=2) - centres)
-        squares = np.ascontiguousarray(lengths[numbers] ** 2)
+        table = np.array([numbers for _, numbers in group]).T
+        leaves = np.ascontiguousarray(pairs[table].sum(axis=2) - centres)
+        squares = np.ascontiguousarray(lengths[table] ** 2)
         stars.append(Stars(centres, leaves, 1 / masses[leaves], 1 / masses[centres], squares))
     return stars
 
@@ -130,7 +130,9 @@ def gather_graphs(found: list[list[int]], pairs, lengths, masses) -> Graphs | No
     if not found:
         return None
     atoms: list[int] = []
-    starts, order, blocks = [], [], []
+    starts: list = []
+    order: list = []
+    blocks: list = []
     ends: list[np.ndarray] = []
     for numbers in found:
         local, members = np.unique(pairs[numbers], return_inverse=True)

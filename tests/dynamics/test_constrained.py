@@ -10,7 +10,8 @@ import pytest
 
 from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, Scheme
 from openmm_sier.dynamics import constrained
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, Species
+from openmm_sier.dynamics.bodies import Species
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import (
     FastForces,
     constrained_bath,
@@ -24,7 +25,7 @@ from openmm_sier.dynamics.constrained import (
 from openmm_sier.dynamics.geodesic import KAHAN_LI, RATTLE
 from openmm_sier.dynamics.operators import CachedForces, drift, stepper
 from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, SIER4P, Stage
-from openmm_sier.dynamics.thermostat import Bath
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.flexible import Points, cage, chains, ring, rotor
 
 SYSTEMS = {"XH3": lambda: rotor(3), "XH2": lambda: rotor(2), "ring": ring, "cage": cage, "chains": chains}
@@ -267,7 +268,7 @@ def test_projected_noise_is_thermal():
     system = cage()
     constraints, bodies = system.constraints(), system.bodies
     start = system.start(np.random.default_rng(1))
-    bath = constrained_bath(Bath(300.0, 5.0, 5.0, seed=3).operator(bodies), constraints)
+    bath = constrained_bath(OrnsteinUhlenbeck(300.0, 5.0, 5.0, seed=3).operator(bodies), constraints)
     state, samples = start, []
     kinetic = [sum(bodies.kinetic_energies(start))]
     for _ in range(4000):

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from openmm_sier import BodyState
-from openmm_sier.dynamics.bodies import GAS_CONSTANT, RigidBodies, Species
+from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import Constraints
 
 BOND = 0.109

@@ -43,7 +43,7 @@ def compiled_graphs() -> SimpleNamespace:
     return _compiled(graph_loops, (), "of_graphs")
 
 
-def _compiled(module: ModuleType, special: tuple[FunctionType, ...], suffix: str) -> SimpleNamespace:
+def _compiled(module: ModuleType, special: tuple[Any, ...], suffix: str) -> SimpleNamespace:
     """The loops of a module, in which some functions are replaced.
 
     Every function that is compiled gets a name of its own: code from the cache on disk is linked by names, and
