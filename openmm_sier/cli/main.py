@@ -8,6 +8,8 @@ import math
 import os
 import signal
 import sys
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
@@ -52,7 +54,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not _standard_streams():
         return _complain("standard output is closed; send it to a file, or to /dev/null")
     try:
-        options.execute(options)
+        with _plain_warnings():
+            options.execute(options)
     except KeyboardInterrupt as stop:
         return _complain(str(stop) or "interrupted", SIGNALLED + getattr(stop, "signum", signal.SIGINT))
     except BrokenPipeError:
@@ -65,6 +68,17 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         return _complain(_said_of(error), getattr(error, "exit_code", FAILED))
     return 0
+
+
+@contextlib.contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Warnings are one line, without the place in the code that Python adds."""
+    usual = warnings.formatwarning
+    warnings.formatwarning = lambda message, *_, **__: f"{PROGRAM}: warning: {' '.join(str(message).split())}\n"
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual
 
 
 def _standard_streams() -> bool:
@@ -180,7 +194,7 @@ def _add_run(commands) -> argparse.ArgumentParser:
         metavar="FILE",
         type=Path,
         help="checkpoint (.chk) of any run, whose positions, velocities and box a new run begins with; unless given, "
-        "force field, --rigid and temperature are taken from it too",
+        "--forcefield, --rigid and --temperature are those of that run",
     )
     parser.add_argument("--restart", metavar="FILE", type=Path, help="checkpoint (.chk) to go on from")
     parser.add_argument("--overwrite", action="store_true", help="replace files of an earlier run")

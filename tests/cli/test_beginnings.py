@@ -60,6 +60,7 @@ def momentum(rows):
 # --- from a checkpoint ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ensemble", ["nve", "nvt"])
 def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, ensemble):
     """Potential energy and volume are those of the end of the other run; step and clock begin anew."""
@@ -160,6 +161,7 @@ def rings(tmp_path_factory):
     return directory
 
 
+@pytest.mark.slow
 def test_named_residues_stay_rigid(rings, capsys):
     command = ["run", rings / "rings.pdb", "--forcefield", rings / "ring.xml", "--rigid", "RNG", *SMALL, "--dt", "4"]
     run(*command, "--steps", "20")
@@ -193,6 +195,7 @@ def test_info_of_named_residues(rings, capsys):
 # --- body states ---
 
 
+@pytest.mark.slow
 def test_body_states_place_the_atoms(box):
     """Sites from the force field, turned by the quaternions and moved to the centres, are the trajectory's atoms."""
     h5py = pytest.importorskip("h5py")
@@ -218,6 +221,7 @@ def test_body_states_place_the_atoms(box):
     np.testing.assert_allclose(kinetic, translation[1:3], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_finished_body_states_are_continued_bit_for_bit(box):
     pytest.importorskip("h5py")
     run("run", box, *SMALL, "--steps", "40", "--out", "whole.dcd", "--bodies", "whole.h5")
@@ -238,6 +242,7 @@ def test_body_states_without_a_frame(box):
 # --- wrapped and unwrapped frames ---
 
 
+@pytest.mark.slow
 def test_unwrapped_frames_do_not_jump(box):
     """In frames 4 fs apart no atom moves by 0.1 nm, where wrapping moves molecules by the edge of the box."""
     options = [
@@ -252,8 +257,8 @@ def test_unwrapped_frames_do_not_jump(box):
         "--temperature",
         "2000",
     ]
-    run(*options, "--steps", "120", "--out", "wrapped.dcd")
-    run(*options, "--steps", "120", "--out", "unwrapped.dcd", "--unwrapped")
+    run(*options, "--steps", "40", "--out", "wrapped.dcd")
+    run(*options, "--steps", "40", "--out", "unwrapped.dcd", "--unwrapped")
     wrapped, unwrapped = (frames(Path(name), box) for name in ("wrapped.dcd", "unwrapped.dcd"))
     edge = wrapped.unitcell_lengths[0, 0]
     assert np.abs(np.diff(unwrapped.xyz, axis=0)).max() < 0.1
