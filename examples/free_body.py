@@ -47,7 +47,7 @@ def main():
 
     at_once, _ = rotation.exact(first_A, first_L, MOMENTS, steps * options.step)
     print(f"\nThe body turned over {flips} times in {steps * options.step:g} ps.")
-    print(f"Its energy changed by {energy(A, L) - energy(first_A, first_L):.1e} of {energy(A, L):.4f} kJ/mol,")
+    print(f"Its energy changed by {abs(energy(A, L) - energy(first_A, first_L)):.1e} of {energy(A, L):.4f} kJ/mol,")
     print(f"its angular momentum by {np.abs(L - first_L).max():.1e} of {np.linalg.norm(L):.1f} dalton nm^2/ps.")
     print(f"One step of {steps * options.step:g} ps ends in the same attitude within {np.abs(A - at_once).max():.1e}.")
 

@@ -9,7 +9,6 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
@@ -54,7 +53,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not _standard_streams():
         return _complain("standard output is closed; send it to a file, or to /dev/null")
     try:
-        with _plain_warnings():
+        with warnings.catch_warnings():
+            warnings.showwarning = _note_warning
             options.execute(options)
     except KeyboardInterrupt as stop:
         return _complain(str(stop) or "interrupted", SIGNALLED + getattr(stop, "signum", signal.SIGINT))
@@ -70,15 +70,9 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-@contextlib.contextmanager
-def _plain_warnings() -> Iterator[None]:
-    """Warnings are one line, without the place in the code that Python adds."""
-    usual = warnings.formatwarning
-    warnings.formatwarning = lambda message, *_, **__: f"{PROGRAM}: warning: {' '.join(str(message).split())}\n"
-    try:
-        yield
-    finally:
-        warnings.formatwarning = usual
+def _note_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    """A warning on one line among the notes, without the line of our code that gave it."""
+    print(f"warning: {' '.join(str(message).split())}", flush=True)
 
 
 def _standard_streams() -> bool:

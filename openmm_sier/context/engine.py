@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 
 from openmm_sier.context import checks, neighbour_list, stored_state
+from openmm_sier.context.host import Host
+from openmm_sier.context.native_program import PART
 from openmm_sier.context.snapshot import Snapshot, read_vectors
 from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.context.vibrations import Vibrations
@@ -17,13 +19,10 @@ from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import VolumeMove
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 
-if TYPE_CHECKING:
-    from openmm_sier.context.integrator import SIERIntegrator
-
 #: Per-atom and global variables of the CustomIntegrator in which the bodies' state travels.
 STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(stored_state.VARIABLES))
 SITES = "sier_sites"
-HEAT, DRAWS, SEED, ARMED = "sier_heat", "sier_draws", "sier_seed", "sier_armed"
+HEAT, DRAWS, SEED = "sier_heat", "sier_draws", "sier_seed"
 
 
 class _Point(NamedTuple):
@@ -35,7 +34,7 @@ class _Point(NamedTuple):
 
 
 class Engine:
-    """Binding of a `SIERIntegrator` to a Context.
+    """Binding of a `SIERIntegrator` to a Context in which this package moves the bodies.
 
     Between two calls of `run` the Context agrees with `state`, and `_echo` is what it gave back then: whatever differs
     later was changed from outside.
@@ -44,7 +43,10 @@ class Engine:
         forces: forces and torques on them, computed by the Context.
     """
 
-    def __init__(self, integrator: SIERIntegrator, context):
+    #: What `SIERIntegrator.engine` says.
+    name = "exact"
+
+    def __init__(self, integrator: Host, context):
         # The Context owns its integrator, so that a strong reference back would keep both alive.
         self._context_ref = weakref.ref(context)
         self._integrator_ref = weakref.ref(integrator)
@@ -84,7 +86,7 @@ class Engine:
         return context
 
     @property
-    def _integrator(self) -> SIERIntegrator:
+    def _integrator(self) -> Host:
         integrator = self._integrator_ref()
         if integrator is None:
             raise openmm.OpenMMException("The integrator of this Context no longer exists")
@@ -241,12 +243,16 @@ class Engine:
         return self._context.getState().getPeriodicBoxVectors(asNumpy=True)._value
 
     def _native_step(self) -> None:
-        integrator = self._integrator
+        """Let OpenMM update the Context's state and do nothing else."""
+        integrator, h = self._integrator, self._integrator.getStepSize()
         try:
-            integrator.setGlobalVariableByName(ARMED, 1)
+            integrator.setGlobalVariableByName(PART, -1)
+            # AndersenThermostat must know of the whole step.
+            openmm.CustomIntegrator.setStepSize(integrator, h)
             openmm.CustomIntegrator.step(integrator, 1)
         finally:
-            integrator.setGlobalVariableByName(ARMED, 0)
+            openmm.CustomIntegrator.setStepSize(integrator, h / integrator._native_steps)
+            integrator.setGlobalVariableByName(PART, 0)
 
     def _without_drift(self, state: BodyState) -> BodyState:
         """What a CMMotionRemover does, for bodies."""
@@ -285,6 +291,18 @@ class Engine:
             f"The {what} {self.bodies.describe(error.body)} is not finite in step {step}. Is the step size "
             "too long, or do atoms overlap? The Context is left at the last completed step."
         )
+
+    def set_groups(self) -> None:
+        """Other force groups move the bodies from now on."""
+        self.forces.invalidate()
+
+    def notice(self) -> None:
+        """Positions or velocities were set from outside; `adopt` finds out by itself."""
+
+    def heat(self) -> float:
+        """Energy that the bath and moves of the volume have given, kJ/mol."""
+        self.adopt()
+        return self.state.heat
 
     def conserves_momentum(self) -> bool:
         """Whether the total momentum is conserved, see `MomentumConservation`."""

@@ -6,6 +6,8 @@ has a SIER integrator, and just what OpenMM's do where it has another:
 - `Context.__init__` and `Context.reinitialize` bind the integrator to the Context and refuse a System that it cannot
   move. `reinitialize` without the state also clears the heat and the count of random numbers.
 - `Context.setState` takes a State of any other integrator, and does not let a State bring back noise that was used.
+- `Context.setPositions`, `setVelocities`, `setVelocitiesToTemperature` and `loadCheckpoint` tell the integrator that
+  atoms were moved, which the native engine would not notice by itself.
 - `Context.createCheckpoint` and `Context.getState` with the integrator's parameters have the run go on as a restart
   from what they return would.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
@@ -31,6 +33,9 @@ def install() -> None:
     _replace(openmm.Context, "__init__", _binding_new_context)
     _replace(openmm.Context, "reinitialize", _binding_again)
     _replace(openmm.Context, "setState", _accepting)
+    for name in ("setPositions", "setVelocities", "setVelocitiesToTemperature"):
+        _replace(openmm.Context, name, _telling_of_moved_atoms)
+    _replace(openmm.Context, "loadCheckpoint", _loading)
     _replace(openmm.Context, "createCheckpoint", _going_on_as_a_restart)
     _replace(openmm.Context, "getState", _going_on_as_a_restart)
     _replace(openmm.LocalEnergyMinimizer, "minimize", _keeping_bodies)
@@ -127,8 +132,11 @@ def _keeping_bodies(method):
     @functools.wraps(method)
     def wrapper(context, tolerance=10.0, maxIterations=0, reporter=None):
         integrator = _integrator_of(context)
-        if integrator is None or constraints_hold(context.getSystem(), integrator.bodies):
+        if integrator is None:
             return method(context, tolerance, maxIterations, reporter)
+        if integrator.engine == "native" or constraints_hold(context.getSystem(), integrator.bodies):
+            method(context, tolerance, maxIterations, reporter)
+            return integrator._bound().notice()
         return minimize_bodies(context, integrator._bound(), tolerance, maxIterations, reporter)
 
     return wrapper
@@ -157,9 +165,43 @@ def _accepting(method):
             _set_all_but_integrator(self, state)
         integrator.setGlobalVariableByName(SEED, seed)
         integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
+        _take_over(integrator)
         return None
 
     return wrapper
+
+
+def _telling_of_moved_atoms(method):
+    """A method of the Context that sets positions or velocities."""
+
+    @functools.wraps(method)
+    def wrapper(self, *args, **kwargs):
+        result = method(self, *args, **kwargs)
+        integrator = _integrator_of(self)
+        if integrator is not None and integrator._engine is not None:
+            integrator._engine.notice()
+        return result
+
+    return wrapper
+
+
+def _loading(method):
+    """`Context.loadCheckpoint`, after which the heat may be one that the native engine counted."""
+
+    @functools.wraps(method)
+    def wrapper(self, checkpoint):
+        method(self, checkpoint)
+        if (integrator := _integrator_of(self)) is not None:
+            _take_over(integrator)
+
+    return wrapper
+
+
+def _take_over(integrator) -> None:
+    integrator._fold_heat()
+    integrator._tell_program()
+    if integrator._engine is not None:
+        integrator._engine.notice()
 
 
 def _set_all_but_integrator(context, state) -> None:

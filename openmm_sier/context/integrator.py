@@ -7,26 +7,30 @@ import inspect
 import math
 import numbers
 import operator
-from collections.abc import Sequence
 
 import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.context import stored_settings
-from openmm_sier.context.engine import ARMED, DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
+from openmm_sier.context import native_program, stored_settings
+from openmm_sier.context.engine import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
+from openmm_sier.context.host import Bodies
+from openmm_sier.context.native_engine import TOLERANCE, NativeEngine
+from openmm_sier.context.native_program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
 from openmm_sier.context.temperature import Temperatures
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 
-#: OpenMM's message about an illegal variable of this name tells what happened.
-LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
+#: The platforms on which `engine="auto"` takes the exact engine: there its forces are beside the arrays of Python.
+EXACT_PLATFORMS = ("CPU", "Reference")
 
-#: What users may give as bodies.
-Bodies = RigidBodies | Sequence[Sequence[int]] | None
+ENGINES = ("auto", "exact", "native")
+
+#: Steps of RATTLE in each drift of a native program, see docs/native.md.
+SUBSTEPS = 3
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
@@ -36,10 +40,23 @@ class SIERIntegrator(openmm.CustomIntegrator):
     molecules are found in the System's constraints when the Context is created; a System with constraints that form
     no rigid bodies is refused there. Velocities in the Context are those of the whole step.
 
+    Two engines execute the scheme. The exact one is a layer of Python over the Context and has the exact rotation. The
+    native one is the integrator's own program, which OpenMM executes on any platform, with steps of RATTLE for the
+    rotation; it moves molecules with constraints of any kind. XML carries the program, so that it also runs where this
+    package is not imported: see docs/native.md.
+
     Source: van Zon and Schofield (2007).
     """
 
-    def __init__(self, stepSize, scheme: Scheme = SIER4G, bodies: Bodies = None, rotation=exact):
+    def __init__(
+        self,
+        stepSize,
+        scheme: Scheme = SIER4G,
+        bodies: Bodies = None,
+        rotation=exact,
+        engine: str = "auto",
+        substeps: int = SUBSTEPS,
+    ):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
@@ -47,35 +64,61 @@ class SIERIntegrator(openmm.CustomIntegrator):
             bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices make rigid
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
             rotation: free-rotation map, as `rotation.exact`.
+            engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
+            substeps: of the native engine, the steps of RATTLE in each drift; 3 and 5 make it of fourth order.
 
         Raises:
-            ValueError: the step is negative or not finite. A step of 0 is for Contexts that only evaluate forces: steps
-                are counted and nothing moves.
+            ValueError: the step is negative or not finite, the engine is none of these, or there are no substeps. A
+                step of 0 is for Contexts that only evaluate forces: steps are counted and nothing moves.
             TypeError: the step is no time, or `scheme` is no Scheme.
         """
         if not isinstance(scheme, Scheme):
             raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {scheme!r}")
+        if engine not in ENGINES:
+            raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
+        if (substeps := whole_number("substeps", substeps)) == 0:
+            raise ValueError("substeps must be at least 1, got 0")
         super().__init__(_step_size(stepSize))
-        self._engine: Engine | None = None
+        self._engine: Engine | NativeEngine | None = None
         self._scheme, self._rotation = scheme, rotation
+        self._wanted_engine, self._substeps = engine, substeps
         self._given_bodies = _checked_bodies(bodies)
-        self._write_program()
-        self._store_settings()
-
-    def _write_program(self) -> None:
         for name in (*STATE_VARIABLES, SITES):
             self.addPerDofVariable(name, 0)
-        for name in (HEAT, DRAWS, SEED, ARMED):
+        for name in (HEAT, DRAWS, SEED):
             self.addGlobalVariable(name, 0)
-        # Where this package is not imported, XML gives a plain CustomIntegrator that would advance the clock and move
-        # nothing. It fails instead: Reference and CPU name the variable that does not exist, other platforms stop at
-        # positions that are NaN.
-        self.beginIfBlock(f"{ARMED} < 0.5")
-        self.addComputePerDof(LOST, "0")
-        self.addComputePerDof("x", f"x + sqrt({ARMED} - 1)")
-        self.addComputeGlobal(ARMED, "energy")
-        self.endBlock()
-        self.addUpdateContextState()
+        self._program = _written(scheme, substeps)
+        native_program.install(self._program if isinstance(self._program, Program) else None, self)
+        self.setConstraintTolerance(TOLERANCE)
+        self.setStepSize(stepSize)
+        self._store_settings()
+        self._tell_program()
+
+    @property
+    def _native_steps(self) -> int:
+        """Steps of OpenMM in one step of the scheme."""
+        return len(self._program.parts) if isinstance(self._program, Program) else 1
+
+    def _tell_program(self) -> None:
+        """Give the program's variables the values that they must have, whatever was loaded."""
+        held = isinstance(self._engine, NativeEngine)
+        lost = not held and (self._only_exact() is not None or self._given_bodies is not None)
+        friction, thermal = self._coupling()
+        for name, value in ((EXACT_ONLY, float(lost)), (PART, 0), (FRICTION, friction), (THERMAL, thermal)):
+            if self.getGlobalVariableByName(name) != value:
+                self.setGlobalVariableByName(name, value)
+
+    def _coupling(self) -> tuple[float, float]:
+        """Friction in 1/ps and thermal energy in kJ/mol of the program's bath."""
+        return 0.0, 0.0
+
+    def _only_exact(self) -> str | None:
+        """What the native engine cannot do of what this integrator was made for, and the remedy."""
+        if isinstance(self._program, str):
+            return f"does not know this scheme, since {self._program}: take another scheme"
+        if self._rotation is not exact:
+            return "has no other free-rotation maps: leave out `rotation`"
+        return None
 
     def _store_settings(self) -> None:
         """Put all settings that OpenMM does not know of into what it serializes."""
@@ -83,6 +126,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         stored_settings.store(self, "rotation", text=stored_settings.place_of(self._rotation))
         stored_settings.store_scheme(self, self._scheme)
         stored_settings.store_bodies(self, self._given_bodies)
+        stored_settings.store(self, "engine", [self._substeps], self._wanted_engine)
 
     def _take_settings(self, rotation=None) -> None:
         """Take over all settings from what OpenMM serialized; the free-rotation map, if it is known, as it is."""
@@ -91,8 +135,37 @@ class SIERIntegrator(openmm.CustomIntegrator):
         place = stored_settings.required(self, "rotation")[0]
         self._rotation = rotation or stored_settings.from_place(place, "free-rotation map")
         self._given_bodies = stored_settings.stored_bodies(self)
+        self._wanted_engine, (substeps,) = stored_settings.required(self, "engine")
+        self._substeps = int(substeps)
+        self._program = _written(self._scheme, self._substeps)
+        (self._step,) = stored_settings.required(self, "step")[1].tolist()
+        step = super().getStepSize()._value * self._native_steps
+        if not math.isclose(step, self._step, rel_tol=1e-12):
+            # It was set where this package was not imported.
+            self._step = step
 
     # --- what users ask ---
+
+    @property
+    def engine(self) -> str:
+        """The engine of the Context that this integrator is bound to; before that, the one that was asked for."""
+        return self._wanted_engine if self._engine is None else self._engine.name
+
+    @property
+    def substeps(self) -> int:
+        """Steps of RATTLE in each drift of the native engine."""
+        return self._substeps
+
+    @property
+    def program(self) -> Program:
+        """What the native engine executes, to be printed.
+
+        Raises:
+            ValueError: the scheme has an operator that cannot be written out.
+        """
+        if isinstance(self._program, str):
+            raise ValueError(self._program)
+        return self._program
 
     @property
     def scheme(self) -> Scheme:
@@ -122,9 +195,15 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         return self._bound().conserves_momentum()
 
+    def getStepSize(self):
+        """The step of the scheme, a quantity in ps. A step of OpenMM's program is a part of it."""
+        return self._step * unit.picosecond
+
     def setStepSize(self, size) -> None:
         """Set the step, a time quantity or a number in ps."""
-        super().setStepSize(_step_size(size))
+        self._step = _step_size(size)
+        super().setStepSize(self._step / self._native_steps)
+        stored_settings.store(self, "step", [self._step])
 
     def getBodyState(self) -> BodyState:
         """The rigid bodies' state, in agreement with the Context.
@@ -139,7 +218,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def step(self, steps) -> None:
         """Advance by a number of steps.
 
-        An error or interrupt leaves the Context at the last completed step.
+        An interrupt leaves the Context at the last completed step. So does an error with the exact engine; with the
+        native one it leaves the Context where it happened, as with OpenMM's integrators.
 
         Raises:
             ValueError: `steps` is negative or no whole number.
@@ -177,7 +257,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
         super().setIntegrationForceGroups(groups)
         if self._engine is not None:
-            self._engine.forces.invalidate()
+            self._engine.set_groups()
 
     # --- copies ---
 
@@ -198,9 +278,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _prepare_for(self, system) -> None:
         """Forget, before a Context is created, what a copy of a bound integrator has of its original's Context."""
-        for name in (HEAT, DRAWS, SEED, ARMED):
+        for name in (HEAT, DRAWS, SEED, PART):
             self.setGlobalVariableByName(name, 0)
-        for name in (*STATE_VARIABLES, SITES):
+        for name in (*STATE_VARIABLES, SITES, *VECTORS):
             # OpenMM does not check that their number fits the System.
             if len(self.getPerDofVariableByName(name)) > 1:
                 self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
@@ -208,9 +288,20 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def _bind(self, context) -> None:
         # A System that is refused when a Context is reinitialized must not leave the bodies of the old one.
         self._engine = None
-        self._engine = Engine(self, context)
+        exact = self._wanted_engine == "exact"
+        if self._wanted_engine == "auto":
+            exact = context.getPlatform().getName() in EXACT_PLATFORMS
+        self._engine = Engine(self, context) if exact else NativeEngine(self, context)
+        self._tell_program()
 
-    def _bound(self) -> Engine:
+    def _fold_heat(self) -> None:
+        """Bring the heat that the program counts for each degree of freedom to the sum that both engines know."""
+        work = np.array(self.getPerDofVariableByName(WORK))
+        if work.any():
+            self.setGlobalVariableByName(HEAT, self.getGlobalVariableByName(HEAT) + float(work.sum()))
+            self.setPerDofVariableByName(WORK, np.zeros(work.shape))
+
+    def _bound(self) -> Engine | NativeEngine:
         if self._engine is None:
             raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
         return self._engine
@@ -285,6 +376,14 @@ def _restored(plain, cls, attributes: dict):
 
 def _unpickled(xml: str, cls, attributes: dict):
     return _restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
+
+
+def _written(scheme: Scheme, substeps: int) -> Program | str:
+    """The program of a scheme, or why there is none."""
+    try:
+        return native_program.write(scheme, substeps)
+    except ValueError as error:
+        return str(error)
 
 
 def _checked_bodies(bodies: Bodies) -> Bodies:

@@ -8,10 +8,10 @@ from openmm import unit
 
 from openmm_sier.context import stored_settings
 from openmm_sier.context.engine import SEED
-from openmm_sier.context.integrator import Bodies, SIERIntegrator, quantity_to_float, whole_number
+from openmm_sier.context.integrator import SUBSTEPS, Bodies, SIERIntegrator, quantity_to_float, whole_number
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.constants import BAR
+from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
@@ -43,6 +43,8 @@ class SIERLangevinIntegrator(SIERIntegrator):
         rotationalFriction=None,
         pressure=None,
         barostatInterval=25,
+        engine: str = "auto",
+        substeps: int = SUBSTEPS,
     ):
         """
         Args:
@@ -56,12 +58,14 @@ class SIERLangevinIntegrator(SIERIntegrator):
             pressure: if it is to be constant, a quantity or a number in bar. All edges of the box change by one factor,
                 and ln V by up to 0.5/sqrt(number of molecules) in one move.
             barostatInterval: steps from one attempt to change the volume to the next.
+            engine, substeps: see `SIERIntegrator`. The native engine takes OpenMM's noise and OpenMM's barostats.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
-        super().__init__(stepSize, scheme.with_bath() if isinstance(scheme, Scheme) else scheme, bodies, rotation)
+        scheme = scheme.with_bath() if isinstance(scheme, Scheme) else scheme
+        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps)
         friction = _friction("frictionCoeff", frictionCoeff)
         turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
         bath = OrnsteinUhlenbeck(_temperature(temperature), friction, turning, seed=0)
@@ -82,6 +86,20 @@ class SIERLangevinIntegrator(SIERIntegrator):
         stored_settings.store(self, "bath", numbers)
         if piston is not None:
             stored_settings.store(self, "pressure", (piston.pressure, piston.interval))
+        self._tell_program()
+
+    def _coupling(self) -> tuple[float, float]:
+        return self._bath.friction, GAS_CONSTANT * self._bath.temperature
+
+    def _only_exact(self) -> str | None:
+        if self._piston is not None:
+            return "has no `pressure` of its own: add an openmm.MonteCarloBarostat to the System"
+        if self._bath.rotational_friction != self._bath.friction:
+            return "has one friction for all motion: leave out `rotationalFriction`"
+        return super()._only_exact()
+
+    #: Until the settings of the scheme are in place.
+    _bath = OrnsteinUhlenbeck(0.0, 0.0, 0.0, seed=0)
 
     def _take_settings(self, rotation=None) -> None:
         super()._take_settings(rotation)
@@ -146,7 +164,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
 
         The total energy less it is conserved. The work P dV is not in it.
         """
-        return self.getBodyState().heat * unit.kilojoule_per_mole
+        return self._bound().heat() * unit.kilojoule_per_mole
 
     def _bind(self, context) -> None:
         super()._bind(context)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from openmm_sier.context.integrator import Bodies, SIERIntegrator
+from openmm_sier.context.integrator import SUBSTEPS, Bodies, SIERIntegrator
 from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, Scheme
 
 
@@ -13,13 +13,13 @@ class IntegratorOfOneScheme(SIERIntegrator):
 
     SCHEME: ClassVar[Scheme]
 
-    def __init__(self, stepSize, bodies: Bodies = None):
+    def __init__(self, stepSize, bodies: Bodies = None, engine: str = "auto", substeps: int = SUBSTEPS):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
-            bodies: the rigid bodies, see `SIERIntegrator`.
+            bodies, engine, substeps: see `SIERIntegrator`.
         """
-        super().__init__(stepSize, self.SCHEME, bodies)
+        super().__init__(stepSize, self.SCHEME, bodies, engine=engine, substeps=substeps)
 
 
 class SIER2Integrator(IntegratorOfOneScheme):

@@ -458,14 +458,6 @@ def test_unexpected_error_is_one_line_or_a_traceback_on_demand(box, capsys, monk
         main.main(["info", str(box), "--debug"])
 
 
-def test_warning_is_one_line():
-    """Python adds the place in the code. In a process of its own, since pytest collects warnings here."""
-    code = "import sys, warnings; from openmm_sier.cli import info, main\n"
-    code += "info.info = lambda *_: warnings.warn('this is\\nodd', stacklevel=2)\nmain.main(['info', 'box.pdb'])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    assert done.stderr == "openmm-sier: warning: this is odd\n"
-
-
 def test_version(capsys):
     with pytest.raises(SystemExit) as stop:
         main.main(["--version"])

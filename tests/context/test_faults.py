@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import copy
 import gc
-import pathlib
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import openmm
@@ -494,43 +491,6 @@ def test_compound_integrator_is_refused(cluster):
     compound.addIntegrator(SIER2Integrator(0.001))
     with pytest.raises(openmm.OpenMMException, match="cannot be part of a CompoundIntegrator"):
         openmm.Context(system, compound, platform())
-
-
-WITHOUT_THE_PACKAGE = """
-import sys
-import openmm
-from openmm import app
-system, integrator, state = (openmm.XmlSerializer.deserialize(open(name).read()) for name in sys.argv[1:4])
-context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName(sys.argv[4]))
-context.setState(state)
-before = context.getState(positions=True).getPositions(asNumpy=True)
-for _ in range(2):
-    try:
-        integrator.step(1)
-    except openmm.OpenMMException as error:
-        print(error)
-print(context.getStepCount(), (context.getState(positions=True).getPositions(asNumpy=True) == before).all())
-"""
-
-
-@pytest.mark.parametrize("name", ["Reference", "CPU"])
-def test_xml_copy_in_a_process_that_knows_nothing_of_the_package(tmp_path, name):
-    _, positions, system = periodic_system()
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, (positions, 0 * positions))
-    state = context.getState(positions=True, velocities=True)
-    files = []
-    for number, item in enumerate((system, integrator, state)):
-        files.append(str(tmp_path / f"{number}.xml"))
-        pathlib.Path(files[-1]).write_text(openmm.XmlSerializer.serialize(item))
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_THE_PACKAGE, *files, name], capture_output=True, text=True, check=True
-    )
-    lines = done.stdout.splitlines()
-    assert len(lines) == 3
-    for line in lines[:2]:
-        assert "import_openmm_sier_before_it_is_read_from_XML" in line
-    assert lines[2] == "0 True"
 
 
 def described(integrator):

@@ -75,6 +75,8 @@ DISTINCT = {
     "scheme of the bath": lambda: langevin(scheme=SIER2),
     "pressure": lambda: langevin(pressure=1 * unit.bar),
     "higher pressure": lambda: langevin(pressure=2 * unit.bar),
+    "engine": lambda: SIERIntegrator(0.002, SIER2, engine="native"),
+    "substeps": lambda: SIERIntegrator(0.002, SIER2, engine="native", substeps=5),
     "interval": lambda: langevin(pressure=1 * unit.bar, barostatInterval=5),
 }
 

@@ -1,0 +1,65 @@
+"""What the engines ask of the integrator that they run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.operators import Operator, Rotation
+from openmm_sier.dynamics.schemes import Scheme
+
+#: What users may give as bodies.
+Bodies = RigidBodies | Sequence[Sequence[int]] | None
+
+
+class Host(Protocol):
+    """An integrator as the engines see it; methods of `openmm.CustomIntegrator` are among its own."""
+
+    _piston: MonteCarloVolumeMove | None
+    _given_bodies: Bodies
+
+    @property
+    def scheme(self) -> Scheme: ...
+
+    @property
+    def _native_steps(self) -> int:
+        """Steps of OpenMM in one step of the scheme."""
+
+    @property
+    def rotation(self) -> Rotation: ...
+
+    def getStepSize(self) -> Any: ...
+
+    def getIntegrationForceGroups(self) -> int: ...
+
+    def getPerDofVariableByName(self, name: str) -> Any: ...
+
+    def setPerDofVariableByName(self, name: str, values) -> None: ...
+
+    def getConstraintTolerance(self) -> float: ...
+
+    def setConstraintTolerance(self, tol: float) -> None: ...
+
+    def getGlobalVariableByName(self, name: str) -> float: ...
+
+    def setGlobalVariableByName(self, name: str, value: float) -> None: ...
+
+    def _plan_bodies(self, system) -> Any:
+        """What tells the bodies of a System, see `find_bodies.BodyPlan`."""
+
+    def _only_exact(self) -> str | None:
+        """What the native engine cannot do of what the integrator was made for, and the remedy."""
+
+    def _tell_program(self) -> None:
+        """Give the variables of the native program the values that they must have."""
+
+    def _active_scheme(self) -> Scheme:
+        """The scheme to execute now."""
+
+    def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:
+        """Operators besides kicks and drifts, by name."""
+
+    def _counters(self, known: BodyState | None) -> tuple[float, int]:
+        """Heat and number of draws of noise so far."""

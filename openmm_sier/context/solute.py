@@ -1,0 +1,178 @@
+"""Bonded forces on some atoms, from a Context of those atoms alone, so that fast forces cost no pass over all atoms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from xml.etree import ElementTree
+
+import numpy as np
+import openmm
+
+from openmm_sier.context.snapshot import read_vectors
+
+#: Forces whose terms name two to eight atoms, by the element and the attributes that do so in their XML.
+_FOUR = ("p1", "p2", "p3", "p4")
+TERMS = {
+    openmm.HarmonicBondForce: ("Bond", _FOUR[:2]),
+    openmm.HarmonicAngleForce: ("Angle", _FOUR[:3]),
+    openmm.PeriodicTorsionForce: ("Torsion", _FOUR),
+    openmm.RBTorsionForce: ("Torsion", _FOUR),
+    openmm.CMAPTorsionForce: ("Torsion", ("a1", "a2", "a3", "a4", "b1", "b2", "b3", "b4")),
+    openmm.CustomBondForce: ("Bond", _FOUR[:2]),
+    openmm.CustomAngleForce: ("Angle", _FOUR[:3]),
+    openmm.CustomTorsionForce: ("Torsion", _FOUR),
+}
+
+#: These give no forces, whatever their group.
+WITHOUT_FORCES = (
+    openmm.CMMotionRemover,
+    openmm.AndersenThermostat,
+    openmm.MonteCarloBarostat,
+    openmm.MonteCarloAnisotropicBarostat,
+    openmm.MonteCarloMembraneBarostat,
+    openmm.MonteCarloFlexibleBarostat,
+)
+
+
+class SoluteError(ValueError):
+    """Fast forces that a Context of some atoms cannot compute."""
+
+
+def solute_system(system, atoms, groups: Iterable[int], rigid=None) -> openmm.System:
+    """A System of some atoms with the bonded forces of some force groups.
+
+    Args:
+        system: openmm.System to copy from; it is not changed.
+        atoms: particle indices, (m,), which become the particles 0 .. m-1.
+        groups: force groups, each from 0 to 31.
+        rigid: for each particle of `system` the number of its rigid body, -1 for one that is in none. Terms within
+            one rigid body do no work and are left out. None: no particle is in a rigid body.
+
+    Raises:
+        SoluteError: an atom is out of range, named twice or a virtual site; a Force of the groups is no bonded force,
+            or one of its terms acts on an atom that is not among the atoms.
+    """
+    atoms = np.asarray(atoms, dtype=np.int64)
+    n = system.getNumParticles()
+    number = _numbers(system, atoms)
+    reduced = openmm.System()
+    for atom in atoms.tolist():
+        reduced.addParticle(system.getParticleMass(atom))
+    reduced.setDefaultPeriodicBoxVectors(*system.getDefaultPeriodicBoxVectors())
+    wanted = frozenset(groups)
+    rigid = np.full(n, -1) if rigid is None else np.asarray(rigid)
+    for force in system.getForces():
+        if force.getForceGroup() in wanted and not isinstance(force, WITHOUT_FORCES):
+            reduced.addForce(_renumbered(force, number, rigid))
+    return reduced
+
+
+def _numbers(system, atoms) -> np.ndarray:
+    """For each particle its place among the atoms, or -1."""
+    n = system.getNumParticles()
+    number = np.full(n, -1)
+    for place, atom in enumerate(atoms.tolist()):
+        if not 0 <= atom < n:
+            raise SoluteError(f"fast forces are to act on atom {atom}, the System has {n} particles")
+        if number[atom] >= 0:
+            raise SoluteError(f"fast forces are to act on atom {atom}, which is named twice")
+        if system.isVirtualSite(atom):
+            raise SoluteError(
+                f"fast forces are to act on atom {atom}, which is a virtual site: name the atoms it depends on"
+            )
+        number[atom] = place
+    return number
+
+
+def _renumbered(force, number, rigid) -> openmm.Force:
+    """A copy of a bonded Force that acts on the numbers of its atoms."""
+    kind = next((kind for kind in TERMS if isinstance(force, kind)), None)
+    if kind is None:
+        possible = ", ".join(kind.__name__ for kind in TERMS)
+        raise SoluteError(
+            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}; only "
+            f"{possible} can be. Put it into another group with setForceGroup"
+        )
+    tag, attributes = TERMS[kind]
+    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
+    for parent in root.iter(f"{tag}s"):
+        for term in list(parent):
+            old = np.array([int(term.attrib[name]) for name in attributes])
+            new = number[old]
+            if (new < 0).any():
+                _demand_rigid(force, tag, old, new, rigid)
+                parent.remove(term)
+                continue
+            for name, value in zip(attributes, new.tolist(), strict=True):
+                term.set(name, str(value))
+    return openmm.XmlSerializer.deserialize(ElementTree.tostring(root, encoding="unicode"))
+
+
+def _demand_rigid(force, tag: str, old, new, rigid) -> None:
+    body = rigid[old[0]]
+    if body >= 0 and (rigid[old] == body).all():
+        return
+    outside = old[new < 0][0]
+    raise SoluteError(
+        f"a {tag.lower()} of {force.getName()} acts on the atoms {', '.join(map(str, old.tolist()))}; atom {outside} "
+        f"is not among those that move flexibly. Put that force into another group than {force.getForceGroup()} with "
+        "setForceGroup"
+    )
+
+
+class SoluteForces:
+    """Fast forces on some atoms: a function of their positions.
+
+    A Context keeps copies of the Forces, so that changes of parameters, box, or Forces do not reach it by themselves:
+    `follow` takes over parameters and box; after `updateParametersInContext` a new object is needed.
+
+    Attributes:
+        atoms: particle indices of the System, (m,).
+        is_empty: whether there is no force at all.
+    """
+
+    def __init__(self, system, atoms, groups: Iterable[int], rigid=None, platform=None, properties=None):
+        """
+        Args:
+            system, atoms, groups, rigid: of `solute_system`.
+            platform: openmm.Platform, as a rule that of the Context of all atoms; None: OpenMM chooses.
+            properties: of the platform, {name: value}.
+
+        Raises:
+            SoluteError: of `solute_system`.
+        """
+        self.atoms = np.asarray(atoms, dtype=np.int64)
+        reduced = solute_system(system, self.atoms, groups, rigid)
+        self.is_empty = reduced.getNumForces() == 0
+        arguments = () if platform is None else (platform, properties or {})
+        self._integrator = openmm.VerletIntegrator(0.001)
+        self._context = openmm.Context(reduced, self._integrator, *arguments)
+        self._values = np.empty((len(self.atoms), 3))
+
+    def __call__(self, q) -> np.ndarray:
+        """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm."""
+        self._context.setPositions(np.ascontiguousarray(q.T))
+        found = self._context.getState(forces=True)
+        return np.ascontiguousarray(read_vectors(found, openmm.State.Forces, self._values).T)
+
+    def energy(self, q) -> float:
+        """Potential energy, kJ/mol, at positions (3, m), nm."""
+        self._context.setPositions(np.ascontiguousarray(q.T))
+        return self._context.getState(energy=True).getPotentialEnergy()._value
+
+    def follow(self, context) -> bool:
+        """Take over the parameters and the box of the Context of all atoms; returns whether any was different.
+
+        Forces computed before are out of date then.
+        """
+        theirs = context.getState(parameters=True)
+        parameters, own = theirs.getParameters(), self._context.getState(parameters=True)
+        changed = False
+        for name, value in own.getParameters().items():
+            if parameters[name] != value:
+                self._context.setParameter(name, parameters[name])
+                changed = True
+        if theirs.getPeriodicBoxVectors() != own.getPeriodicBoxVectors():
+            self._context.setPeriodicBoxVectors(*theirs.getPeriodicBoxVectors())
+            changed = True
+        return changed

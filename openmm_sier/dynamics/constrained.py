@@ -1,0 +1,349 @@
+"""The operators of a splitting scheme for point bodies with distance constraints, beside rigid bodies.
+
+The phase space is that of positions on the constraint manifold with momenta tangent to it; `Constraints` has the
+algebra. On it a scheme's operators are what they are in flat space:
+
+- kick: the flow of the potential alone. Momenta change by h P(q) F(q), so that they are projected after a plain kick.
+- drift: the flow of the kinetic energy alone, a geodesic.
+- gradient kick: that of the modified potential V - (s/2) |P F|^2, with |f|^2 = f M^-1 f.
+
+Let a = M^-1 P F be the constrained acceleration. On a Riemannian manifold the derivative of |grad V|^2 / 2 along a
+tangent w is <nabla_w grad V, grad V>, and since the Hessian of a function is symmetric this is <nabla_a grad V, w>. So
+the modified force is P F + s nabla_a (P F), with nabla the covariant derivative: P(q) d/ds of the tangent force P F
+along any curve on the manifold that starts at q with velocity a. To first order in s this is
+
+    P(q) P(q_s) F(q_s),    q_s: q + s a brought back onto the constraints.
+
+Projecting at q_s is essential: P(q) F(q_s) lacks the curvature term P (dP/ds) F, and the scheme falls to second order.
+As in flat space the map is reversible, and symplectic up to terms of the order h s^2 = O(h^5) a step.
+
+The algebra of kicks is unchanged too: kicks commute, and T is quadratic in the momenta, so that [V, [V, [V, T]]] = 0.
+Schemes have the order that `Scheme.order` derives, provided that the geodesic has it.
+
+Forces at displaced points exert a torque about the points before displacement that differs in second order in s from
+that about the displaced ones. `restore_torques` makes up for it by a rigid rotation of each group of atoms, so that
+the total angular momentum is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from openmm_sier.dynamics import backend, operators
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.constraints import Constraints
+from openmm_sier.dynamics.geodesic import SUZUKI, TRIPLE_JUMP, Composition
+from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
+
+#: Free motion of some of the bodies: (q, p, h) -> (q, p), each (3, m).
+Advance = Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+
+
+def constrained_operators(
+    bodies: RigidBodies,
+    forces: CachedForces,
+    constraints: Constraints,
+    rotation: Rotation = exact,
+    composition: Composition = SUZUKI,
+    groups=None,
+) -> dict[str, Operator]:
+    """What executes all schemes without a heat bath for bodies of which some are constrained to each other.
+
+    Args:
+        bodies: all bodies; those that are constrained are points.
+        forces: forces and torques on them.
+        constraints: in the numbering of the bodies.
+        rotation: free-rotation map of the rigid bodies.
+        composition: of the geodesic.
+        groups: of `restore_torques`; None: one for each connected component of the constraints.
+    """
+    members = constraints.members
+    drift = operators.drift(bodies, rotation)
+    return {
+        KICK: constrained_kick(operators.kick(forces), constraints),
+        GRADIENT_KICK: constrained_gradient_kick(bodies, forces, constraints, groups),
+        DRIFT: flexible_drift(drift, members, geodesic(constraints.restricted(members), composition)),
+    }
+
+
+# --- kicks ---
+
+
+def constrained_kick(kick: Operator, constraints: Constraints) -> Operator:
+    """A kick of bodies after which the momenta of constrained ones are projected."""
+
+    def apply(state: BodyState, h: float) -> BodyState:
+        kicked = kick(state, h)
+        return replace(kicked, p=constraints.project(state.q, kicked.p))
+
+    return apply
+
+
+def constrained_bath(bath: Operator, constraints: Constraints) -> Operator:
+    """An Ornstein-Uhlenbeck process of bodies with projected noise, so that constrained momenta are exactly thermal.
+
+    With P the projection and noise of the covariance k_B T M that of P times it is k_B T P M P^T = k_B T P M, the one
+    of the Boltzmann distribution on the tangent space. Old momenta are tangent, so that it is enough to project the
+    new ones.
+    """
+
+    def apply(state: BodyState, h: float) -> BodyState:
+        warmed = bath(state, h)
+        p = constraints.project(state.q, warmed.p)
+        part = constraints.members
+        taken = 0.5 * float(((warmed.p[:, part] ** 2 - p[:, part] ** 2) / constraints.masses[part]).sum())
+        return replace(warmed, p=p, heat=warmed.heat - taken)
+
+    return apply
+
+
+def constrained_gradient_kick(
+    bodies: RigidBodies, forces: CachedForces, constraints: Constraints, groups=None
+) -> Operator:
+    """The gradient kick of bodies of which some are constrained; see the module and `operators.gradient_kick`.
+
+    The operator raises ConstraintError where there is no constrained place at the displaced force.
+    """
+    groups = component_groups(constraints) if groups is None else np.asarray(groups)
+    grouped = groups >= 0
+
+    def apply(state: BodyState, h: float, shift: float) -> BodyState:
+        F, tau = forces(state)
+        F = constraints.project(state.q, F)
+        q, A = backend.active().displace(state.q, state.A, F, tau, shift, bodies.inverse_masses, bodies.inverse_moments)
+        part = constraints.members
+        q[:, part] = constraints.displaced(state.q, F, shift)[:, part]
+        F, tau = forces.at(q, A)
+        F = constraints.project(q, F)
+        arm = q - state.q
+        turn = np.cross(arm, F, axis=0)
+        F = constraints.project(state.q, F)
+        F = restore_torques(state.q, turn, F, constraints.masses, groups)
+        turn[:, grouped] = 0.0
+        p = constraints.project(state.q, state.p + h * F)
+        return replace(state, p=p, L=state.L + h * (tau + turn))
+
+    return apply
+
+
+def component_groups(constraints: Constraints) -> np.ndarray:
+    """For each body the number of its connected component of the constraints, -1 if it has none."""
+    groups = np.full(len(constraints.masses), -1)
+    for number, pairs in enumerate(constraints.components):
+        groups[constraints.pairs[pairs]] = number
+    return groups
+
+
+def restore_torques(q, torques, F, masses, groups) -> np.ndarray:
+    """Forces (3, n) to which those of a rigid rotation of each group are added that exert the group's torque.
+
+    They satisfy all constraints between members of a group. About a line that the whole group lies on there is no such
+    rotation, and the torque of a single body is lost; both are of second order in the displacement.
+
+    Args:
+        q: positions, (3, n).
+        torques: on each body, (3, n).
+        F: forces, (3, n).
+        masses: (n,).
+        groups: number of each body's group, (n,); -1 for bodies that are in none.
+    """
+    part = np.flatnonzero(groups >= 0)
+    if not len(part):
+        return F
+    group = groups[part]
+    m = masses[part]
+
+    def summed(rows):
+        return np.array([np.bincount(group, row, group.max() + 1) for row in rows])
+
+    mass = np.maximum(summed([m])[0], 1e-300)
+    arms = q[:, part] - (summed(m * q[:, part]) / mass)[:, group]
+    x, y, z = arms
+    xx, yy, zz, xy, yz, zx = summed(m * np.array([x * x, y * y, z * z, x * y, y * z, z * x]))
+    inertia = np.array([[yy + zz, -xy, -zx], [-xy, xx + zz, -yz], [-zx, -yz, xx + yy]]).transpose(2, 0, 1)
+    inverse = np.linalg.pinv(inertia, rcond=1e-8, hermitian=True)
+    turning = np.einsum("gab,bg->ag", inverse, summed(torques[:, part]))
+    F = F.copy()
+    F[:, part] += m * np.cross(turning[:, group], arms, axis=0)
+    return F
+
+
+# --- drifts ---
+
+
+def flexible_drift(drift: Operator, members, advance: Advance) -> Operator:
+    """The drift of all bodies in which some move otherwise.
+
+    Args:
+        drift: of all bodies.
+        members: columns of those that move otherwise, (m,).
+        advance: how they do.
+    """
+    members = np.asarray(members)
+
+    def apply(state: BodyState, h: float) -> BodyState:
+        moved = drift(state, h)
+        p = state.p.copy()
+        q = moved.q
+        q[:, members], p[:, members] = advance(state.q[:, members], state.p[:, members], h)
+        return replace(moved, q=q, p=p)
+
+    return apply
+
+
+def geodesic(constraints: Constraints, composition: Composition = SUZUKI) -> Advance:
+    """Free motion with constraints; it raises ConstraintError where momenta are far too large for the time."""
+    fractions = np.array(composition.fractions)
+
+    def advance(q, p, h):
+        return constraints.drift(q, p, h, fractions)
+
+    return advance
+
+
+class FastForces:
+    """Forces on point bodies that are computed again only for another array of positions.
+
+    Args:
+        compute: q -> F, each (3, m).
+
+    Attributes:
+        evaluations: how often `compute` was called.
+    """
+
+    def __init__(self, compute: Callable[[np.ndarray], np.ndarray]):
+        self._compute = compute
+        self.evaluations = 0
+        self.invalidate()
+
+    def invalidate(self) -> None:
+        """Compute anew next time: the potential has changed."""
+        self._where: np.ndarray | None = None
+        self._value = np.empty(0)
+
+    def __call__(self, q) -> np.ndarray:
+        if self._where is not q:
+            self.invalidate()
+            self._value = self.at(q)
+            self._where = q
+        return self._value
+
+    def at(self, q) -> np.ndarray:
+        """Forces elsewhere, which are not kept.
+
+        Raises:
+            ValueError: they have not the shape of the positions.
+        """
+        self.evaluations += 1
+        F = self._compute(q)
+        if F.shape != q.shape:
+            raise ValueError(f"fast forces must have the shape {q.shape} of the positions, got {F.shape}")
+        return F
+
+
+def point_operators(
+    constraints: Constraints, forces: FastForces, composition: Composition = TRIPLE_JUMP, groups=None
+) -> dict[str, Operator]:
+    """What executes all schemes without a heat bath for points alone, of which some are constrained to each other.
+
+    Attitudes and angular momenta of the states are passed on as they are.
+
+    Args:
+        constraints: in the numbering of the points, with the masses of all of them.
+        forces: on the points.
+        composition: of the geodesic.
+        groups: of `restore_torques`; None: one for each connected component of the constraints.
+    """
+    groups = component_groups(constraints) if groups is None else np.asarray(groups)
+    advance = geodesic(constraints, composition)
+
+    def kick(state: BodyState, h: float) -> BodyState:
+        return replace(state, p=constraints.project(state.q, state.p + h * forces(state.q)))
+
+    def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
+        q = constraints.displaced(state.q, constraints.project(state.q, forces(state.q)), shift)
+        F = constraints.project(q, forces.at(q))
+        torques = np.cross(q - state.q, F, axis=0)
+        F = restore_torques(state.q, torques, constraints.project(state.q, F), constraints.masses, groups)
+        return replace(state, p=constraints.project(state.q, state.p + h * F))
+
+    def drift(state: BodyState, h: float) -> BodyState:
+        q, p = advance(state.q, state.p, h)
+        return replace(state, q=q, p=p)
+
+    return {KICK: kick, GRADIENT_KICK: gradient_kick, DRIFT: drift}
+
+
+def nested_drift(
+    drift: Operator,
+    members,
+    inner: Scheme,
+    within: Mapping[str, Operator],
+    longest: float,
+) -> Operator:
+    """The drift of all bodies in which fast forces act on some, by steps of an inner scheme in place of free motion.
+
+    The outer scheme then splits off the slow forces alone, H = (T + V_fast) + V_slow. Both flows are symmetric, and
+    the composite is of the order of the outer scheme if the inner one is; with inner steps that grow with the outer
+    step by the same factor.
+
+    A gradient kick of the outer scheme is unchanged: its bracket [V_slow, [T + V_fast, V_slow]] has no term from
+    V_fast, which commutes with V_slow.
+
+    The fast force at the end of a drift serves the start of the next one, if the positions are the very same array
+    then, as they are after kicks.
+
+    The inner scheme to take is SIER4G, one step for a drift of up to 3 fs, two where every bit counts. Energy error
+    of two free chains of three CH2 (constrained C-H, springs up to 1100/cm), in drifts of 3 fs over 1.2 ps at 300 K:
+
+    | inner scheme, steps a drift | fast forces | rms(H), kJ/mol |
+    |---|---|---|
+    | SIER2, 2, 4, 8 or 12 | 2, 4, 8 or 12 | 0.11, 0.027, 0.0065, 0.0029 |
+    | SIER4, 1 or 2 | 4 or 8 | 0.0016, 0.0001 |
+    | SIER4G, 1 or 2 | 3 or 6 | 0.0013, 0.0001 |
+    | the same with plain `RATTLE` | 3 or 6 | 0.0018, 0.0005, and drifts by 0.0012, 0.0003 /ps |
+
+    Args:
+        drift: of all bodies.
+        members: columns of the bodies on which fast forces act, (m,); all that are constrained to one of them belong
+            to them.
+        inner: scheme of the inner steps.
+        within: what executes it for the members, as `point_operators`.
+        longest: of the inner steps, ps. A drift is divided into the least number of equal ones that are not longer.
+
+    Raises:
+        ValueError: `longest` is not positive, or nothing executes an operator of the scheme.
+    """
+    if not longest > 0:
+        raise ValueError(f"the longest inner step must be positive, got {longest}")
+    operators.stepper(inner, within, longest)  # Refuses what cannot be executed now, not at the first step.
+    members = np.asarray(members)
+    nothing = np.empty((3, 3, 0)), np.empty((3, 0))
+    kept: list[np.ndarray] = []
+
+    def apply(state: BodyState, h: float) -> BodyState:
+        if not kept or kept[0] is not state.q:
+            kept[:] = state.q, state.q[:, members]
+        moved = drift(state, h)
+        points = BodyState(kept[1], state.p[:, members], *nothing)
+        count = inner_steps(h, longest)
+        step = operators.stepper(inner, within, h / count)
+        for _ in range(count):
+            points = step(points)
+        q, p = moved.q, state.p.copy()
+        q[:, members], p[:, members] = points.q, points.p
+        kept[:] = q, points.q
+        return replace(moved, q=q, p=p)
+
+    return apply
+
+
+def inner_steps(h: float, longest: float) -> int:
+    """Number of inner steps into which a drift for the time h is divided, the same for h and -h."""
+    return max(1, math.ceil(abs(h) / longest * (1 - 1e-12)))

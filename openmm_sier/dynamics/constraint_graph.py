@@ -1,0 +1,205 @@
+"""The graph of constraints: connected components, stars among them, and the order of elimination of the others."""
+
+from __future__ import annotations
+
+import heapq
+from collections import defaultdict
+from typing import NamedTuple
+
+import numpy as np
+
+#: Stars of up to so many leaves have formulas of their own, each compiled separately; larger ones are graphs like
+#: others.
+MOST_LEAVES = 3
+
+
+class Stars(NamedTuple):
+    """All stars of k leaves: m centres, each constrained to its own leaves.
+
+    Attributes:
+        centres: columns of the state, (m,).
+        leaves: (k, m).
+        light: inverse masses of the leaves, (k, m), 1/dalton.
+        heavy: inverse masses of the centres, (m,).
+        squares: squared lengths, (k, m), nm^2.
+    """
+
+    centres: np.ndarray
+    leaves: np.ndarray
+    light: np.ndarray
+    heavy: np.ndarray
+    squares: np.ndarray
+
+
+class Pattern(NamedTuple):
+    """Where the matrix of a sparse elimination has elements; see `backend.graph_loops`."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    diagonal: np.ndarray
+    weights: np.ndarray
+
+
+class Graphs(NamedTuple):
+    """All components that are no stars.
+
+    Attributes:
+        atoms: columns of the state, (a,), component by component.
+        starts: first atom, end, first constraint and end of each component, (c, 4).
+        ends: of each constraint the numbers of its atoms in `atoms`, (e, 2).
+        squares: squared lengths, (e,).
+        inverse_masses: (a,).
+        pattern: of the elimination, in whose order the constraints are.
+    """
+
+    atoms: np.ndarray
+    starts: np.ndarray
+    ends: np.ndarray
+    squares: np.ndarray
+    inverse_masses: np.ndarray
+    pattern: Pattern
+
+    @property
+    def tables(self):
+        """What the loops of `backend.graph_loops` take as `graph`."""
+        return self.ends, self.squares, self.inverse_masses, tuple(self.pattern)
+
+    def component(self, number: int) -> np.ndarray:
+        """Columns of the state of one component."""
+        return self.atoms[self.starts[number, 0] : self.starts[number, 1]]
+
+
+def components(pairs) -> list[list[int]]:
+    """Numbers of the pairs (c, 2) of each connected component, ordered by their first pair."""
+    at: dict[int, list[int]] = defaultdict(list)
+    for number, pair in enumerate(pairs):
+        for atom in pair:
+            at[int(atom)].append(number)
+    seen = np.zeros(len(pairs), dtype=bool)
+    found = []
+    for first in range(len(pairs)):
+        if seen[first]:
+            continue
+        seen[first] = True
+        stack, members = [first], []
+        while stack:
+            number = stack.pop()
+            members.append(number)
+            for atom in pairs[number]:
+                for other in at[int(atom)]:
+                    if not seen[other]:
+                        seen[other] = True
+                        stack.append(other)
+        found.append(sorted(members))
+    return found
+
+
+def star_centre(pairs, masses) -> int | None:
+    """The atom that all pairs (k, 2) of a component share, the heavier one of a single pair; None if it is no star."""
+    if len(pairs) > MOST_LEAVES:
+        return None
+    shared = set(pairs[0]).intersection(*pairs[1:])
+    leaves = {atom for pair in pairs for atom in pair}
+    if not shared or len(leaves) != len(pairs) + 1:
+        return None
+    return int(max(shared, key=lambda atom: (masses[atom], -atom)))
+
+
+def gather_stars(found: list[tuple[int, list[int]]], pairs, lengths, masses) -> list[Stars]:
+    """Stars by their number of leaves.
+
+    Args:
+        found: of each star its centre and the numbers of its pairs.
+        pairs, lengths, masses: all pairs (c, 2), their lengths (c,), and masses (n,) of all atoms.
+    """
+    by_size: dict[int, list[tuple[int, list[int]]]] = defaultdict(list)
+    for centre, numbers in found:
+        by_size[len(numbers)].append((centre, numbers))
+    stars = []
+    for _, group in sorted(by_size.items()):
+        centres = np.array([centre for centre, _ in group], dtype=np.int64)
+        table = np.array([numbers for _, numbers in group]).T
+        leaves = np.ascontiguousarray(pairs[table].sum(axis=2) - centres)
+        squares = np.ascontiguousarray(lengths[table] ** 2)
+        stars.append(Stars(centres, leaves, 1 / masses[leaves], 1 / masses[centres], squares))
+    return stars
+
+
+def gather_graphs(found: list[list[int]], pairs, lengths, masses) -> Graphs | None:
+    """The components whose pair numbers are given; None if there are none."""
+    if not found:
+        return None
+    atoms: list[int] = []
+    starts: list = []
+    order: list = []
+    blocks: list = []
+    ends: list[np.ndarray] = []
+    for numbers in found:
+        local, members = np.unique(pairs[numbers], return_inverse=True)
+        members = members.reshape(-1, 2)
+        sequence, rows = eliminate(members)
+        first_atom, first_pair = len(atoms), len(order)
+        atoms += [int(atom) for atom in local]
+        order += [numbers[e] for e in sequence]
+        ends.append(members[sequence] + first_atom)
+        blocks += [[column + first_pair for column in row] for row in rows]
+        starts.append((first_atom, len(atoms), first_pair, len(order)))
+    columns = np.array([column for row in blocks for column in row], dtype=np.int64)
+    rows_at = np.cumsum([0] + [len(row) for row in blocks]).astype(np.int64)
+    diagonal = np.array([rows_at[e] + row.index(e) for e, row in enumerate(blocks)], dtype=np.int64)
+    joined, inverse_masses = np.concatenate(ends).astype(np.int64), 1 / masses[atoms]
+    weights = _weights(joined, inverse_masses, np.repeat(np.arange(len(blocks)), np.diff(rows_at)), columns)
+    pattern = Pattern(rows_at, columns, diagonal, weights)
+    squares = lengths[order] ** 2
+    return Graphs(np.array(atoms, np.int64), np.array(starts, np.int64), joined, squares, inverse_masses, pattern)
+
+
+def _weights(ends, inverse_masses, rows, columns) -> np.ndarray:
+    """For pairs of constraints the sum of +-1/m of the atoms they share: + where both begin or both end there."""
+    weights = np.zeros(len(rows))
+    for one in range(2):
+        for other in range(2):
+            shared = ends[rows, one] == ends[columns, other]
+            weights += np.where(shared, inverse_masses[ends[rows, one]] * (1 if one == other else -1), 0.0)
+    return weights
+
+
+def eliminate(members) -> tuple[list[int], list[list[int]]]:
+    """An order of elimination by least degree, which fills little in molecules.
+
+    Source: Tinney and Walker, Proc. IEEE 55, 1801 (1967).
+
+    Args:
+        members: atoms of each constraint, (e, 2); constraints that share one are neighbours.
+
+    Returns:
+        The constraints in their order, and for each in that order the sorted positions of its elements, fill included.
+    """
+    at: dict[int, set[int]] = defaultdict(set)
+    for number, pair in enumerate(members):
+        for atom in pair:
+            at[int(atom)].add(number)
+    neighbours = [set().union(*(at[int(atom)] for atom in pair)) - {e} for e, pair in enumerate(members)]
+    queue = [(len(near), e) for e, near in enumerate(neighbours)]
+    heapq.heapify(queue)
+    sequence: list[int] = []
+    later: list[set[int]] = []
+    place = np.full(len(members), -1)
+    while queue:
+        degree, e = heapq.heappop(queue)
+        near = neighbours[e]
+        if place[e] >= 0 or degree != len(near):
+            continue
+        place[e] = len(sequence)
+        sequence.append(e)
+        later.append(near)
+        for other in near:
+            neighbours[other] |= near
+            neighbours[other] -= {other, e}
+            heapq.heappush(queue, (len(neighbours[other]), other))
+    rows: list[set[int]] = [{e} for e in range(len(sequence))]
+    for row, near in enumerate(later):
+        for other in near:
+            rows[row].add(int(place[other]))
+            rows[int(place[other])].add(row)
+    return sequence, [sorted(row) for row in rows]

@@ -1,0 +1,252 @@
+"""Distance constraints between point bodies: projections, moves on the constraint manifold, and its geodesics.
+
+The constraints g_c = (|x_i - x_j|^2 - l^2) / 2 = 0 have gradients G whose row c is the bond vector at i and its
+negative at j. Momenta are tangent to the manifold where G M^-1 p = 0. The projection
+
+    P p = p - G^T (G M^-1 G^T)^-1 G M^-1 p
+
+is orthogonal in the metric M^-1, and makes of a force the one that acts on the constrained motion. Forces along bonds
+are central and act on pairs, so that nothing here changes the total momentum or the total angular momentum.
+
+Geodesics are composed of RATTLE steps (Andersen, J. Comput. Phys. 52, 24 (1983)): the atoms move freely for a time d,
+are brought back along the gradients at the start, x' = x + d M^-1 (p + G(x)^T mu), and the momenta p + G(x)^T mu are
+projected at the end. This map is symmetric and symplectic. All equations are solved to rounding, so that it stays so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from openmm_sier.dynamics.backend import constraint_loops, graph_loops
+from openmm_sier.dynamics.constraint_graph import components, gather_graphs, gather_stars, star_centre
+from openmm_sier.dynamics.constraint_solvers import NumbaSolver, NumpySolver
+
+#: Lengths given twice for a pair may differ by this much, nm.
+SAME_LENGTH = 1e-6
+
+#: How many atoms of a large component a message names.
+NAMED = 8
+
+
+class ConstraintError(ValueError):
+    """Constraints that cannot be satisfied."""
+
+
+class Constraints:
+    """Distances held fixed between point bodies, in columns of a state's arrays.
+
+    Attributes:
+        pairs: (c, 2), each pair once.
+        lengths: (c,), nm.
+        masses: of all n bodies, (n,), dalton.
+        components: pair numbers of each connected component.
+        members: the columns that are constrained, ascending.
+    """
+
+    def __init__(
+        self,
+        pairs,
+        lengths,
+        masses,
+        describe: Callable[[int], str] | None = None,
+        compiled: bool | None = None,
+    ):
+        """
+        Args:
+            pairs: (c, 2), columns of the state.
+            lengths: (c,), nm.
+            masses: of all bodies, (n,), dalton.
+            describe: a name for messages of a body.
+            compiled: whether Numba executes; None: where it is installed and allowed.
+
+        Raises:
+            ConstraintError: a pair is out of range or joins a body to itself, a length or mass is not positive, or a
+                pair has two lengths.
+        """
+        self.masses = np.array(masses, dtype=float)
+        self._describe = describe or (lambda body: f"body {body}")
+        self._given = describe, compiled
+        self.pairs, self.lengths = self._distinct(
+            np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(lengths, float)
+        )
+        self.components = components(self.pairs)
+        self.members = np.unique(self.pairs)
+        self._sort()
+        compiled = constraint_loops.available() if compiled is None else compiled
+        self._solver = (NumbaSolver if compiled else NumpySolver)(self.stars, self.graphs)
+
+    def _distinct(self, pairs, lengths):
+        n = len(self.masses)
+        if lengths.shape != (len(pairs),):
+            raise ConstraintError(
+                f"{len(pairs)} constraints need as many lengths, got an array of shape {lengths.shape}"
+            )
+        known: dict[tuple[int, int], float] = {}
+        for (i, j), length in zip(pairs.tolist(), lengths.tolist(), strict=True):
+            if not (0 <= i < n and 0 <= j < n) or i == j:
+                raise ConstraintError(
+                    f"a constraint joins the bodies {i} and {j}; it must join two different ones of {n}"
+                )
+            if not 0 < length < np.inf:
+                raise ConstraintError(
+                    f"the constraint of {self._name(i, j)} has the length {length}, not a positive one"
+                )
+            for body in (i, j):
+                if not 0 < self.masses[body] < np.inf:
+                    raise ConstraintError(
+                        f"{self._describe(body)} is constrained and has the mass {self.masses[body]}, not a positive "
+                        "one"
+                    )
+            other = known.setdefault((min(i, j), max(i, j)), length)
+            if abs(other - length) > SAME_LENGTH:
+                raise ConstraintError(
+                    f"the constraints of {self._name(i, j)} contradict each other: {other:.6f} and {length:.6f} nm"
+                )
+        return np.array(list(known), dtype=np.int64).reshape(-1, 2), np.array(list(known.values()))
+
+    def _name(self, *bodies) -> str:
+        named = ", ".join(self._describe(int(body)) for body in bodies[:NAMED])
+        return named if len(bodies) <= NAMED else f"{named} and {len(bodies) - NAMED} more"
+
+    def _sort(self) -> None:
+        stars: list[tuple[int, list[int]]] = []
+        others = []
+        for numbers in self.components:
+            centre = star_centre(self.pairs[numbers].tolist(), self.masses)
+            if centre is None:
+                others.append(numbers)
+            else:
+                stars.append((centre, numbers))
+        self.stars = gather_stars(stars, self.pairs, self.lengths, self.masses)
+        self.graphs = gather_graphs(others, self.pairs, self.lengths, self.masses)
+
+    def restricted(self, bodies) -> Constraints:
+        """The constraints in the numbering of a subset of the bodies, which breaks up no component.
+
+        Args:
+            bodies: ascending columns of this state, (m,), that become the columns 0 .. m-1.
+
+        Raises:
+            ConstraintError: a constraint joins a body of the subset to another.
+        """
+        bodies = np.asarray(bodies)
+        number = np.full(len(self.masses), -1)
+        number[bodies] = np.arange(len(bodies))
+        ends = number[self.pairs]
+        cut = np.flatnonzero((ends < 0).any(axis=1) & (ends >= 0).any(axis=1))
+        if len(cut):
+            raise ConstraintError(
+                f"the constraint of {self._name(*self.pairs[cut[0]])} leaves the subset of the bodies"
+            )
+        kept = (ends >= 0).all(axis=1)
+        describe, compiled = self._given
+        named = describe and (lambda body: describe(int(bodies[body])))
+        return Constraints(ends[kept], self.lengths[kept], self.masses[bodies], named, compiled)
+
+    # --- what is conserved and counted ---
+
+    def residual(self, q) -> float:
+        """Largest relative deviation of a constrained length at positions (3, n)."""
+        if not len(self.pairs):
+            return 0.0
+        found = np.linalg.norm(q[:, self.pairs[:, 0]] - q[:, self.pairs[:, 1]], axis=0)
+        return float(np.abs(found / self.lengths - 1).max())
+
+    def rank(self, q=None) -> int:
+        """Number of independent constraints, by which the degrees of freedom are fewer.
+
+        Args:
+            q: positions, (3, n); without them the rank that almost all positions have.
+
+        Raises:
+            ConstraintError: the rank at q is smaller, as where a planar cage or three constrained atoms on a line
+                are: there constrained motion is undefined. The message names the atoms.
+        """
+        rank = sum(stars.leaves.size for stars in self.stars)
+        if self.graphs is None:
+            return rank
+        generic = self._ranks(np.random.default_rng(1).normal(size=(3, len(self.masses))))
+        if q is not None and len(lower := np.flatnonzero(self._ranks(q) < generic)):
+            raise ConstraintError(
+                f"the constraints of {self._name(*self.graphs.component(lower[0]))} do not determine their motion "
+                "where these atoms are, in a plane or on a line. Make them one rigid body, or give fewer constraints "
+                "and virtual sites"
+            )
+        return rank + int(generic.sum())
+
+    def _ranks(self, q) -> np.ndarray:
+        """Rank of each component of the graphs at q."""
+        graphs = self.graphs
+        assert graphs is not None
+        x = q[:, graphs.atoms].T
+        along = x[graphs.ends[:, 0]] - x[graphs.ends[:, 1]]
+        values, inverses, work = np.empty(len(graphs.pattern.columns)), *np.empty((2, len(along)))
+        return np.array(
+            [
+                graph_loops.factor(start, stop, graphs.pattern, along, along, values, inverses, work)
+                for _, _, start, stop in graphs.starts.tolist()
+            ]
+        )
+
+    # --- the algebra ---
+
+    def project(self, q, p) -> np.ndarray:
+        """Momenta or forces, (3, n), tangent to the constraints at q; those of unconstrained bodies are unchanged."""
+        q, p = _plain(q), _plain(p)
+        new_p = p.copy()
+        self._solver.project(q, p, new_p)
+        return new_p
+
+    def displaced(self, q, force, shift: float) -> np.ndarray:
+        """Positions (3, n) moved by shift M^-1 force, and those of constrained bodies back along the gradients at q.
+
+        Raises:
+            ConstraintError: there is no such place.
+        """
+        q, force = _plain(q), _plain(force)
+        new_q = q + (shift / self.masses) * force
+        self._demand(self._solver.displace(q, force, float(shift), new_q))
+        return new_q
+
+    def satisfied(self, q) -> np.ndarray:
+        """Positions (3, n) near q that satisfy the constraints to rounding.
+
+        Raises:
+            ConstraintError: there are none, since the constraints contradict each other, or q is far from them.
+        """
+        return self.displaced(q, np.zeros_like(q), 0.0)
+
+    def drift(self, q, p, t: float, fractions: Sequence[float] | np.ndarray = (1.0,)) -> tuple[np.ndarray, np.ndarray]:
+        """Free motion for the time t: straight lines, and geodesics of the constrained bodies.
+
+        Args:
+            q, p: (3, n); q satisfies the constraints and p is tangent to them.
+            t: ps, of either sign.
+            fractions: of t for each RATTLE step, with the sum 1; see `openmm_sier.dynamics.geodesic`.
+
+        Returns:
+            (q, p), new arrays.
+
+        Raises:
+            ConstraintError: a RATTLE step has no solution near: momenta are far too large for t.
+        """
+        q, p = _plain(q), _plain(p)
+        new_q, new_p = q + (t / self.masses) * p, p.copy()
+        if t != 0:
+            times = t * np.asarray(fractions, dtype=float)
+            self._demand(self._solver.drift(q, p, times, float(t), new_q, new_p))
+        return new_q, new_p
+
+    def _demand(self, unsolved) -> None:
+        if unsolved is not None:
+            raise ConstraintError(
+                f"the constraints of {self._name(*unsolved)} have no solution near: they contradict each other, their "
+                "atoms are far from where they belong, or they move too fast for this time"
+            )
+
+
+def _plain(vectors) -> np.ndarray:
+    """Vectors (3, n) as contiguous doubles: for another layout Numba would compile everything once more."""
+    return np.ascontiguousarray(vectors, dtype=float)

@@ -1,0 +1,85 @@
+"""What must hold on CUDA, HIP and OpenCL. `test_gpu_platforms` runs this module where there is one of them.
+
+Few Contexts are made here: OpenMM compiles some hundred kernels for each, which takes 20 s on a CPU.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER4G, SIERIntegrator, SIERLangevinIntegrator
+from tests.support import opencl
+from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
+
+
+@pytest.fixture(scope="module", params=opencl.gpu_platforms())
+def gpu(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Three molecules with virtual sites."""
+    topology, positions, system = cluster_system(3, "tip4pew")
+    return system, relaxed(topology, positions, system)
+
+
+def gpu_context(gpu, precision, system, integrator, point):
+    context = openmm.Context(system, integrator, platform(gpu), {"Precision": precision})
+    context.setPositions(point[0])
+    context.setVelocities(point[1])
+    return context
+
+
+@pytest.mark.parametrize(("precision", "error"), [("double", 1e-7), ("mixed", 1e-6), ("single", 1e-4)])
+def test_program_moves_atoms_as_on_reference(gpu, cluster, precision, error):
+    system, point = cluster
+    integrator, reference = (SIERIntegrator(0.004, SIER4G, engine=engine) for engine in ("auto", "native"))
+    context, expected = gpu_context(gpu, precision, system, integrator, point), context_at(system, reference, point)
+    assert integrator.engine == "native"
+    integrator.step(10)
+    reference.step(10)
+    assert context.getStepCount() == 10
+    assert context.getTime()._value == pytest.approx(0.04, abs=1e-15)
+    # SETTLE works in single precision for lengths, 5e-9 nm a substep; forces of mixed precision are good to 1e-6, and
+    # positions of single precision to 1e-7 nm, from which each substep takes velocities. A virtual site that stayed
+    # behind moves atoms by 1e-3 nm in this time.
+    assert np.abs(phase_point(context)[0] - phase_point(expected)[0]).max() < error
+    assert integrator.getConstraintTolerance() == (1e-6 if precision == "single" else 1e-9)
+    assert integrator.computeSystemTemperature()._value == pytest.approx(
+        reference.computeSystemTemperature()._value, rel=max(1e-4, 100 * error)
+    )
+
+
+def test_constant_pressure_and_both_ways_between_the_engines(gpu):
+    topology, positions, system = periodic_system("tip4pew")
+    point = relaxed(topology, positions, system)
+    system.addForce(openmm.MonteCarloBarostat(500 * unit.bar, 300 * unit.kelvin, 2))
+    on_cpu, on_gpu, again = (SIERLangevinIntegrator(300, 5, 0.004, SIER4G) for _ in range(3))
+    first = context_at(system, on_cpu, point, "CPU")
+    on_cpu.step(3)
+    everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
+    context = gpu_context(gpu, "mixed", system, on_gpu, point)
+    context.setState(first.getState(**everything))
+    assert (on_cpu.engine, on_gpu.engine) == ("exact", "native")
+    # Mixed precision keeps positions as two numbers of single precision, 2^-48 of 2 nm, and velocities in double.
+    assert np.abs(phase_point(context)[0] - phase_point(first)[0]).max() < 1e-13
+    assert (phase_point(context)[1] == phase_point(first)[1]).all()
+    # PME in single precision: 1e-5 of the energy.
+    assert energies(context)[0] == pytest.approx(energies(first)[0], rel=1e-4)
+    volume, total, heat = context.getState().getPeriodicBoxVolume(), sum(energies(context)), on_gpu.getHeat()._value
+    on_gpu.step(8)
+    assert context.getState().getPeriodicBoxVolume() != volume
+    assert context.getStepCount() == 11
+    # What barostats do to the energy is not counted: some kT per accepted move, of which there are up to four.
+    assert sum(energies(context)) - total == pytest.approx(on_gpu.getHeat()._value - heat, abs=60)
+    last = context_at(system, again, point, "CPU")
+    last.setState(context.getState(**everything))
+    assert np.abs(phase_point(last)[0] - phase_point(context)[0]).max() == 0
+    assert last.getState().getPeriodicBoxVolume() == context.getState().getPeriodicBoxVolume()
+    again.step(2)
+    assert last.getStepCount() == 13
+    assert again.computeSystemTemperature()._value == pytest.approx(300, abs=80)

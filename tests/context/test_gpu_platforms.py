@@ -1,0 +1,28 @@
+"""Starts the tests of GPU platforms, which need an environment that is set before Python starts."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support import opencl
+
+SUITE = Path(__file__).with_name("on_gpu_platforms.py")
+
+#: Seconds after which the suite counts as hanging. Without a GPU a Context takes 20 s, in which kernels are compiled.
+LIMIT = 3000
+
+
+@pytest.mark.timeout(LIMIT + 60)
+def test_on_gpu_platforms():
+    if not opencl.gpu_platforms():
+        pytest.skip(
+            "OpenMM has no CUDA, HIP or OpenCL platform here: pip install 'openmm-sier[opencl-test]' brings OpenCL "
+            "on the CPU"
+        )
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(SUITE)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, env=opencl.environment(), check=False)
+    assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]

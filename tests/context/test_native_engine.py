@@ -1,0 +1,432 @@
+"""The native engine: OpenMM executes the integrator's program, with SETTLE and SHAKE in place of the exact rotation."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import (
+    SIER2,
+    SIER4,
+    SIER4G,
+    SIER4P,
+    RigidBodies,
+    RigidityError,
+    SIER4GIntegrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+)
+from openmm_sier.dynamics.rotation import mrdl
+from openmm_sier.dynamics.schemes import CATALOGUE
+from tests.support.subprocesses import run_python
+from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
+
+MODELS = ["tip3p", "tip4pew"]
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def cluster(request):
+    topology, positions, system = cluster_system(3, request.param)
+    return system, relaxed(topology, positions, system)
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system("tip4pew")
+    return topology, system, relaxed(topology, positions, system)
+
+
+def trajectory(system, point, steps=6, h=0.004, **settings):
+    integrator = SIERIntegrator(h, **settings)
+    context = context_at(system, integrator, point)
+    integrator.step(steps)
+    return phase_point(context)[0]
+
+
+@pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
+def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
+    system, point = cluster
+    exact = trajectory(system, point, scheme=scheme, engine="exact")
+    errors = {}
+    for k in (1, 2, 5):
+        found = trajectory(system, point, scheme=scheme, engine="native", substeps=k)
+        errors[k] = np.abs(found - exact).max()
+    # Equal steps are of second order: a factor of 4 +- 1 %. Virtual sites that are not moved within a step, or a
+    # coefficient that is wrong, leave an error that does not fall. Five are 1e3 times as good as one, down to what
+    # SETTLE's lengths of single precision leave, 5e-9 nm a substep.
+    assert errors[1] / errors[2] == pytest.approx(4, abs=0.2)
+    assert errors[5] < 1e-7 + errors[1] / 1000
+
+
+def test_schemes_keep_their_order_with_a_composed_drift():
+    topology, positions, system = cluster_system(3)
+    point = relaxed(topology, positions, system)
+    fine = trajectory(system, point, steps=64, h=0.0005, scheme=SIER4P, engine="exact")
+    for substeps in (3, 5):
+        settings = {"scheme": SIER4G, "engine": "native", "substeps": substeps}
+        ends = [trajectory(system, point, steps=n, h=0.032 / n, **settings) for n in (8, 16)]
+        errors = [np.abs(end - fine).max() for end in ends]
+        # 16 in the limit, and 4 with equal substeps. The next term of the error is a tenth of the first at 4 fs.
+        assert 14 < errors[0] / errors[1] < 19
+
+
+@pytest.mark.parametrize("per_call", [1, 7])
+def test_clock_and_reporters_see_whole_steps(box, per_call):
+    topology, system, (positions, velocities) = box
+    simulation = app.Simulation(topology, system, SIER4GIntegrator(0.002, engine="native"), None)
+    context = simulation.context
+    assert simulation.integrator.engine == "native"
+    context.setPositions(positions)
+    context.setVelocities(velocities)
+    out = io.StringIO()
+    simulation.reporters.append(app.StateDataReporter(out, 5, step=True, time=True, temperature=True))
+    for _ in range(14 // per_call):
+        simulation.step(per_call)
+    assert context.getStepCount() == simulation.currentStep == 14
+    # Sums of 14 times 0.002.
+    assert context.getTime()._value == pytest.approx(0.028, abs=1e-15)
+    rows = [line.split(",") for line in out.getvalue().splitlines()[1:]]
+    assert [row[0] for row in rows] == ["5", "10"]
+    # OpenMM writes as many digits as there are.
+    assert [float(row[1]) for row in rows] == pytest.approx([0.01, 0.02], abs=1e-12)
+    assert simulation.integrator.getStepSize() == 0.002 * unit.picosecond
+
+
+def test_barostat_and_motion_remover_count_whole_steps():
+    topology, positions, system = periodic_system()
+    point = relaxed(topology, positions, system)
+    for force in system.getForces():
+        if isinstance(force, openmm.CMMotionRemover):
+            force.setFrequency(4)
+    barostat = openmm.MonteCarloBarostat(1000.0, 297.0, 3)
+    system.addForce(barostat)
+    context = context_at(system, integrator := SIERIntegrator(0.001, SIER2, engine="native"), point)
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+
+    def drift():
+        return np.abs(masses @ phase_point(context)[1]).max() / masses.sum()
+
+    boxes, resting = [], []
+    for _ in range(12):
+        integrator.step(1)
+        boxes.append(context.getState().getPeriodicBoxVolume()._value)
+        context.setVelocities(phase_point(context)[1] + [0.01, 0.0, 0.0])
+        resting.append(drift())
+    changed = [i + 1 for i in range(1, 12) if boxes[i] != boxes[i - 1]]
+    assert set(changed) <= {3, 6, 9, 12}
+    assert changed
+    # The remover acts at the start of a step whose number is a multiple of 4: after steps 1, 5 and 9 only the velocity
+    # that was added last is left.
+    low = [i + 1 for i in range(12) if resting[i] < 0.011]
+    assert low == [1, 5, 9]
+
+
+def test_langevin_brings_the_temperature_and_counts_its_heat():
+    topology, positions, system = cluster_system(8)
+    point = relaxed(topology, positions, system)
+    integrator = SIERLangevinIntegrator(400, 50, 0.002, SIER2, engine="native")
+    integrator.setRandomNumberSeed(11)
+    context = context_at(system, integrator, point)
+    start, warmest = sum(energies(context)), []
+    for _ in range(300):
+        integrator.step(5)
+        warmest.append(integrator.computeSystemTemperature()._value)
+    # 8 molecules have 48 degrees of freedom, and 1 ps^-1 times 3 ps at 50/ps gives 100 independent samples or more:
+    # 400 sqrt(2/48/100) = 8 K. Noise that is not projected, or the friction of half a step, is off by a third.
+    assert np.mean(warmest[60:]) == pytest.approx(400, abs=32)
+    heat = integrator.getHeat()._value
+    # The heat is the change of the energy but for SIER2's error, a hundredth of the fluctuation of V at 2 fs.
+    assert sum(energies(context)) - start == pytest.approx(heat, abs=2.0)
+    assert abs(heat) > 20
+    assert integrator.getBodyState().heat == pytest.approx(heat, rel=1e-12)
+
+
+def test_cold_bath_slows_bodies_exactly():
+    """Without forces the velocities of bodies decay as exp(-friction t), the noise of 0 K being zero."""
+    _topology, positions, system = cluster_system(2)
+    for i in reversed(range(system.getNumForces())):
+        system.removeForce(i)
+    point = (positions, np.tile([1.0, 2.0, 3.0], (len(positions), 1)))
+    integrator = SIERLangevinIntegrator(0, 10, 0.004, SIER4G, engine="native")
+    context = context_at(system, integrator, point)
+    integrator.step(5)
+    # Rounding of 10 factors; SETTLE moves velocities by its 5e-9 nm over a substep of 1 fs.
+    assert phase_point(context)[1] == pytest.approx(point[1] * np.exp(-10 * 0.02), rel=2e-5)
+    integrator.setFriction(0)
+    before = phase_point(context)[1]
+    integrator.step(5)
+    assert phase_point(context)[1] == pytest.approx(before, rel=2e-5)
+
+
+def test_degrees_of_freedom_and_body_states_agree_with_the_exact_engine(box):
+    _, system, point = box
+    found = {}
+    for engine in ("exact", "native"):
+        integrator = SIERIntegrator(0.002, engine=engine)
+        _context = context_at(system, integrator, point)
+        found[engine] = integrator.computeTemperatures(), integrator.getBodyState()
+    # Both fit the same atoms.
+    assert found["native"][0] == pytest.approx(found["exact"][0], rel=1e-9)
+    assert np.abs(found["native"][1].L - found["exact"][1].L).max() < 1e-9
+
+
+# --- what XML carries ---
+
+STRANGER = """
+import json, sys, openmm
+system, integrator, state = (openmm.XmlSerializer.deserialize(open(name).read()) for name in sys.argv[1:4])
+assert not any(name.startswith("openmm_sier") for name in sys.modules)
+assert type(integrator) is openmm.CustomIntegrator
+context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
+context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+context.setPositions(state.getPositions())
+context.setVelocities(state.getVelocities())
+integrator.setConstraintTolerance(1e-9)
+energies = []
+for _ in range(4):
+    integrator.step(int(sys.argv[4]))
+    found = context.getState(energy=True)
+    energies.append([found.getPotentialEnergy()._value, found.getKineticEnergy()._value])
+print(json.dumps([energies, context.getTime()._value]))
+"""
+
+
+@pytest.mark.parametrize("bound", ["not bound", "exact", "native"])
+def test_xml_runs_without_this_package(cluster, tmp_path, bound):
+    system, point = cluster
+    integrator = SIERIntegrator(0.003, SIER4G, engine="native")
+    context = context_at(system, integrator, point)
+    state = context.getState(positions=True, velocities=True)
+    given = SIERIntegrator(0.003, SIER4G, engine="auto" if bound == "not bound" else bound)
+    if bound != "not bound":
+        _bound = context_at(system, given, point)
+        given.step(2)
+    files = []
+    for name, thing in (("system", system), ("integrator", given), ("state", state)):
+        files.append(tmp_path / f"{name}.xml")
+        files[-1].write_text(openmm.XmlSerializer.serialize(thing))
+    native_steps = len(integrator.program.parts)
+    found, time = json.loads(run_python(STRANGER, *files, native_steps))
+    expected = []
+    for _ in range(4):
+        integrator.step(1)
+        expected.append(energies(context))
+    # One program on one platform: the same but for the constraints that the first step renews.
+    assert np.array(found) == pytest.approx(np.array(expected), rel=1e-7)
+    assert time == pytest.approx(4 * 0.003, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("settings", "remedy"),
+    [
+        ({"rotation": mrdl}, "other free-rotation maps: leave out `rotation`"),
+        ({"bodies": [[0, 1, 2], [3, 4]]}, "none joins atoms 3 and 4 .* constrain every two atoms"),
+        ({"pressure": 1 * unit.bar}, "add an openmm.MonteCarloBarostat"),
+        ({"rotationalFriction": 5}, "leave out `rotationalFriction`"),
+    ],
+)
+def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings, remedy, tmp_path):
+    _, _, waters = cluster_system(1)
+    system = openmm.System()
+    for mass in (16.0, 1.0, 1.0, 30.0, 40.0):
+        system.addParticle(mass)
+    for i in range(waters.getNumConstraints()):
+        system.addConstraint(*waters.getConstraintParameters(i))
+    langevin = "pressure" in settings or "rotationalFriction" in settings
+    arguments = (300, 1, 0.002) if langevin else (0.002,)
+    integrator = (SIERLangevinIntegrator if langevin else SIERIntegrator)(*arguments, **settings, engine="native")
+    xml = openmm.XmlSerializer.serialize(integrator)
+    with pytest.raises(openmm.OpenMMException, match=remedy + ".*engine='exact'"):
+        openmm.Context(system, integrator)
+    # Elsewhere it must not run as if it had been asked for less.
+    plain = tmp_path / "integrator.xml"
+    plain.write_text(xml)
+    program = (
+        "import sys, openmm\nsystem = openmm.System()\nsystem.addParticle(1.0)\n"
+        "integrator = openmm.XmlSerializer.deserialize(open(sys.argv[1]).read())\n"
+        "context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName('Reference'))\n"
+        "context.setPositions([[0, 0, 0]])\n"
+        "try:\n    integrator.step(1)\nexcept openmm.OpenMMException as error:\n    print(error)"
+    )
+    assert "import_openmm_sier" in run_python(program, plain)
+
+
+def test_named_bodies_that_constraints_hold_are_taken(cluster):
+    system, point = cluster
+    size = len(point[0]) // 3
+    for bodies in ([[0, 1, 2]], [list(range(size))], RigidBodies.from_system(system)):
+        integrator = SIERIntegrator(0.002, bodies=bodies, engine="native")
+        context_at(system, integrator, point)
+        assert integrator.engine == "native"
+
+
+def test_andersen_thermostat_is_refused(cluster):
+    system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    system.addForce(openmm.AndersenThermostat(300, 1))
+    with pytest.raises(openmm.OpenMMException, match=r"AndersenThermostat.*SIERLangevinIntegrator"):
+        context_at(system, SIERIntegrator(0.002, engine="native"), point)
+
+
+# --- from one engine to the other ---
+
+
+@pytest.mark.parametrize("first", ["exact", "native"])
+@pytest.mark.parametrize("by", ["checkpoint", "state"])
+def test_runs_go_on_with_the_other_engine(cluster, first, by):
+    system, point = cluster
+    second = {"exact": "native", "native": "exact"}[first]
+    one, other = (
+        SIERLangevinIntegrator(300, 10, 0.002, SIER4, engine=engine, substeps=5) for engine in (first, second)
+    )
+    context, later = context_at(system, one, point), context_at(system, other, point)
+    one.step(7)
+    heat = one.getHeat()._value
+    if by == "checkpoint":
+        later.loadCheckpoint(context.createCheckpoint())
+    else:
+        later.setState(context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True))
+    for before, after in zip(phase_point(context), phase_point(later), strict=True):
+        assert (before == after).all()
+    assert later.getStepCount() == 7
+    assert heat != 0
+    assert other.getHeat()._value == pytest.approx(heat, rel=1e-12)
+    if second == "native":
+        # Nothing is moved onto constraints that it satisfies. The exact engine moves atoms onto its bodies, by 5e-9 nm.
+        other.step(0)
+        assert (phase_point(later)[0] == phase_point(context)[0]).all()
+    for integrator in (one, other):
+        integrator.setFriction(0)
+        integrator.step(3)
+    # Five substeps are exact to 1e-7 nm, see above.
+    assert np.abs(phase_point(later)[0] - phase_point(context)[0]).max() < 1e-6
+
+
+def test_restart_of_the_native_engine_is_exact(cluster):
+    system, point = cluster
+    one, other = (SIERLangevinIntegrator(300, 10, 0.002, SIER4G, engine="native") for _ in range(2))
+    context, later = context_at(system, one, point), context_at(system, other, point)
+    one.step(5)
+    checkpoint = context.createCheckpoint()
+    ends = []
+    for integrator, where in ((one, context), (other, later)):
+        where.loadCheckpoint(checkpoint)
+        integrator.step(5)
+        ends.append(phase_point(where))
+    assert all((a == b).all() for a, b in zip(*ends, strict=True))
+
+
+# --- what users do to a Context ---
+
+
+def test_atoms_set_off_their_constraints_are_moved_onto_them(cluster):
+    """As by `Context.applyConstraints`, before the first step and at any time later."""
+    system, (positions, velocities) = cluster
+    rng = np.random.default_rng(3)
+    off = positions + rng.uniform(-2e-3, 2e-3, positions.shape), velocities + rng.normal(size=velocities.shape)
+    integrators = [SIERIntegrator(0.001, SIER2, engine="native") for _ in range(2)]
+    contexts = [context_at(system, integrator, off) for integrator in integrators]
+    for again in (False, True):
+        if again:
+            for context in contexts:
+                context.setPositions(off[0])
+                context.setVelocities(off[1])
+        for context in contexts:
+            context.computeVirtualSites()
+        contexts[1].applyConstraints(1e-9)
+        contexts[1].applyVelocityConstraints(1e-9)
+        for integrator in integrators:
+            integrator.step(1)
+        one, other = (phase_point(context) for context in contexts)
+        # The same operations. Left to the first step they are others: it changes velocities along the constraints as
+        # they are then, which differ by 2 %.
+        assert np.abs(one[1] - other[1]).max() < 1e-9
+
+
+def test_constraints_that_cannot_be_satisfied_are_named():
+    system = openmm.System()
+    for _ in range(3):
+        system.addParticle(1.0)
+    for i, j, d in ((0, 1, 0.1), (1, 2, 0.1), (0, 2, 0.5)):
+        system.addConstraint(i, j, d)
+    integrator = SIERIntegrator(0.001, engine="native")
+    context = context_at(system, integrator, (np.diag([0.1, 0.1, 0.1]), np.zeros((3, 3))))
+    with pytest.raises((RigidityError, openmm.OpenMMException), match=r"atoms|onstraint"):
+        integrator.step(1)
+    del context
+
+
+def test_force_groups_and_forces_that_change_take_effect(cluster):
+    system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    pull = openmm.CustomExternalForce("k*x")
+    pull.addGlobalParameter("k", 1000.0)
+    pull.setForceGroup(3)
+    pull.addParticle(0, [])
+    system.addForce(pull)
+    ends = {}
+    for engine in ("exact", "native"):
+        integrator = SIERIntegrator(0.001, SIER2, engine=engine, substeps=5)
+        context = context_at(system, integrator, point)
+        integrator.step(2)
+        integrator.setIntegrationForceGroups({0})
+        integrator.step(2)
+        integrator.setIntegrationForceGroups({0, 3})
+        integrator.step(2)
+        context.setParameter("k", -500.0)
+        integrator.step(2)
+        ends[engine] = phase_point(context)[0]
+        assert context.getStepCount() == 8
+    # Five substeps are exact to 1e-7 nm. The pull moves the molecule by 1e-4 nm in 2 fs.
+    assert np.abs(ends["native"] - ends["exact"]).max() < 1e-6
+
+
+def test_step_of_zero_moves_nothing(cluster):
+    system, point = cluster
+    integrator = SIERIntegrator(0, engine="native")
+    context = context_at(system, integrator, point)
+    integrator.step(3)
+    assert context.getStepCount() == 3
+    assert (phase_point(context)[0] == point[0]).all()
+
+
+def test_solutes_with_constrained_hydrogens_run():
+    """Ethane with constrained C-H bonds: constrained, and not rigid."""
+    system = openmm.System()
+    for mass in (12.0, 1.0, 1.0, 1.0) * 2:
+        system.addParticle(mass)
+    bond, angle = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce()
+    bond.addBond(0, 4, 0.153, 2e5)
+    for carbon, other in ((0, 4), (4, 0)):
+        hydrogens = [carbon + i for i in (1, 2, 3)]
+        for i in hydrogens:
+            system.addConstraint(carbon, i, 0.109)
+            angle.addAngle(i, carbon, other, np.deg2rad(110), 400)
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            angle.addAngle(hydrogens[i], carbon, hydrogens[j], np.deg2rad(108), 300)
+    system.addForce(bond)
+    system.addForce(angle)
+    turns = np.array([0, 2 * np.pi / 3, 4 * np.pi / 3])
+    ring = np.stack([np.full(3, -0.037), 0.1025 * np.cos(turns), 0.1025 * np.sin(turns)], axis=1)
+    half = np.concatenate([np.zeros((1, 3)), ring])
+    positions = np.concatenate([half, half * [-1, 1, -1] + [0.153, 0, 0]])
+    context = context_at(
+        system, integrator := SIERIntegrator(0.001, SIER4G, engine="native"), (positions, np.zeros((8, 3)))
+    )
+    context.setVelocitiesToTemperature(300, 1)
+    integrator.step(1)
+    start, spread = sum(energies(context)), []
+    for _ in range(300):
+        integrator.step(1)
+        spread.append(sum(energies(context)) - start)
+    # Fourth order at h w = 0.1 to 0.2 for the fastest angles: 1e-4 of the thermal energy of some 30 kJ/mol.
+    assert np.abs(spread).max() < 0.05
+    assert integrator.computeSystemTemperature()._value > 50
+    assert np.isnan(integrator.computeTemperatures().rotation)
+    with pytest.raises(RigidityError, match="constrained but not rigid"):
+        integrator.getBodyState()

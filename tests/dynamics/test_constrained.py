@@ -1,0 +1,400 @@
+"""Schemes on constrained and flexible molecules: order, reversal, conservation, temperature, nested fast forces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, Scheme
+from openmm_sier.dynamics import constrained
+from openmm_sier.dynamics.bodies import Species
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.constrained import (
+    FastForces,
+    constrained_bath,
+    constrained_operators,
+    flexible_drift,
+    geodesic,
+    inner_steps,
+    nested_drift,
+    point_operators,
+)
+from openmm_sier.dynamics.geodesic import KAHAN_LI, RATTLE
+from openmm_sier.dynamics.operators import CachedForces, drift, stepper
+from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, SIER4P, Stage
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from tests.support.flexible import Points, cage, chains, ring, rotor
+
+SYSTEMS = {"XH3": lambda: rotor(3), "XH2": lambda: rotor(2), "ring": ring, "cage": cage, "chains": chains}
+TIME = 0.024
+
+
+@cache
+def solved(name, time=TIME):
+    """A system, its start, and where the equations of motion take it."""
+    system = SYSTEMS[name]()
+    start = system.start(np.random.default_rng(20070518))
+    return system, start, system.exact_flow(start, time)
+
+
+def run(operators, scheme, state, h, steps):
+    step = stepper(scheme, operators, h)
+    for _ in range(steps):
+        state = step(state)
+    return state
+
+
+def distance(one, other):
+    """Largest difference of two states, positions and momenta each in their own scale."""
+    return max(np.abs(one.q - other.q).max() / 0.1, np.abs(one.p - other.p).max() / 5)
+
+
+def points_of(system, **options):
+    return point_operators(system.constraints(), FastForces(system.forces), KAHAN_LI, **options)
+
+
+def slope(errors):
+    return np.log2(errors[0] / errors[1])
+
+
+# --- order ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=lambda scheme: scheme.name)
+def test_every_scheme_keeps_its_order(name, scheme):
+    """Against the equations of motion with multipliers: rotors in a strong field, a ring, a cage, two chains."""
+    system, start, exact = solved(name)
+    operators = points_of(system)
+    errors = [distance(run(operators, scheme, start, TIME / n, n), exact) for n in (12, 24)]
+    # The next term, smaller by h^2, changes the slope by a few hundredths.
+    assert slope(errors) == pytest.approx(scheme.order, abs=0.15)
+
+
+def test_plain_rattle_limits_every_scheme_to_second_order():
+    """The reason for the compositions."""
+    system, start, exact = solved("XH3")
+    operators = point_operators(system.constraints(), FastForces(system.forces), RATTLE)
+    errors = [distance(run(operators, SIER4, start, TIME / n, n), exact) for n in (12, 24)]
+    assert slope(errors) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("shift", [0.0, -1 / 24, 1.1 / 24])
+def test_another_displacement_is_of_second_order(shift):
+    system, start, exact = solved("XH3")
+    middle = Stage(GRADIENT_KICK, 2 / 3, shift) if shift else Stage(KICK, 2 / 3)
+    broken = Scheme("shifted", (*SIER4G.stages[:2], middle, *SIER4G.stages[3:]))
+    errors = [distance(run(points_of(system), broken, start, TIME / n, n), exact) for n in (96, 192)]
+    assert slope(errors) == pytest.approx(2.0, abs=0.15)
+
+
+def test_the_force_must_be_projected_where_it_is_taken():
+    """Without the projection at the displaced place the curvature term is lost, and with it the order."""
+    system, start, exact = solved("XH3")
+    constraints, forces = system.constraints(), FastForces(system.forces)
+    operators = dict(points_of(system))
+
+    def flat(state, h, shift):
+        q = constraints.displaced(state.q, constraints.project(state.q, forces(state.q)), shift)
+        return replace(state, p=constraints.project(state.q, state.p + h * forces.at(q)))
+
+    operators[GRADIENT_KICK] = flat
+    errors = [distance(run(operators, SIER4G, start, TIME / n, n), exact) for n in (96, 192)]
+    assert slope(errors) == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize("name", ["XH3", "ring", "cage"])
+def test_the_gradient_kick_is_the_force_of_the_modified_potential(name):
+    """Minus the derivatives of V - s |P F|^2 / 2 along the constraint manifold, by central differences."""
+    system, start, _ = solved(name)
+    constraints = system.constraints()
+    kick = points_of(system)[GRADIENT_KICK]
+
+    def squared(q):
+        F = constraints.project(q, system.forces(q))
+        return 0.5 * (F**2 / system.masses).sum()
+
+    def correction(s):
+        return (kick(start, 1.0, s).p - kick(start, 1.0, -s).p) / (2 * s)
+
+    rng = np.random.default_rng(3)
+    for _ in range(3):
+        # Along a tangent, which is M^-1 times a tangent momentum.
+        along = constraints.project(start.q, rng.normal(size=start.q.shape))
+        width = 1e-4
+        sides = [squared(constraints.displaced(start.q, along, sign * width)) for sign in (1, -1)]
+        expected = (sides[0] - sides[1]) / (2 * width)
+        found = (correction(1e-7) * along / system.masses).sum()
+        # Differences of width w err by w^2 times third derivatives over the first: 1e-8 (12 nm^-1)^2, some 1e-6.
+        assert found == pytest.approx(expected, rel=1e-4, abs=1e-3)
+
+
+# --- reversal and conservation ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", [SIER4, SIER4G, SIER4P], ids=lambda scheme: scheme.name)
+@pytest.mark.parametrize("name", ["XH3", "ring", "chains"])
+def test_time_reversal(name, scheme):
+    system, start, _ = solved(name)
+    operators = point_operators(system.constraints(), FastForces(system.forces))
+    there = run(operators, scheme, start, 0.002, 50)
+    assert distance(there, start) > 1.0
+    back = run(operators, scheme, replace(there, p=-there.p), 0.002, 50)
+    # Rounding that the flow's instability magnifies.
+    assert distance(replace(back, p=-back.p), start) < 1e-9
+    assert distance(run(operators, scheme, there, -0.002, 50), start) < 1e-9
+
+
+def without_field(name):
+    system = SYSTEMS[name]()
+    system.field = 0.0
+    return system, system.start(np.random.default_rng(4))
+
+
+def totals(state):
+    return state.p.sum(axis=1), np.cross(state.q, state.p, axis=0).sum(axis=1)
+
+
+@pytest.mark.parametrize("scheme", [SIER4, SIER4G, SIER4P], ids=lambda scheme: scheme.name)
+@pytest.mark.parametrize("name", ["XH3", "cage", "chains"])
+def test_momentum_and_angular_momentum_are_constant(name, scheme):
+    """Of isolated clusters and of two chains; each molecule is a group, so that gradient kicks conserve too."""
+    system, start = without_field(name)
+    operators = points_of(system, groups=system.molecules)
+    end = run(operators, scheme, start, 0.002, 200)
+    size = np.abs(start.p).max()
+    for found, expected in zip(totals(end), totals(start), strict=True):
+        # 200 steps with some ten roundings of all momenta each.
+        assert np.abs(found - expected).max() < 3e-13 * size
+
+
+def test_without_groups_angular_momentum_is_of_fifth_order():
+    """The torque that single atoms cannot take up."""
+    system, start = without_field("chains")
+    lost = []
+    for h in (0.002, 0.001):
+        operators = points_of(system, groups=np.full(len(system.masses), -1))
+        end = run(operators, SIER4G, start, h, 1)
+        lost.append(np.abs(totals(end)[1] - totals(start)[1]).max())
+    assert lost[0] > 1e-9
+    assert slope(lost) == pytest.approx(5.0, abs=0.5)
+
+
+# --- beside rigid bodies ----------------------------------------------------------------------------------------------
+
+
+def with_water():
+    """A CH3, a CH2 and a free point with a rigid water; and the same as points, the water held by constraints."""
+    water = np.add([[0, 0, 0], [0.0957, 0, 0], [-0.024, 0.0927, 0]], [0.1, 0.35, 0.2])
+    one, other = rotor(3), rotor(2, centre=(0.5, 0.2, 0.1))
+    x = np.vstack([water, one.x.T, other.x.T, [[0.4, -0.2, 0.0]]])
+    masses = [15.999, 1.008, 1.008, *one.masses, *other.masses, 22.99]
+    molecules = [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 3]
+    held = [(0, 1), (0, 2), (1, 2)]
+    pairs = [*held, *(one.pairs + 3).tolist(), *(other.pairs + 7).tolist()]
+    lengths = [*(np.linalg.norm(x[i] - x[j]) for i, j in held), *one.lengths, *other.lengths]
+    atoms = Points(x, masses, pairs, lengths, molecules=molecules)
+    kinds = [Species.from_coordinates([[0, 1, 2]], masses[:3], water)]
+    for mass in dict.fromkeys(masses[3:]):
+        chosen = [[i] for i in range(3, 11) if masses[i] == mass]
+        kinds.append(Species(np.array(chosen), np.array([mass]), np.zeros((3, 1)), np.zeros(3)))
+    bodies = RigidBodies(kinds, 11)
+    number = {int(bodies.atoms_of(b)[0]): b for b in range(1, bodies.n)}
+    own = np.array(pairs[3:])
+    constraints = constrained.Constraints(
+        [[number[i] for i in pair] for pair in own.tolist()], lengths[3:], bodies.masses
+    )
+    return atoms, bodies, constraints
+
+
+def body_forces(atoms, bodies):
+    def compute(q, A):
+        x = bodies.place(q, A, np.empty((bodies.n_particles, 3)))
+        return bodies.forces_and_torques(np.ascontiguousarray(atoms.forces(x.T).T), A)
+
+    return CachedForces(compute)
+
+
+@pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G, SIER4P], ids=lambda scheme: scheme.name)
+def test_rigid_and_constrained_molecules_together(rng, scheme):
+    """The oracle knows atoms and constraints alone: the rigid water is three atoms with three constraints."""
+    atoms, bodies, constraints = with_water()
+    start = atoms.start(rng)
+    q, A = bodies.fit(start.q.T)
+    p, L = bodies.momenta((start.p / atoms.masses).T, A)
+    state = BodyState(q, p, A, L)
+    exact = atoms.exact_flow(start, TIME).q.T
+    operators = constrained_operators(bodies, body_forces(atoms, bodies), constraints)
+    errors = []
+    for n in (12, 24):
+        end = run(operators, scheme, state, TIME / n, n)
+        errors.append(np.abs(bodies.place(end.q, end.A, np.empty((11, 3))) - exact).max())
+    assert slope(errors) == pytest.approx(scheme.order, abs=0.2)
+
+
+def test_angular_momentum_of_rigid_and_constrained_molecules(rng):
+    atoms, bodies, constraints = with_water()
+    atoms.field = 0.0
+    start = atoms.start(rng)
+    q, A = bodies.fit(start.q.T)
+    p, L = bodies.momenta((start.p / atoms.masses).T, A)
+    state = BodyState(q, p, A, L)
+    operators = constrained_operators(bodies, body_forces(atoms, bodies), constraints)
+    end = run(operators, SIER4G, state, 0.003, 100)
+    for found, expected in zip(bodies.total_momenta(end), bodies.total_momenta(state), strict=True):
+        assert np.abs(found - expected).max() < 1e-13 * 100
+
+
+# --- temperature ------------------------------------------------------------------------------------------------------
+
+
+def test_projected_noise_is_thermal():
+    """Each tangent direction has k_B T, constrained ones none, and the heat is what the kinetic energy gained."""
+    system = cage()
+    constraints, bodies = system.constraints(), system.bodies
+    start = system.start(np.random.default_rng(1))
+    bath = constrained_bath(OrnsteinUhlenbeck(300.0, 5.0, 5.0, seed=3).operator(bodies), constraints)
+    state, samples = start, []
+    kinetic = [sum(bodies.kinetic_energies(start))]
+    for _ in range(4000):
+        state = bath(state, 0.3)
+        samples.append((state.p / np.sqrt(system.masses)).ravel())
+        kinetic.append(sum(bodies.kinetic_energies(state)))
+    assert state.heat == pytest.approx(kinetic[-1] - kinetic[0], abs=1e-9)
+    values = np.linalg.eigvalsh(np.cov(np.array(samples).T) / (GAS_CONSTANT * 300.0))
+    rank = constraints.rank(start.q)
+    assert len(values) - rank == 18 - 10
+    assert np.abs(values[:rank]).max() < 1e-12
+    # 4000 draws that forget exp(-1.5) = 0.22 a draw: variances known to 2.3 %; the eigenvalues of 8 spread by
+    # some sqrt(8 / 4000).
+    assert np.abs(values[rank:] - 1).max() < 0.15
+    freedoms = len(values) - rank
+    assert 2 * np.mean(kinetic[1:]) / (freedoms * GAS_CONSTANT * 300.0) == pytest.approx(1.0, abs=0.03)
+
+
+# --- nested fast forces -----------------------------------------------------------------------------------------------
+
+
+def nested(system, inner, longest, constraints=None):
+    """Outer operators with the slow forces of a system, whose drift has its fast forces."""
+    constraints = system.constraints() if constraints is None else constraints
+    fast = FastForces(system.fast_forces)
+    slow = CachedForces(lambda q, A: (system.slow_forces(q), np.zeros_like(q)))
+    operators = constrained_operators(system.bodies, slow, constraints, groups=system.molecules)
+    within = point_operators(constraints, fast)
+    members = np.arange(system.bodies.n)
+    operators[DRIFT] = nested_drift(drift(system.bodies), members, inner, within, longest)
+    return operators, fast, slow
+
+
+def longest_drift(scheme, h):
+    return h * max(abs(stage.fraction) for stage in scheme.stages if stage.operator == DRIFT)
+
+
+@pytest.mark.parametrize("is_constrained", [True, False], ids=["constrained", "flexible"])
+@pytest.mark.parametrize("outer", [SIER4, SIER4G, SIER4P], ids=lambda scheme: scheme.name)
+def test_nested_schemes_are_of_fourth_order(outer, is_constrained):
+    """Stiff bonds and angles inside the drift, forces between the molecules and a field outside."""
+    system = chains(is_constrained)
+    start = system.start(np.random.default_rng(7))
+    time = 0.012
+    exact = system.exact_flow(start, time)
+    errors = []
+    for n in (8, 16):
+        h = time / n
+        operators, _, _ = nested(system, SIER4, longest_drift(outer, h) / 2)
+        errors.append(distance(run(operators, outer, start, h, n), exact))
+    assert slope(errors) == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_second_order_inner_scheme_limits_the_outer_one():
+    system = chains()
+    start = system.start(np.random.default_rng(7))
+    exact = system.exact_flow(start, 0.012)
+    errors = []
+    for n in (8, 16):
+        operators, _, _ = nested(system, SIER2, longest_drift(SIER4G, 0.012 / n) / 2)
+        errors.append(distance(run(operators, SIER4G, start, 0.012 / n, n), exact))
+    assert slope(errors) == pytest.approx(2.0, abs=0.1)
+
+
+def test_nested_steps_reverse_and_conserve():
+    system, start = without_field("chains")
+    operators, _, _ = nested(system, SIER4, 0.0008)
+    there = run(operators, SIER4G, start, 0.004, 30)
+    back = run(operators, SIER4G, there, -0.004, 30)
+    assert distance(back, start) < 1e-8
+    for found, expected in zip(totals(there), totals(start), strict=True):
+        assert np.abs(found - expected).max() < 3e-13 * np.abs(start.p).max()
+
+
+def test_fast_forces_at_the_end_of_a_drift_serve_the_next():
+    system, start, _ = solved("chains")
+    operators, fast, slow = nested(system, SIER2, 0.001)
+    step = stepper(SIER4G, operators, 0.004)
+    state = step(start)
+    # Two drifts of 2 fs in two inner steps each, and the force at the start.
+    assert fast.evaluations == 5
+    for done in range(2, 6):
+        state = step(state)
+        assert fast.evaluations == 4 * done + 1
+        assert slow.evaluations == 3 * done + 1
+    # Other positions, equal or not, are computed anew.
+    step(replace(state, q=state.q.copy()))
+    assert fast.evaluations == 4 * 6 + 2
+
+
+def test_only_members_move_otherwise(rng):
+    atoms, bodies, constraints = with_water()
+    start = atoms.start(rng)
+    q, A = bodies.fit(start.q.T)
+    p, L = bodies.momenta((start.p / atoms.masses).T, A)
+    state = BodyState(q, p, A, L)
+    members = constraints.members
+    part = constraints.restricted(members)
+    plain = drift(bodies)(state, 0.003)
+    moved = flexible_drift(drift(bodies), members, geodesic(part))(state, 0.003)
+    pushed = nested_drift(
+        drift(bodies), members, SIER4, point_operators(part, FastForces(lambda q: np.ones_like(q))), 0.001
+    )(state, 0.003)
+    others = np.setdiff1d(np.arange(bodies.n), members)
+    for found in (moved, pushed):
+        assert np.array_equal(found.q[:, others], plain.q[:, others])
+        assert np.array_equal(found.p[:, others], p[:, others])
+        assert np.array_equal(found.A, plain.A)
+        assert not np.array_equal(found.p[:, members], p[:, members])
+    # A uniform force accelerates as a whole, besides the constrained motion: compare totals.
+    gained = (pushed.p - moved.p)[:, members].sum(axis=1)
+    assert np.abs(gained - 0.003 * len(members)).max() < 1e-13
+    assert np.array_equal(state.q, q)
+    assert np.array_equal(state.p, p)
+
+
+def test_inner_steps():
+    assert [inner_steps(h, 0.001) for h in (0.0, 0.0005, 0.001, -0.001, 0.0010001, 0.0029, 0.003, -0.004)] == [
+        1,
+        1,
+        1,
+        1,
+        2,
+        3,
+        3,
+        4,
+    ]
+    # Rounding of a product does not make one step more.
+    assert inner_steps(0.1 * 0.003 * 10, 0.001) == 3
+
+
+def test_what_cannot_be_executed_is_refused():
+    system = chains()
+    within = point_operators(system.constraints(), FastForces(system.fast_forces))
+    with pytest.raises(ValueError, match="longest inner step must be positive, got 0"):
+        nested_drift(drift(system.bodies), [0], SIER4, within, 0)
+    with pytest.raises(ValueError, match="nothing executes the operator 'bath'"):
+        nested_drift(drift(system.bodies), [0], SIER2.with_bath(), within, 0.001)
+    wrong = FastForces(lambda q: q[:, 1:])
+    with pytest.raises(ValueError, match=r"shape \(3, 18\) of the positions, got \(3, 17\)"):
+        wrong(system.x)

@@ -1,0 +1,445 @@
+"""Distance constraints: projections, moves on the manifold, geodesics; stars and graphs, by NumPy and by Numba."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import util
+
+import numpy as np
+import pytest
+
+from openmm_sier import BodyState
+from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.constraint_graph import eliminate
+from openmm_sier.dynamics.constraints import ConstraintError, Constraints
+from openmm_sier.dynamics.geodesic import KAHAN_LI, RATTLE, SUZUKI, TRIPLE_JUMP, Composition
+from openmm_sier.dynamics.operators import drift
+from tests.support.flexible import Points, cage, ring, rotor
+
+EXECUTIONS = [False, True] if util.find_spec("numba") else [False]
+
+
+@pytest.fixture(params=EXECUTIONS, ids=["numpy", "numba"][: len(EXECUTIONS)])
+def compiled(request):
+    return request.param
+
+
+def many(*kinds, apart=0.7):
+    """Molecules of several kinds in one system, out of order among two free points."""
+    x, masses, pairs, lengths = [np.zeros(3)], [20.0], [], []
+    for number, kind in enumerate(kinds):
+        first = len(x)
+        x += list(kind.x.T + apart * np.array([number % 3, number // 3, 0.1 * number]))
+        masses += list(kind.masses)
+        pairs += [(i + first, j + first) for i, j in kind.pairs]
+        lengths += list(kind.lengths)
+    x.append(np.ones(3))
+    masses.append(30.0)
+    place = np.random.default_rng(5).permutation(len(x))
+    order = np.argsort(place)
+    return Points(np.array(x)[order], np.array(masses)[order], place[np.array(pairs)], lengths)
+
+
+def mixture():
+    return many(rotor(1), rotor(2), rotor(3), ring(), rotor(3), cage(), rotor(4), ring(5), rotor(1), rotor(2))
+
+
+def gradients(system, q):
+    """G, (c, 3, n), straight from its definition."""
+    rows = np.zeros((len(system.pairs), 3, q.shape[1]))
+    for c, (i, j) in enumerate(system.pairs):
+        rows[c, :, i], rows[c, :, j] = q[:, i] - q[:, j], q[:, j] - q[:, i]
+    return rows
+
+
+def squares(system, q):
+    i, j = system.pairs.T
+    return ((q[:, i] - q[:, j]) ** 2).sum(axis=0)
+
+
+# --- algebra ----------------------------------------------------------------------------------------------------------
+
+
+def test_projection_is_the_one_of_linear_algebra(rng, compiled):
+    """Against a dense pseudo-inverse: idempotent, tangent, orthogonal in the metric of the inverse masses."""
+    system = mixture()
+    constraints = system.constraints(compiled)
+    q = constraints.satisfied(system.x)
+    p = rng.normal(size=q.shape)
+    found = constraints.project(q, p)
+    G = gradients(system, q).reshape(len(system.pairs), -1)
+    inverse = np.tile(1 / system.masses, 3)
+    flat = p.ravel()
+    expected = flat - G.T @ (np.linalg.pinv((G * inverse) @ G.T, rcond=1e-10) @ (G @ (inverse * flat)))
+    # The cage's condition number, some hundred, times rounding.
+    assert np.abs(found.ravel() - expected).max() < 1e-12
+    assert np.abs(found - p).max() > 0.1
+    assert np.abs(constraints.project(q, found) - found).max() < 1e-13
+
+
+def test_projection_leaves_free_points_and_momenta_alone(rng, compiled):
+    system = mixture()
+    constraints = system.constraints(compiled)
+    q = constraints.satisfied(system.x)
+    p = rng.normal(size=q.shape)
+    found = constraints.project(q, p)
+    free = np.setdiff1d(np.arange(q.shape[1]), constraints.members)
+    assert len(free) == 2
+    assert np.array_equal(found[:, free], p[:, free])
+    assert np.abs((found - p).sum(axis=1)).max() < 1e-13
+    assert np.abs(np.cross(q, found - p, axis=0).sum(axis=1)).max() < 1e-13
+
+
+def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(rng, compiled):
+    system = mixture()
+    constraints = system.constraints(compiled)
+    q = constraints.satisfied(system.x)
+    force, shift = rng.normal(size=q.shape), 0.02
+    found = constraints.displaced(q, force, shift)
+    # The iteration on graphs stops where squares of lengths are within 1e-11 (`GRAPH_CLOSE`).
+    assert np.abs(squares(system, found) / system.lengths**2 - 1).max() < 1e-11
+    # M (q' - q) - shift F is a sum of rows of G at q.
+    rest = (system.masses * (found - q) - shift * force).ravel()
+    G = gradients(system, q).reshape(len(system.pairs), -1)
+    left = rest - G.T @ np.linalg.lstsq(G.T, rest, rcond=None)[0]
+    assert np.abs(rest).max() > 1e-3
+    assert np.abs(left).max() < 1e-13
+
+
+def test_positions_are_put_onto_the_constraints(rng, compiled):
+    """OpenMM's constraint tolerance leaves a relative 1e-5; a hundred times as much is mended as well."""
+    system = mixture()
+    constraints = system.constraints(compiled)
+    q = constraints.satisfied(system.x + 1e-4 * rng.normal(size=system.x.shape))
+    assert constraints.residual(system.x) < 1e-9
+    assert constraints.residual(q) < 1e-13
+    again = constraints.satisfied(q)
+    assert np.abs(again - q).max() < 1e-15
+
+
+@pytest.mark.skipif(len(EXECUTIONS) < 2, reason="needs Numba")
+def test_numpy_and_numba_agree_to_rounding(rng):
+    system = mixture()
+    one, other = system.constraints(False), system.constraints(True)
+    q = one.satisfied(system.x)
+    p = thermal(rng, one, q)
+    for a, b in (
+        (one.project(q, p), other.project(q, p)),
+        (one.displaced(q, p, 0.01), other.displaced(q, p, 0.01)),
+        *zip(one.drift(q, p, 0.004, SUZUKI.fractions), other.drift(q, p, 0.004, SUZUKI.fractions), strict=True),
+    ):
+        # Elimination and conjugate gradients: rounding times the condition of the cage.
+        assert np.abs(a - b).max() < 1e-12 * np.abs(a).max()
+
+
+# --- geodesics --------------------------------------------------------------------------------------------------------
+
+
+def thermal(rng, constraints, q, temperature=300.0):
+    p = rng.normal(size=q.shape) * np.sqrt(GAS_CONSTANT * temperature * constraints.masses)
+    return constraints.project(q, p)
+
+
+def test_a_pair_moves_exactly(rng, compiled):
+    """As the linear rigid body of exact free rotation does, over any time."""
+    system = rotor(1)
+    constraints = system.constraints(compiled)
+    q = constraints.satisfied(system.x)
+    p = thermal(rng, constraints, q)
+    body = RigidBodies([Species.from_coordinates([[0, 1]], system.masses, q.T)], 2)
+    centre, A = body.fit(q.T)
+    momentum, L = body.momenta((p / system.masses).T, A)
+    start = BodyState(centre, momentum, A, L)
+    for t in (1e-4, 0.003, -0.7):
+        end = drift(body)(start, t)
+        found = constraints.drift(q, p, t)
+        expected = body.place(end.q, end.A, np.empty((2, 3))).T
+        velocities = body.move(end, np.empty((2, 3))).T
+        assert np.abs(found[0] - expected).max() < 1e-14
+        assert np.abs(found[1] - system.masses * velocities).max() < 1e-12
+
+
+def methyl():
+    return rotor(3)
+
+
+@cache
+def free_flight(make, time):
+    """A molecule, its start, and where the equations of motion with multipliers take it without forces."""
+    system = make()
+    system.field = 0.0
+    start = system.start(np.random.default_rng(6))
+    return system, start, system.exact_flow(start, time)
+
+
+@pytest.mark.parametrize("make", [methyl, ring, cage])
+@pytest.mark.parametrize("composition", [RATTLE, SUZUKI, TRIPLE_JUMP, KAHAN_LI], ids=lambda c: c.name)
+def test_geodesics_have_the_order_of_their_composition(make, composition, compiled):
+    """Against the equations of motion with multipliers, integrated by DOP853."""
+    # Turns of half a radian, so that sixth order shows above the oracle's 1e-12.
+    time = 0.03
+    system, start, exact = free_flight(make, time)
+    constraints = system.constraints(compiled)
+    steps = (2, 4) if composition.order == 6 else (4, 8)
+    errors = []
+    for n in steps:
+        q, _ = constraints.drift(start.q, start.p, time, composition.repeated(n).fractions)
+        errors.append(np.abs(q - exact.q).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(composition.order, abs=0.3)
+
+
+def test_geodesics_conserve_and_reverse(rng, compiled):
+    system = mixture()
+    constraints = system.constraints(compiled)
+    q0 = constraints.satisfied(system.x)
+    p0 = thermal(rng, constraints, q0)
+    q, p = q0, p0
+    for _ in range(100):
+        q, p = constraints.drift(q, p, 0.003, SUZUKI.fractions)
+    size = np.abs(p0).max()
+    # A random walk of 100 roundings.
+    assert np.abs((p - p0).sum(axis=1)).max() < 1e-13 * size
+    turned = (np.cross(q, p, axis=0) - np.cross(q0, p0, axis=0)).sum(axis=1)
+    assert np.abs(turned).max() < 1e-12 * size
+    assert constraints.residual(q) < 1e-13
+    assert np.abs(constraints.project(q, p) - p).max() < 1e-12 * size
+    # Not exactly conserved: fourth order of 0.1 rad a drift, as in the table of `geodesic`.
+    kinetic = [(v**2 / system.masses).sum() for v in (p0, p)]
+    assert kinetic[1] == pytest.approx(kinetic[0], rel=1e-6)
+    for _ in range(100):
+        q, p = constraints.drift(q, p, -0.003, SUZUKI.fractions)
+    # Rounding grows along geodesics of negative curvature.
+    assert np.abs(q - q0).max() < 1e-11
+
+
+def test_geodesics_are_symplectic(rng, compiled):
+    """The canonical form on tangent vectors of the constrained phase space, by differences of fourth order."""
+    system = rotor(2)
+    constraints = system.constraints(compiled)
+    q0 = constraints.satisfied(system.x)
+    p0 = thermal(rng, constraints, q0)
+
+    def state(vector, width):
+        q = constraints.satisfied(q0 + width * 0.01 * vector[0])
+        return q, constraints.project(q, p0 + width * vector[1])
+
+    def derivative(vector, map, width=2e-3):
+        sides = {s: np.array(map(*state(vector, s * width))) for s in (-2, -1, 1, 2)}
+        return (8 * (sides[1] - sides[-1]) - (sides[2] - sides[-2])) / (12 * width)
+
+    def form(a, b):
+        return (a[0] * b[1] - a[1] * b[0]).sum()
+
+    one, other = rng.normal(size=(2, 2, 3, 3))
+    before = form(*(derivative(v, lambda q, p: (q, p)) for v in (one, other)))
+    for fractions in (RATTLE.fractions, SUZUKI.fractions):
+        after = form(*(derivative(v, lambda q, p, f=fractions: constraints.drift(q, p, 0.01, f)) for v in (one, other)))
+        # Differences err by some 1e-11, the form is of the order of 0.1.
+        assert after == pytest.approx(before, abs=1e-9)
+        assert abs(before) > 1e-3
+
+
+def test_a_drift_of_no_time_changes_nothing(rng, compiled):
+    system = mixture()
+    constraints = system.constraints(compiled)
+    q = constraints.satisfied(system.x)
+    p = thermal(rng, constraints, q)
+    found = constraints.drift(q, p, 0.0, SUZUKI.fractions)
+    assert np.array_equal(found[0], q)
+    assert np.array_equal(found[1], p)
+
+
+def test_inputs_are_left_as_they_were(rng, compiled):
+    system = mixture()
+    constraints = system.constraints(compiled)
+    q = constraints.satisfied(system.x)
+    p = thermal(rng, constraints, q)
+    before = q.copy(), p.copy()
+    found = [*constraints.drift(q, p, 0.002), constraints.displaced(q, p, 0.002), constraints.project(q, p)]
+    assert np.array_equal(before, (q, p))
+    assert not any(np.shares_memory(new, old) for new in found for old in (q, p))
+
+
+def test_far_from_the_origin(rng, compiled):
+    """Bond vectors, not coordinates, carry the rounding: at 50 nm only the position itself is rounded."""
+    system = mixture()
+    constraints = system.constraints(compiled)
+    q = constraints.satisfied(system.x)
+    p = thermal(rng, constraints, q)
+    near = constraints.drift(q, p, 0.003, SUZUKI.fractions)
+    far = constraints.drift(q + 50.0, p, 0.003, SUZUKI.fractions)
+    assert np.abs(far[0] - 50.0 - near[0]).max() < 1e-13
+    # Bonds of a relative rounding of 1e-13 turn momenta by as much.
+    assert np.abs(far[1] - near[1]).max() < 1e-11
+
+
+# --- ranks and redundant constraints ----------------------------------------------------------------------------------
+
+
+def test_ranks():
+    assert rotor(3).constraints().rank() == 3
+    assert ring().constraints().rank() == 12
+    system = cage()
+    # Nine constraints fix the shape of five atoms, the tenth is redundant; one more holds the hydrogen.
+    assert len(system.pairs) == 11
+    assert system.constraints().rank(system.x) == 10
+    system = mixture()
+    whole = np.linalg.matrix_rank(gradients(system, system.x).reshape(len(system.pairs), -1))
+    assert system.constraints().rank(system.x) == whole
+
+
+def test_a_singular_geometry_is_named():
+    """Four atoms in a plane with all six distances, and three on a line: first-order motion out of them is free."""
+    square = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.12, 0], [0, 0.12, 0]])
+    pairs = [(i, j) for i in range(4) for j in range(i)]
+    flat = Constraints(pairs, [np.linalg.norm(square[i] - square[j]) for i, j in pairs], 4 * [12.0])
+    assert flat.rank() == 6
+    with pytest.raises(
+        ConstraintError, match=r"constraints of body 0, body 1, body 2, body 3 do not determine .* plane"
+    ):
+        flat.rank(square.T)
+    line = np.array([[0, 0, 0], [0.116, 0, 0], [0.232, 0, 0]])
+    straight = Constraints([(0, 1), (1, 2), (0, 2)], [0.116, 0.116, 0.232], [16.0, 12.0, 16.0])
+    with pytest.raises(ConstraintError, match="on a line"):
+        straight.rank(line.T)
+
+
+@pytest.mark.parametrize("leaves", [3, 4, 5])
+def test_a_rigid_tetrahedron_by_constraints_moves_as_a_rigid_body(rng, leaves, compiled):
+    """All distances of a cluster: its geodesic is free rotation. Of five or six atoms many are redundant."""
+    system = rotor(min(leaves, 4))
+    further = np.add(system.x.T[:1], [0.05, 0.11, 0.02])
+    x = np.vstack([system.x.T, *[further] * (leaves - 4)])
+    masses = [*system.masses, *[2.0] * (leaves - 4)]
+    pairs = [(i, j) for i in range(len(x)) for j in range(i)]
+    constraints = Constraints(pairs, [np.linalg.norm(x[i] - x[j]) for i, j in pairs], masses, compiled=compiled)
+    q = constraints.satisfied(x.T)
+    assert constraints.rank(q) == 3 * len(x) - 6
+    p = thermal(rng, constraints, q)
+    body = RigidBodies([Species.from_coordinates([range(len(x))], masses, q.T)], len(x))
+    centre, A = body.fit(q.T)
+    momentum, L = body.momenta((p / constraints.masses).T, A)
+    end = drift(body)(BodyState(centre, momentum, A, L), 0.01)
+    found, _ = constraints.drift(q, p, 0.01, KAHAN_LI.repeated(2).fractions)
+    # Sixth order of 0.1 rad in two parts: some 1e-11.
+    assert np.abs(found - body.place(end.q, end.A, np.empty(x.shape)).T).max() < 1e-10
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def describe(body):
+    return f"atom {100 + body}"
+
+
+@pytest.mark.parametrize(
+    ("pairs", "lengths", "masses", "message"),
+    [
+        ([(0, 0)], [0.1], [1.0, 1.0], "joins the bodies 0 and 0; it must join two different ones of 2"),
+        ([(0, 2)], [0.1], [1.0, 1.0], "joins the bodies 0 and 2"),
+        ([(0, 1)], [-0.1], [1.0, 1.0], "the constraint of atom 100, atom 101 has the length -0.1"),
+        ([(0, 1)], [np.nan], [1.0, 1.0], "has the length nan"),
+        ([(0, 1)], [0.1], [1.0, 0.0], "atom 101 is constrained and has the mass 0.0"),
+        (
+            [(0, 1), (1, 0)],
+            [0.1, 0.2],
+            [1.0, 1.0],
+            r"atom 101, atom 100 contradict each other: 0.100000 and 0.200000 nm",
+        ),
+        ([(0, 1)], [0.1, 0.2], [1.0, 1.0], "1 constraints need as many lengths"),
+    ],
+)
+def test_constraints_that_make_no_sense_are_refused(pairs, lengths, masses, message):
+    with pytest.raises(ConstraintError, match=message):
+        Constraints(pairs, lengths, masses, describe)
+
+
+def test_a_pair_given_twice_is_one_constraint():
+    constraints = Constraints([(0, 1), (1, 0)], [0.1, 0.1 + 1e-9], [1.0, 1.0])
+    assert constraints.pairs.tolist() == [[0, 1]]
+    assert constraints.rank() == 1
+
+
+def test_contradictory_lengths_raise(compiled):
+    """A triangle that does not close, and a tenth distance that the nine others forbid."""
+    triangle = Constraints([(0, 1), (1, 2), (0, 2)], [0.1, 0.1, 0.3], [1.0, 2.0, 3.0], describe, compiled)
+    x = np.array([[0, 0, 0], [0.1, 0.01, 0], [0.25, 0, 0.02]]).T
+    with pytest.raises(
+        ConstraintError, match="constraints of atom 100, atom 101, atom 102 have no solution near: they contr"
+    ):
+        triangle.satisfied(x)
+    system = cage()
+    system.lengths[0] *= 1.001
+    with pytest.raises(ConstraintError, match="body 5 have no solution near"):
+        system.constraints(compiled).satisfied(system.x)
+
+
+@pytest.mark.parametrize("factor", [40.0, 1e4, 1e200, np.nan])
+@pytest.mark.parametrize("make", [methyl, ring])
+def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor, compiled):
+    """Of two molecules the second explodes; it is named, nothing is NaN and nothing hangs."""
+    system = many(make(), make())
+    constraints = Constraints(system.pairs, system.lengths, system.masses, describe, compiled)
+    q = constraints.satisfied(system.x)
+    p = thermal(rng, constraints, q)
+    wild = np.unique(system.pairs[constraints.components[1]])
+    p[:, wild] *= factor
+    with pytest.raises(ConstraintError, match="have no solution near") as error:
+        constraints.drift(q, p, 0.003)
+    named = set(str(error.value).split(" have ")[0].removeprefix("the constraints of ").split(" and ")[0].split(", "))
+    assert named <= {describe(body) for body in wild}
+
+
+# --- subsets and patterns ---------------------------------------------------------------------------------------------
+
+
+def test_a_subset_has_numbers_of_its_own(rng, compiled):
+    system = mixture()
+    constraints = Constraints(system.pairs, system.lengths, system.masses, describe, compiled)
+    members = constraints.members
+    part = constraints.restricted(members)
+    q = constraints.satisfied(system.x)
+    p = thermal(rng, constraints, q)
+    whole = constraints.drift(q, p, 0.002)
+    found = part.drift(q[:, members], p[:, members], 0.002)
+    assert np.array_equal(found[0], whole[0][:, members])
+    assert np.array_equal(found[1], whole[1][:, members])
+    with pytest.raises(ConstraintError, match=f"atom {100 + members[0]}.* leaves the subset"):
+        constraints.restricted(members[1:])
+
+
+def test_elimination_fills_little_and_includes_all_neighbours(rng):
+    """A random tree of 300 atoms with rings: the pattern holds what elimination makes, and not much more."""
+    members = [(i, int(rng.integers(max(0, i - 4), i))) for i in range(1, 300)]
+    members += [(i, i + 5) for i in range(0, 290, 30)]
+    sequence, rows = eliminate(np.array(members))
+    assert sorted(sequence) == list(range(len(members)))
+    filled = np.zeros((len(members),) * 2, bool)
+    for e, row in enumerate(rows):
+        filled[e, row] = True
+    needed = np.array([[bool(set(members[e]) & set(members[f])) for f in sequence] for e in sequence])
+    for e in range(len(members)):
+        below = np.flatnonzero(needed[e + 1 :, e]) + e + 1
+        needed[np.ix_(below, below)] = True
+    assert np.array_equal(needed, filled)
+    assert filled.sum() < 12 * len(members)
+
+
+def test_compositions_are_checked():
+    with pytest.raises(ValueError, match="must read the same backwards"):
+        Composition("odd", 2, (0.25, 0.75))
+    with pytest.raises(ValueError, match=r"must sum to 1, they sum to 0\.[89]"):
+        Composition("short", 2, (0.3, 0.3, 0.3))
+    with pytest.raises(ValueError, match="at least once, got 0"):
+        RATTLE.repeated(0)
+    assert len(SUZUKI.repeated(3).fractions) == 15
+
+
+def test_no_constraints_at_all(rng):
+    free = Constraints([], [], [1.0, 2.0])
+    q, p = rng.normal(size=(2, 3, 2))
+    assert free.rank(q) == 0
+    assert free.residual(q) == 0.0
+    assert np.array_equal(free.project(q, p), p)
+    assert np.array_equal(free.drift(q, p, 0.5)[0], q + 0.5 * p / [1.0, 2.0])

@@ -1,0 +1,27 @@
+"""Python programs in interpreters of their own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+#: Seconds after which a program counts as hanging. They take some seconds on a machine that has nothing else to do.
+LIMIT = 900
+
+
+def run_python(program: str, *arguments, environment=None) -> str:
+    """What a program prints.
+
+    Raises:
+        AssertionError: it failed, with its errors.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        env=environment,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
