@@ -9,10 +9,10 @@ from typing import Any
 
 from openmm_sier.dynamics.schemes import CATALOGUE
 
-#: What `--scheme auto` stands for; the README's page on choosing a step says why.
+#: The default scheme, which is that of our integrators too.
 RECOMMENDED = "sier4g"
 
-#: Steps in fs that the README recommends for rigid water, by scheme.
+#: Steps in fs that the README recommends for rigid water, by scheme. They are the default steps.
 USUAL_STEPS = {"sier2": 2.0, "sier4": 4.0, "sier4v": 5.0, "sier4g": 6.0, "sier4p": 6.0}
 
 #: K; that of the systems that the project ships.
@@ -141,9 +141,8 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
         RunError: options contradict each other.
     """
     origin = origin or {}
-    scheme = RECOMMENDED if options.scheme == "auto" else options.scheme or "sier4"
-    # 1 fs for each force evaluation.
-    dt = options.dt or float(CATALOGUE[scheme].force_evaluations)
+    scheme = options.scheme or RECOMMENDED
+    dt = options.dt or usual_step(scheme)
     ensemble = options.ensemble or "nve"
     _check_combinations(options, ensemble)
     out = _file("--out", options.out) or Path(f"{options.box.stem}.dcd")

@@ -92,7 +92,7 @@ def test_start_tells_the_system_and_the_temperature(box, npt_run):
     start = ["run", box, "--platform", "Reference", "--start", npt_run / "npt.chk", "--steps", "1", "--overwrite"]
     run(*start, "--ensemble", "nvt")
     plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
-    assert (plan["temperature"], plan["scheme"], plan["dt"]) == (310.0, "sier4", 4.0)
+    assert (plan["temperature"], plan["scheme"], plan["dt"]) == (310.0, "sier4g", 6.0)
     # No equilibration is none, and not new velocities.
     kinetic = log("box.csv")["Kinetic Energy (kJ/mole)"][0]
     run(*start, "--ensemble", "nvt", "--equilibrate", "0")
@@ -254,6 +254,8 @@ def test_unwrapped_frames_do_not_jump(box):
         "0.1",
         "--every",
         "0.004",
+        "--dt",
+        "4",
         "--temperature",
         "2000",
     ]
@@ -288,7 +290,7 @@ def test_progress_lines_where_there_is_no_terminal(box, capsys, monkeypatch):
     monkeypatch.setattr(command, "LONGEST_CHUNK", 1)
     run("run", box, *SMALL, "--equilibrate", "0", "--steps", "4")
     lines = capsys.readouterr().err.splitlines()
-    assert [line.split(" steps")[0] for line in lines] == [f"SIER4: {i}/4" for i in (1, 2, 3, 4)]
+    assert [line.split(" steps")[0] for line in lines] == [f"SIER4G: {i}/4" for i in (1, 2, 3, 4)]
     assert "50 %, " in lines[1]
     assert " ns/day, 0:00:0" in lines[1]
 
