@@ -81,7 +81,7 @@ def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
 def test_run_conserves_energy_and_momentum(whole_run):
     rows = log(whole_run / "whole.csv")
     H, V = rows["Total Energy (kJ/mole)"], rows["Potential Energy (kJ/mole)"]
-    # SIER4G at 4 fs: some 0.015 % in a large box; the cut-off of 0.47 nm and 11 samples leave room for a factor of some.
+    # SIER4G at 4 fs: some 0.015 % in a large box; the cut-off of 0.47 nm and 11 samples leave room for ten times that.
     assert H.std() / V.std() < 2e-3
     # The thermal momentum of one molecule is about 7 dalton nm/ps; PME conserves the total to its mesh's accuracy.
     momentum = np.linalg.norm([rows[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)

@@ -216,8 +216,8 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
     h5py = pytest.importorskip("h5py")
     # One of them is written at every step, the other and the log at every hundredth.
     often, rare = ("--every", "--bodies-every") if name == "box.dcd" else ("--bodies-every", "--every")
-    options = ["--dt", "4", "--platform", "Reference", "--equilibrate", "0", "--checkpoint-every", "0.02", "--bodies", "states.h5"]
-    options += [often, "0.004", rare, "0.4", "--report-every", "0.4"]
+    options = ["--dt", "4", "--platform", "Reference", "--equilibrate", "0", "--checkpoint-every", "0.02"]
+    options += ["--bodies", "states.h5", often, "0.004", rare, "0.4", "--report-every", "0.4"]
     assert main.main(["run", str(box), *options, "--steps", "1", "--out", "first.dcd", "--bodies", "first.h5"]) == 0
     # Checkpoints fit, which differ a little in size.
     room = round(1.3 * Path("first.chk").stat().st_size)
