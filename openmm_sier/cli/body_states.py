@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+import openmm
 from openmm import unit
 
 from openmm_sier.cli import records
@@ -49,7 +50,7 @@ class BodyStates(records.GrowingFile):
         if not size:
             path.unlink(missing_ok=True)
 
-    def write(self, context) -> None:
+    def write(self, context: openmm.Context) -> None:
         """Append the bodies of a Context at its last completed step."""
         state = context.getState()
         box = np.array(state.getPeriodicBoxVectors().value_in_unit(unit.nanometer)) if self._periodic else None

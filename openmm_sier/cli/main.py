@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     #: The action to which commands are added.
-    Commands = argparse._SubParsersAction[argparse.ArgumentParser]
+    Commands = argparse._SubParsersAction["Parser"]
     Settings = TypeVar("Settings", bound=DataclassInstance)
 
 SCHEMES = tuple(CATALOGUE)

@@ -9,6 +9,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import openmm
 from openmm import app, unit
 
@@ -142,7 +143,11 @@ class Outputs:
         return [what for what, interval in self._intervals.items() if step % interval == 0]
 
     def write(
-        self, due: Iterable[str], context, values: Mapping[str, float] | None, start_energy: float | None
+        self,
+        due: Iterable[str],
+        context: openmm.Context,
+        values: Mapping[str, float] | None,
+        start_energy: float | None,
     ) -> None:
         """Write what is due; the checkpoint last, since it notes the lengths of the others.
 
@@ -168,12 +173,12 @@ class Outputs:
             if what in due:
                 write()
 
-    def _write_frame(self, context) -> None:
+    def _write_frame(self, context: openmm.Context) -> None:
         periodic = context.getSystem().usesPeriodicBoundaryConditions()
         state = context.getState(positions=True, enforcePeriodicBox=periodic and not self._plan.unwrapped)
         self.trajectory.write(state.getPositions(asNumpy=True)[self._listed], state.getPeriodicBoxVectors())
 
-    def _write_checkpoint(self, context, potential: float, start_energy: float | None) -> None:
+    def _write_checkpoint(self, context: openmm.Context, potential: float, start_energy: float | None) -> None:
         for file in self._growing.values():
             file.sync()
         step = context.getStepCount()
@@ -196,7 +201,7 @@ class Outputs:
         self.trajectory.finish()
 
 
-def _subset(topology, listed):
+def _subset(topology: app.Topology, listed: np.ndarray) -> app.Topology:
     """The Topology of some atoms; names are all that a trajectory needs of them."""
     modeller = app.Modeller(topology, [openmm.Vec3(0, 0, 0)] * topology.getNumAtoms() * unit.nanometer)
     kept = set(listed.tolist())

@@ -171,7 +171,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
     )
 
 
-def _first(*values):
+def _first(*values: Any) -> Any:
     """The first of some values that is given, None if none is."""
     return next((value for value in values if value is not None), None)
 

@@ -5,6 +5,8 @@ And Systems in which the volume cannot be changed without harm to rigid bodies, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import openmm
 
@@ -46,14 +48,14 @@ BAROSTATS = (
 )
 
 
-def is_passive(force) -> bool:
+def is_passive(force: openmm.Force) -> bool:
     """Whether a Force does nothing but give forces, whatever the time."""
     if isinstance(force, openmm.CustomCVForce):
         return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
     return isinstance(force, PASSIVE_FORCES)
 
 
-def refuse_constant_pressure(system, bodies: RigidBodies) -> None:
+def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:
     """Refuse a System whose volume an integrator cannot change.
 
     Raises:
@@ -77,7 +79,7 @@ def refuse_constant_pressure(system, bodies: RigidBodies) -> None:
             )
 
 
-def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
+def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequence[int]], bodies: RigidBodies) -> None:
     """Refuse a barostat that moves atoms of one body apart.
 
     Args:
@@ -110,7 +112,7 @@ def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
             )
 
 
-def tell_of_misfit(bodies: RigidBodies, misfit) -> bool:
+def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
     """Warn of atoms that are moved by more than the rounding of a PDB file when bodies are fitted to them.
 
     Args:

@@ -19,6 +19,8 @@ from __future__ import annotations
 
 import functools
 import inspect
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import openmm
 
@@ -26,6 +28,9 @@ from openmm_sier.context.engine import DRAWS, HEAT, SEED
 from openmm_sier.context.integrator import SIERIntegrator, revived
 from openmm_sier.context.minimization import constraints_hold, minimize_bodies
 from openmm_sier.context.stored_settings import stored
+
+#: A method of OpenMM or its wrapper, which has an attribute that tells so.
+Method: TypeAlias = Any
 
 
 def install() -> None:
@@ -45,7 +50,7 @@ def install() -> None:
         _replace(openmm.XmlSerializer, name, _reviving)
 
 
-def _replace(cls, name: str, wrap) -> None:
+def _replace(cls: type, name: str, wrap: Callable[[Method], Method]) -> None:
     """Replace a method by its wrapper, once: an earlier wrapper of this package gives way."""
     if name not in vars(cls):
         return
@@ -59,11 +64,11 @@ def _replace(cls, name: str, wrap) -> None:
     setattr(cls, name, staticmethod(wrapper) if static else wrapper)
 
 
-def _binding_new_context(method):
+def _binding_new_context(method: Method) -> Method:
     """`Context.__init__`, with which the integrator is bound."""
 
     @functools.wraps(method)
-    def wrapper(self, *args, **kwargs):
+    def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
         # OpenMM's constructor takes its arguments by position.
         if len(args) > 1:
             _refuse_parts(args[1])
@@ -76,11 +81,11 @@ def _binding_new_context(method):
     return wrapper
 
 
-def _binding_again(method):
+def _binding_again(method: Method) -> Method:
     """`Context.reinitialize`, after which the System may be another one."""
 
     @functools.wraps(method)
-    def wrapper(self, preserveState=False):
+    def wrapper(self: Any, preserveState: bool = False) -> Any:
         result = method(self, preserveState)
         if (integrator := _integrator_of(self)) is not None:
             # OpenMM clears the per-atom variables without the state, but not the global ones.
@@ -93,11 +98,11 @@ def _binding_again(method):
     return wrapper
 
 
-def _going_on_as_a_restart(method):
+def _going_on_as_a_restart(method: Method) -> Method:
     """What writes all that a restart needs, after which this run and the restart share no past but that."""
 
     @functools.wraps(method)
-    def wrapper(self, *args, **kwargs):
+    def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
         found = method(self, *args, **kwargs)
         integrator = _integrator_of(self)
         # A checkpoint is bytes; a State has all of it where it has the integrator's parameters.
@@ -108,15 +113,15 @@ def _going_on_as_a_restart(method):
     return wrapper
 
 
-def _is_complete(found) -> bool:
+def _is_complete(found: openmm.State) -> bool:
     return not isinstance(found, openmm.State) or bool(found.getDataTypes() & openmm.State.IntegratorParameters)
 
 
-def _telling_of_new_forces(method):
+def _telling_of_new_forces(method: Method) -> Method:
     """`updateParametersInContext` of a Force, after which the Context's forces are not those that were computed."""
 
     @functools.wraps(method)
-    def wrapper(self, context, *args, **kwargs):
+    def wrapper(self: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> Any:
         result = method(self, context, *args, **kwargs)
         integrator = _integrator_of(context)
         if integrator is not None and integrator._engine is not None:
@@ -126,11 +131,11 @@ def _telling_of_new_forces(method):
     return wrapper
 
 
-def _keeping_bodies(method):
+def _keeping_bodies(method: Method) -> Method:
     """`LocalEnergyMinimizer.minimize`, which knows constraints and would tear bodies that are rigid without them."""
 
     @functools.wraps(method)
-    def wrapper(context, tolerance=10.0, maxIterations=0, reporter=None):
+    def wrapper(context: openmm.Context, tolerance: Any = 10.0, maxIterations: int = 0, reporter: Any = None) -> Any:
         integrator = _integrator_of(context)
         if integrator is None:
             return method(context, tolerance, maxIterations, reporter)
@@ -142,7 +147,7 @@ def _keeping_bodies(method):
     return wrapper
 
 
-def _accepting(method):
+def _accepting(method: Method) -> Method:
     """`Context.setState` as users of OpenMM's integrators know it.
 
     A State that another kind of integrator saved, after an equilibration say, is welcome: OpenMM takes over all of it
@@ -152,7 +157,7 @@ def _accepting(method):
     """
 
     @functools.wraps(method)
-    def wrapper(self, state):
+    def wrapper(self: Any, state: openmm.State) -> Any:
         integrator = _integrator_of(self)
         if integrator is None:
             return method(self, state)
@@ -171,11 +176,11 @@ def _accepting(method):
     return wrapper
 
 
-def _telling_of_moved_atoms(method):
+def _telling_of_moved_atoms(method: Method) -> Method:
     """A method of the Context that sets positions or velocities."""
 
     @functools.wraps(method)
-    def wrapper(self, *args, **kwargs):
+    def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
         result = method(self, *args, **kwargs)
         integrator = _integrator_of(self)
         if integrator is not None and integrator._engine is not None:
@@ -185,11 +190,11 @@ def _telling_of_moved_atoms(method):
     return wrapper
 
 
-def _loading(method):
+def _loading(method: Method) -> Method:
     """`Context.loadCheckpoint`, after which the heat may be one that the native engine counted."""
 
     @functools.wraps(method)
-    def wrapper(self, checkpoint):
+    def wrapper(self: Any, checkpoint: bytes) -> Any:
         method(self, checkpoint)
         if (integrator := _integrator_of(self)) is not None:
             _take_over(integrator)
@@ -197,14 +202,14 @@ def _loading(method):
     return wrapper
 
 
-def _take_over(integrator) -> None:
+def _take_over(integrator: openmm.Integrator) -> None:
     integrator._fold_heat()
     integrator._tell_program()
     if integrator._engine is not None:
         integrator._engine.notice()
 
 
-def _set_all_but_integrator(context, state) -> None:
+def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> None:
     """What `Context.setState` does but for the integrator's parameters, with its errors for what does not fit."""
     context.setTime(state.getTime())
     context.setStepCount(state.getStepCount())
@@ -219,22 +224,22 @@ def _set_all_but_integrator(context, state) -> None:
         context.setVelocities(state.getVelocities(asNumpy=True))
 
 
-def _reviving(method):
+def _reviving(method: Method) -> Method:
     """What reads or clones an integrator from its serialized form."""
 
     @functools.wraps(method)
-    def wrapper(source):
+    def wrapper(source: str) -> Any:
         return revived(method(source))
 
     return wrapper
 
 
-def _integrator_of(context) -> SIERIntegrator | None:
+def _integrator_of(context: openmm.Context) -> SIERIntegrator | None:
     integrator = getattr(context, "_integrator", None)
     return integrator if isinstance(integrator, SIERIntegrator) else None
 
 
-def _refuse_parts(integrator) -> None:
+def _refuse_parts(integrator: openmm.Integrator) -> None:
     """Refuse a CompoundIntegrator with a SIER integrator, whose Python part it does not call."""
     if not isinstance(integrator, openmm.CompoundIntegrator):
         return

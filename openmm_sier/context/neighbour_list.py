@@ -8,13 +8,14 @@ chance, and no two evaluations agree. `docs/determinism.md` has the measurements
 
 from __future__ import annotations
 
+import openmm
 from openmm import unit
 
 #: nm; farther than atoms may move before the list is built anew, which is some tenths of the cut-off.
 FAR = 1000.0
 
 
-def is_remembered(context) -> bool:
+def is_remembered(context: openmm.Context) -> bool:
     """Whether forces depend on a list with a past, and on nothing else that is not in the Context's state."""
     platform = context.getPlatform()
     if platform.getName() != "CPU" or platform.getPropertyValue(context, "Threads") != "1":
@@ -25,7 +26,7 @@ def is_remembered(context) -> bool:
     return any(force.getNonbondedMethod() != 0 for force in forces if hasattr(force, "getNonbondedMethod"))
 
 
-def forget(context) -> None:
+def forget(context: openmm.Context) -> None:
     """Have the next force evaluation of a Context build the list anew; nothing else changes.
 
     The list is looked at wherever forces are asked for, those of no force group included. It costs two constructions of

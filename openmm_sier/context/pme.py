@@ -19,7 +19,7 @@ TOLERANCES = (1e-10, 1e-3)
 _METHODS = (openmm.NonbondedForce.PME, openmm.NonbondedForce.LJPME)
 
 
-def balance_pme(system) -> None:
+def balance_pme(system: openmm.System) -> None:
     """Split electrostatics between the two sums of PME better than OpenMM does, with the mesh that OpenMM would choose.
 
     The direct sum ends at the cut-off, where the energy has a step that no force knows of. By OpenMM's rule for
@@ -49,13 +49,13 @@ def balance_pme(system) -> None:
         force.setPMEParameters(alpha, *mesh)
 
 
-def meshed_forces(system) -> list[openmm.NonbondedForce]:
+def meshed_forces(system: openmm.System) -> list[openmm.NonbondedForce]:
     """The NonbondedForces of a System that have PME or LJPME."""
     forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
     return [force for force in forces if force.getNonbondedMethod() in _METHODS]
 
 
-def _parameters(force, edges: list[float]) -> tuple[float, list[int]]:
+def _parameters(force: openmm.NonbondedForce, edges: list[float]) -> tuple[float, list[int]]:
     """Ewald parameter in 1/nm and mesh."""
     tolerance = force.getEwaldErrorTolerance()
     cutoff = force.getCutoffDistance().value_in_unit(unit.nanometer)

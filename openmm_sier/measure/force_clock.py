@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from time import perf_counter
+from typing import Any
+
+import openmm
 
 
 class ForceClock:
@@ -16,18 +20,18 @@ class ForceClock:
         calls: number of evaluations of forces.
     """
 
-    def __init__(self, context):
+    def __init__(self, context: openmm.Context) -> None:
         self.seconds, self.calls = 0.0, 0
         ask, place = context.getState, context.setPositions
 
-        def timed(call, *args, **kwargs):
+        def timed(call: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
             start = perf_counter()
             try:
                 return call(*args, **kwargs)
             finally:
                 self.seconds += perf_counter() - start
 
-        def timed_ask(*args, **kwargs):
+        def timed_ask(*args: Any, **kwargs: Any) -> Any:
             if not (kwargs.get("forces") or kwargs.get("energy")):
                 return ask(*args, **kwargs)
             self.calls += bool(kwargs.get("forces"))

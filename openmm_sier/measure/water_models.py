@@ -7,9 +7,11 @@ their charge sites; SPC has that of SPC/E. A PDB file of such a geometry does no
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from openmm import app
 
 #: Coordinates in a PDB file are rounded to this, nm.
 PDB_RESOLUTION = 1e-4
@@ -75,7 +77,7 @@ WATER_MODELS = (
 )
 
 
-def recognize(waters, positions, ions: bool = False) -> WaterModel:
+def recognize(waters: Sequence[app.topology.Residue], positions: np.ndarray, ions: bool = False) -> WaterModel:
     """The one model that water molecules have the geometry of.
 
     Without virtual sites in the file, the geometry of the atoms alone has to tell it.
@@ -110,7 +112,7 @@ def recognize(waters, positions, ions: bool = False) -> WaterModel:
     )
 
 
-def _common_size(waters) -> int:
+def _common_size(waters: Sequence[app.topology.Residue]) -> int:
     counts = [len(list(residue.atoms())) for residue in waters]
     sites = max(counts)
     if min(counts) != sites:
@@ -145,7 +147,7 @@ def _distance(means: np.ndarray, model: WaterModel) -> float:
     return float(np.abs(means - model.distances[: len(means)]).max())
 
 
-def _distances(residue, positions) -> tuple[float, ...]:
+def _distances(residue: app.topology.Residue, positions: np.ndarray) -> tuple[float, ...]:
     """O-H (mean of both), H-H and, with sites without mass, O-M (mean of all), nm."""
     kinds: dict[str, list] = {"O": [], "H": [], "M": []}
     for atom in residue.atoms():

@@ -114,7 +114,7 @@ def compare(settings: EquipartitionSettings, report: Report = SILENT) -> list[Ro
     return pooled(rows)
 
 
-def _slope(system, bodies, start, settings: EquipartitionSettings) -> float:
+def _slope(system: openmm.System, bodies: RigidBodies, start: openmm.State, settings: EquipartitionSettings) -> float:
     """How much steeper the potential is for rotations: the difference of `sampling.steepness`, K/ps^2."""
     context = make_context(system, SIERIntegrator(FORCE_STEP, SIER2, bodies), settings.platform)
     context.setState(start)
@@ -138,7 +138,7 @@ def _pool_of(rows: list[Row]) -> Row:
     times = np.array([row.time for row in rows])
     weights = times / times.sum()
 
-    def together(name):
+    def together(name: str) -> tuple[float, float]:
         means, errors = np.array([getattr(row, name) for row in rows]).T
         return float(weights @ means), float(np.sqrt(((weights * errors) ** 2).sum()))
 
@@ -170,7 +170,15 @@ def methods(settings: EquipartitionSettings) -> list[sampling.Method]:
     return [known[name] for name in chosen]
 
 
-def _run_method(method, dt, system, bodies, start, settings: EquipartitionSettings, report: Report) -> Row:
+def _run_method(
+    method: sampling.Method,
+    dt: float,
+    system: openmm.System,
+    bodies: RigidBodies,
+    start: openmm.State,
+    settings: EquipartitionSettings,
+    report: Report,
+) -> Row:
     step = dt * method.force_evaluations
     integrator = method.make(1e-3 * step)
     integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
@@ -248,7 +256,7 @@ def pool(directories: Sequence[Path], out: Path, report: Report = SILENT) -> lis
     return rows
 
 
-def _refuse_repetitions(directories, records) -> None:
+def _refuse_repetitions(directories: Sequence[Path], records: Sequence[dict[str, Any]]) -> None:
     """Raise ValueError where a run would count twice as if it were independent."""
     seen: dict[tuple, Path] = {}
     for directory, record in zip(directories, records, strict=True):
@@ -283,7 +291,7 @@ def load(path: Path) -> list[Row]:
 def table(rows: list[Row], ensemble: str) -> Table:
     """The rows as text."""
 
-    def cell(pair, digits):
+    def cell(pair: tuple[float, float], digits: int) -> str:
         return "-" if np.isnan(pair[0]) else f"{pair[0]:.{digits}f} ± {pair[1]:.{digits}f}"
 
     return Table(
