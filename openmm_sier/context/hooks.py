@@ -22,10 +22,10 @@ import inspect
 
 import openmm
 
-from openmm_sier.context.engine import DRAWS, HEAT, SEED
 from openmm_sier.context.integrator import SIERIntegrator, revived
 from openmm_sier.context.minimization import constraints_hold, minimize_bodies
 from openmm_sier.context.stored_settings import stored
+from openmm_sier.context.stored_state import DRAWS, HEAT, SEED
 
 
 def install() -> None:

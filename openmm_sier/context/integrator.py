@@ -13,11 +13,12 @@ import openmm
 from openmm import unit
 
 from openmm_sier.context import native_program, stored_settings
-from openmm_sier.context.engine import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
+from openmm_sier.context.engine import Engine
 from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
 from openmm_sier.context.host import Bodies
 from openmm_sier.context.native_engine import TOLERANCE, NativeEngine
 from openmm_sier.context.native_program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
+from openmm_sier.context.stored_state import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES
 from openmm_sier.context.temperature import Temperatures
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies

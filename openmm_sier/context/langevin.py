@@ -7,8 +7,8 @@ import secrets
 from openmm import unit
 
 from openmm_sier.context import stored_settings
-from openmm_sier.context.engine import SEED
 from openmm_sier.context.integrator import SUBSTEPS, Bodies, SIERIntegrator, quantity_to_float, whole_number
+from openmm_sier.context.stored_state import SEED
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT

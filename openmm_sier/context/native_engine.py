@@ -11,10 +11,10 @@ import openmm
 
 from openmm_sier.context import checks, neighbour_list
 from openmm_sier.context.constraint_errors import Constraints
-from openmm_sier.context.engine import HEAT
 from openmm_sier.context.host import Host
 from openmm_sier.context.native_program import WORK
 from openmm_sier.context.snapshot import Snapshot
+from openmm_sier.context.stored_state import HEAT
 from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures, thermal_energies
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
