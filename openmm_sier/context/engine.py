@@ -13,6 +13,7 @@ from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.actors import Actors, VolumeMoves, act
 from openmm_sier.context.atoms import Atoms
 from openmm_sier.context.host import Host
+from openmm_sier.context.motion import Motion
 from openmm_sier.context.reconciliation import Reconciliation
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.context.stored_state import DRAWS, HEAT, SITES, STATE_VARIABLES
@@ -20,6 +21,7 @@ from openmm_sier.context.temperature import MomentumConservation, Temperatures, 
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
+from openmm_sier.dynamics.constraints import ConstraintError
 
 
 class _Point(NamedTuple):
@@ -56,10 +58,10 @@ class Engine:
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
         self.forces = operators.CachedForces(self._compute_forces)
-        self.operators: dict[str, operators.Operator] = {}
         self._bodies: RigidBodies | None = None
         self._momentum: MomentumConservation | None = None
         self._volume_moves: VolumeMoves | None = None
+        self._motion: Motion
         self._vibrations: Vibrations
         self._reconciliation: Reconciliation
         # Where positions tell nothing of the bodies they are settled now, and the plan takes more memory than they do.
@@ -109,9 +111,8 @@ class Engine:
         checks.refuse_deforming_barostats(context.getSystem(), context.getMolecules(), bodies)
         if integrator._piston is not None:
             self._volume_moves = VolumeMoves(integrator._piston, bodies, self._atoms)
-        found = operators.body_operators(bodies, self.forces, integrator.rotation)
-        self.operators, self._bodies = found | integrator._extra_operators(bodies), bodies
-        self._reconciliation = Reconciliation(bodies, self._atoms, self.forces.invalidate)
+        self._motion, self._bodies = Motion(context, bodies, self.forces, integrator), bodies
+        self._reconciliation = Reconciliation(bodies, self._atoms, self._forget_forces)
         self._vibrations = vibrations
         return bodies
 
@@ -127,7 +128,8 @@ class Engine:
         self._check_step(self._vibrations)
         integrator = self._integrator
         h = integrator.getStepSize()._value
-        step = operators.stepper(integrator._active_scheme(), self.operators, h)
+        scheme = integrator._active_scheme()
+        step = operators.stepper(scheme, self._motion.operators(scheme, h, integrator._substeps), h)
         alone = not self._actors.are_present and self._volume_moves is None
         try:
             if count and self._starts_anew:
@@ -150,7 +152,7 @@ class Engine:
 
     def _forget_past(self) -> None:
         neighbour_list.forget(self._context)
-        self.forces.invalidate()
+        self._forget_forces()
         self._starts_anew = False
 
     def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
@@ -166,7 +168,13 @@ class Engine:
 
     def _complete(self, state: BodyState, step: operators.Stepper, h: float) -> None:
         _, time, steps = self._reached()
-        state = step(self._actors.swept(self.bodies, state, steps))
+        try:
+            state = step(self._actors.swept(self.bodies, state, steps))
+        except ConstraintError as error:
+            raise openmm.OpenMMException(
+                f"In step {steps + 1} {error}. Is the step size too long? The Context is left at the last completed "
+                "step."
+            ) from error
         # All of it at once, so that an interrupt finds the clock and the bodies in agreement.
         self._point = _Point(state, time + h, steps + 1)
 
@@ -204,26 +212,47 @@ class Engine:
         now = Snapshot(self._context)
         q, A = self._reconciliation.fit(now, state)
         self._atoms.take_positions(now)
-        self.forces.invalidate()
-        return replace(state, q=q, A=A)
+        self._forget_forces()
+        return replace(state, q=q, p=self.bodies.constraints.project(q, state.p), A=A)
 
     def restore(self) -> None:
         """Write the last completed step to the Context, whatever was cut short and even if Ctrl-C comes meanwhile."""
         _whatever_interrupts(self._recover)
 
     def _recover(self) -> None:
-        self.forces.invalidate()
+        self._forget_forces()
         self._atoms.forget_place()
         self._publish()
 
     # --- forces ---
 
     def _compute_forces(self, q, A):
+        """Those that act in kicks."""
+        return self._forces_of(self._groups & ~self._integrator._fast_groups, q, A)
+
+    def all_forces(self, q, A):
+        """Forces and torques on bodies at (q, A), each (3, n), fast ones too."""
+        self.forces.evaluations += 1
+        return self._forces_of(self._groups, q, A)
+
+    def _forces_of(self, groups: int, q, A):
         self._place(q, A)
         try:
-            return self.bodies.forces_and_torques(self._atoms.forces(self._groups), A)
+            return self.bodies.forces_and_torques(self._atoms.forces(groups), A)
         except NotFiniteError as error:
             raise self._blown_up("force on", error) from None
+
+    def _forget_forces(self) -> None:
+        """Compute forces anew next time: positions, box or parameters were changed."""
+        self.forces.invalidate()
+        if self._motion.fast is not None:
+            self._motion.fast.follow(self._context)
+
+    def renew_forces(self) -> None:
+        """The potential was changed."""
+        self.forces.invalidate()
+        if self._bodies is not None:
+            self._motion = Motion(self._context, self._bodies, self.forces, self._integrator)
 
     def _place(self, q, A) -> None:
         try:
@@ -240,7 +269,7 @@ class Engine:
 
     def set_groups(self) -> None:
         """Other force groups move the bodies from now on."""
-        self.forces.invalidate()
+        self.renew_forces()
 
     def notice(self) -> None:
         """Positions or velocities were set from outside; `adopt` finds out by itself."""

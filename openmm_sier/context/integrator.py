@@ -14,7 +14,7 @@ from openmm import unit
 
 from openmm_sier.context import native_program, stored_settings
 from openmm_sier.context.engine import Engine
-from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
+from openmm_sier.context.find_bodies import BodyPlan, tied
 from openmm_sier.context.host import Bodies
 from openmm_sier.context.native_engine import TOLERANCE, NativeEngine
 from openmm_sier.context.native_program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
@@ -252,7 +252,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Changes of positions, velocities, box and Context parameters, and those by `updateParametersInContext`, are
         noticed without this.
         """
-        self._bound().forces.invalidate()
+        self._bound().renew_forces()
 
     def setIntegrationForceGroups(self, groups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
@@ -309,14 +309,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _plan_bodies(self, system):
         """What the engine gets its bodies from: something with `needs_positions` and `bodies(positions)`."""
-        n = system.getNumParticles()
         given = self._given_bodies
         if not isinstance(given, RigidBodies):
             return BodyPlan(system, rigid=given)
-        if given.n_particles != n:
-            raise ValueError(f"bodies are those of a system of {given.n_particles} particles, this one has {n}")
-        refuse_other_masses(system, given)
-        return _Settled(given)
+        return _Settled(tied(system, given))
 
     def _counters(self, known: BodyState | None) -> tuple[float, int]:
         """Heat in kJ/mol and number of draws of noise so far; `known` is the state before what happened outside."""
@@ -329,6 +325,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def _extra_operators(self, bodies: RigidBodies) -> dict:
         """Operators other than kick and drift."""
         return {}
+
+    #: Force groups within drifts.
+    _fast_groups = 0
 
     #: What changes the volume between steps.
     _piston: MonteCarloVolumeMove | None = None

@@ -48,7 +48,7 @@ class Vibrations:
         forces = [force for force in forces if force.getNumBonds()]
         self._bonds: list[Bond] = []
         if forces:
-            owner, mobility = _owners(bodies), _mobilities(bodies)
+            owner, mobility = bodies.owners, _mobilities(bodies)
             found = [_fastest(force, owner, mobility) for force in forces]
             self._bonds = sorted(bond for bond in found if bond is not None)
         self._warned = False
@@ -112,14 +112,6 @@ def _fastest(force, owner, mobility) -> Bond | None:
         return None
     a, b = ends[fastest].tolist()
     return Bond(2 * math.pi / math.sqrt(squares[fastest]), (a, b), force.getForceGroup())
-
-
-def _owners(bodies: RigidBodies):
-    """For each particle the number of its body, -1 where it has none."""
-    owner = np.full(bodies.n_particles, -1)
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
-        owner[species.atoms] = np.arange(part.start, part.stop)[:, None]
-    return owner
 
 
 def _mobilities(bodies: RigidBodies):
