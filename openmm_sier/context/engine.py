@@ -13,7 +13,7 @@ from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.actors import Actors, VolumeMoves, act
 from openmm_sier.context.atoms import Atoms
 from openmm_sier.context.host import Host
-from openmm_sier.context.motion import Motion
+from openmm_sier.context.motion import INNER, Motion, inner_step
 from openmm_sier.context.reconciliation import Reconciliation
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.context.stored_state import DRAWS, HEAT, SITES, STATE_VARIABLES
@@ -118,7 +118,10 @@ class Engine:
 
     def _check_step(self, vibrations: Vibrations) -> None:
         integrator = self._integrator
-        vibrations.check(integrator.scheme, integrator.getStepSize()._value, integrator.getIntegrationForceGroups())
+        h, groups = integrator.getStepSize()._value, integrator.getIntegrationForceGroups()
+        vibrations.check(integrator.scheme, h, groups & ~integrator._fast_groups)
+        inner = inner_step(integrator.scheme, h, integrator._substeps)
+        vibrations.check_nested(INNER, inner, h, groups & integrator._fast_groups)
 
     # --- stepping ---
 
