@@ -24,10 +24,10 @@ from typing import Any, TypeAlias
 
 import openmm
 
-from openmm_sier.context.engine import DRAWS, HEAT, SEED
 from openmm_sier.context.integrator import SIERIntegrator, revived
 from openmm_sier.context.minimization import constraints_hold, minimize_bodies
 from openmm_sier.context.stored_settings import stored
+from openmm_sier.context.stored_state import DRAWS, HEAT, SEED
 
 #: A method of OpenMM or its wrapper, which has an attribute that tells so.
 Method: TypeAlias = Any

@@ -12,14 +12,13 @@ import openmm
 
 from openmm_sier.context import checks, neighbour_list
 from openmm_sier.context.constraint_errors import Constraints
-from openmm_sier.context.engine import HEAT
 from openmm_sier.context.host import Host
 from openmm_sier.context.native_program import WORK
 from openmm_sier.context.snapshot import Snapshot
-from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures, thermal_energies
+from openmm_sier.context.stored_state import HEAT
+from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperature, temperatures, thermal_energies
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
-from openmm_sier.dynamics.constants import GAS_CONSTANT
 
 #: Tolerance of constraints, relative. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, which costs more energy than the schemes do.
@@ -146,6 +145,10 @@ class NativeEngine:
         self.forces.evaluations += int(self._integrator.scheme.reuses_force)
         self._is_fresh = False
 
+    def renew_forces(self) -> None:
+        """The potential was changed."""
+        self.forces.invalidate()
+
     def set_groups(self) -> None:
         """Other force groups move the atoms from now on: OpenMM fixes them when it reads the program."""
         self.context.reinitialize(preserveState=True)
@@ -203,7 +206,7 @@ class NativeEngine:
             return temperatures(self.bodies, self._state_of(self.bodies), conserved)
         kinetic = sum(thermal_energies(self._points, self._state_of(self._points), conserved))
         dof = self._points.dof - len(self._constraints.pairs) - (3 if conserved else 0)
-        return Temperatures(2 * kinetic / (dof * GAS_CONSTANT) if dof > 0 else math.nan, math.nan, math.nan)
+        return Temperatures(temperature(kinetic, dof), math.nan, math.nan)
 
 
 def _points(system: openmm.System) -> RigidBodies:

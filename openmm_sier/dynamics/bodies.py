@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend, fitting
 from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
@@ -150,7 +151,7 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
 
 
 class RigidBodies:
-    """The rigid and point bodies of a system.
+    """The rigid and point bodies of a system, and what holds them together.
 
     Bodies are numbered species by species. Particles that belong to no body (virtual sites, fixed massless particles)
     are left alone.
@@ -160,18 +161,29 @@ class RigidBodies:
         parts: for each species the slice of its bodies.
         masses: (n,), dalton.
         moments: (3, n), dalton nm^2.
-        dof: degrees of freedom of all bodies.
+        molecules: for each body a number of its molecule, (n,).
     """
 
-    def __init__(self, species: Sequence[Species], n_particles: int, labels: Sequence[str] | None = None):
+    def __init__(
+        self,
+        species: Sequence[Species],
+        n_particles: int,
+        labels: Sequence[str] | None = None,
+        links: tuple[Sequence, Sequence] = ((), ()),
+        molecules=None,
+    ):
         """
         Args:
             species: kinds of body; no particle may be in two.
             n_particles: number of particles of the system.
             labels: for each particle the name of its residue, for messages.
+            links: pairs of point bodies at fixed distances, (c, 2), and the distances, (c,), nm.
+            molecules: for each body a number of its molecule, (n,); None: each body is one by itself, or together with
+                those that it is linked to.
 
         Raises:
-            ValueError: a particle is in two bodies or out of range, or a mass is not positive.
+            ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is none between
+                two points.
         """
         self.species = tuple(species)
         self.n_particles = n_particles
@@ -184,7 +196,50 @@ class RigidBodies:
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self._sites = [backend.Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
-        self.dof = sum(s.dof * s.atoms.shape[0] for s in self.species)
+        self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
+        linked = np.unique(self.links[0])
+        if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
+            raise ValueError(f"{self.describe(extended[0])} is linked to another body and is no point")
+        self.molecules = self._joined() if molecules is None else np.asarray(molecules)
+
+    def _joined(self) -> np.ndarray:
+        molecules = np.arange(self.n)
+        for number in self.constraints.components:
+            members = np.unique(self.constraints.pairs[number])
+            molecules[members] = members[0]
+        return molecules
+
+    @cached_property
+    def constraints(self) -> Constraints:
+        """The constraints between point bodies.
+
+        Raises:
+            ConstraintError: they contradict each other.
+        """
+        return Constraints(*self.links, self.masses, self.describe)
+
+    @cached_property
+    def dof(self) -> int:
+        """Degrees of freedom of all bodies."""
+        return sum(s.dof * s.atoms.shape[0] for s in self.species) - self.constraints.rank()
+
+    @cached_property
+    def flexible(self) -> np.ndarray:
+        """Which bodies are in a molecule with others, (n,), so that the molecule is not rigid."""
+        _, place, counts = np.unique(self.molecules, return_inverse=True, return_counts=True)
+        return (counts > 1)[place]
+
+    @cached_property
+    def owners(self) -> np.ndarray:
+        """For each particle the number of its body, (N,); -1 where it has none."""
+        owners = np.full(self.n_particles, -1)
+        for species, part in zip(self.species, self.parts, strict=True):
+            owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
+        return owners
+
+    def tied(self, links: tuple[Sequence, Sequence], molecules) -> RigidBodies:
+        """The same bodies with other links and molecules, see `RigidBodies`."""
+        return type(self)(self.species, self.n_particles, self.labels, links, molecules)
 
     def _check(self) -> None:
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)

@@ -476,8 +476,8 @@ def test_barostats_need_no_velocities(box, barostat):
         context = context_at(system, integrator, point)
         volumes.append(context.getState().getPeriodicBoxVolume()._value)
         integrator.step(0)
-        assert integrator._engine._barostats_alone
-        integrator._engine._barostats_alone = alone
+        assert integrator._engine._actors.are_barostats
+        integrator._engine._actors.are_barostats = alone
         integrator.step(60)
         ends.append(phase_point(context))
         volumes.append(context.getState().getPeriodicBoxVolume()._value)
