@@ -55,7 +55,7 @@ def nitrogen(n=60, edge=1.65):
 def test_volume_is_that_of_openmms_barostat():
     """A dense fluid at 150 K and 800 bar, less than half as dense without its energy.
 
-    Blocks of 2000 steps have standard errors of some 1.4 % for either, so that 8 % are four times that of the difference.
+    Blocks of 2000 steps have standard errors of some 1.4 % for either, and 8 % are four times that of the difference.
     """
     system, positions = nitrogen()
     ours = SIERLangevinIntegrator(150, 20, 0.004, scheme=SIER2, pressure=800, barostatInterval=2)
