@@ -1,4 +1,4 @@
-"""What the commands show: tables, notes and a progress bar, with rich."""
+"""Output of the commands: tables, notes and a progress bar, with rich."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `openmm-sier info`: what bodies a PDB file holds."""
+"""The command `openmm-sier info`: the rigid bodies of a PDB file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files of a run: which they are, whether they may be written, and when each is."""
+"""The output files of a run: their paths, checks before they are written, and the steps at which they are."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class Outputs:
         return min((step // interval + 1) * interval for interval in self._intervals.values())
 
     def due(self, step: int) -> list[str]:
-        """What is to be written after a step."""
+        """Names of the files that are due after a step."""
         return [what for what, interval in self._intervals.items() if step % interval == 0]
 
     def write(

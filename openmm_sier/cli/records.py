@@ -117,7 +117,7 @@ class GrowingFile:
         self._file.close()
 
     def length(self) -> dict[str, int]:
-        """What the checkpoint notes."""
+        """The entries of the checkpoint for this file."""
         return {"size": self.size, "count": self.count}
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Where a run is stopped because its energy or temperature runs away, and where its table warns.
+"""Bounds at which a run stops because its energy or temperature runs away, and at which its table warns.
 
 The conserved energy H is the total energy, less the heat that a heat bath and moves of the volume gave. It is compared
 with the kinetic energy K, since energy that an integrator makes ends as heat: half of it or so in the kinetic energy,

@@ -1,4 +1,4 @@
-"""Signals that ask a run to stop: Ctrl-C, and what batch systems and closing terminals send."""
+"""Signals that ask a run to stop: Ctrl-C, and those of batch systems and of closing terminals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Forces do besides giving forces: they may change positions, velocities or the box in `updateContextState`.
+"""Forces that change positions, velocities or the box in `updateContextState`, besides giving forces.
 
 And Systems in which the volume cannot be changed without harm to rigid bodies, by Forces or by an integrator.
 """

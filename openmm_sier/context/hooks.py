@@ -99,7 +99,7 @@ def _binding_again(method: Method) -> Method:
 
 
 def _going_on_as_a_restart(method: Method) -> Method:
-    """What writes all that a restart needs, after which this run and the restart share no past but that."""
+    """Methods that write a restart point. Afterwards the run goes on from the same values as a restart would."""
 
     @functools.wraps(method)
     def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
@@ -210,7 +210,7 @@ def _take_over(integrator: openmm.Integrator) -> None:
 
 
 def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> None:
-    """What `Context.setState` does but for the integrator's parameters, with its errors for what does not fit."""
+    """Do as `Context.setState`, errors included, but leave out the parameters of the integrator."""
     context.setTime(state.getTime())
     context.setStepCount(state.getStepCount())
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
@@ -225,7 +225,7 @@ def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> Non
 
 
 def _reviving(method: Method) -> Method:
-    """What reads or clones an integrator from its serialized form."""
+    """Functions that read or clone an integrator from its serialized form."""
 
     @functools.wraps(method)
     def wrapper(source: str) -> Any:

@@ -15,7 +15,7 @@ from openmm_sier.context.body_states import BodyStateFile, import_extras
 
 
 class _Reporter:
-    """What OpenMM's protocol asks of both reporters: when to report, and what of the State they need."""
+    """OpenMM's protocol for both reporters: the steps between reports, and the parts of the State that they need."""
 
     def __init__(self, reportInterval: int, include: list[str]):
         if reportInterval < 1:

@@ -1,4 +1,4 @@
-"""What a Context holds at one moment, to tell later what was changed from outside."""
+"""The contents of a Context at one moment, so that changes from outside can be recognized later."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The time that evaluations of forces take."""
+"""Time spent in evaluations of forces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well a run conserved energy: fluctuation and drift, each defined once.
+"""Energy conservation of a run: fluctuation and drift, each defined once.
 
 Temperatures are in `openmm_sier.context.temperature`, since integrators state them too.
 """

@@ -1,6 +1,6 @@
-"""What a long computation tells whoever started it: notes, tables and how far it is.
+"""Reports of long computations: notes, tables and progress.
 
-Nothing here shows anything. The command passes in an object that does, with rich; without one all is silent.
+Nothing here prints. The command passes in an object that prints with rich; without one, computations are silent.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class Table(NamedTuple):
 
 
 class Advance(Protocol):
-    """Takes how much has been done in all, and what is being done if that changes."""
+    """Takes the amount done so far, and a new description if that changes."""
 
     def __call__(self, done: float, description: str | None = None) -> None: ...
 
 
 class Report(Protocol):
-    """Where a computation reports to."""
+    """The receiver of reports."""
 
     def note(self, message: str) -> None:
         """A line about what is being done."""
@@ -44,7 +44,7 @@ class Report(Protocol):
     def progress(
         self, description: str, total: float = 1.0, ps: float | None = None
     ) -> AbstractContextManager[Advance]:
-        """How far something is, within a with-statement.
+        """Progress of a computation, as a context manager.
 
         Args:
             description: what is being done.

@@ -139,7 +139,7 @@ def _strongest_force(context: openmm.Context) -> float:
 
 @dataclass(frozen=True)
 class Equilibration:
-    """How an equilibration ended.
+    """The end of an equilibration.
 
     Attributes:
         state: positions, velocities and box.

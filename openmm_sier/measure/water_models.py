@@ -29,7 +29,7 @@ class ForceFieldError(ValueError):
 
 @dataclass(frozen=True)
 class WaterModel:
-    """What tells a water model by its geometry.
+    """The geometry by which a water model is recognized.
 
     Attributes:
         name: as in the literature.

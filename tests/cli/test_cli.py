@@ -25,20 +25,10 @@ STEPS, FRAMES, ROWS = 100, 20, 11
 
 
 @pytest.fixture(scope="module")
-def box(tmp_path_factory):
-    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
-
-
-@pytest.fixture(scope="module")
 def whole_run(box):
     """Directory of a run of 0.4 ps that nothing disturbed."""
     assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--out", str(box.with_name("whole.dcd"))]) == 0
     return box.parent
-
-
-@pytest.fixture(autouse=True)
-def directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def frames_in_header(path):

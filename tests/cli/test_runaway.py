@@ -13,20 +13,10 @@ from openmm_sier.cli.runaway import Guard, Runaway
 from openmm_sier.context import conservation
 from openmm_sier.context.temperature import DegreesOfFreedom
 from openmm_sier.measure import starts
-from tests.support.commands import SMALL, complaint, frames, log, write_lattice
+from tests.support.commands import SMALL, complaint, frames, log
 
 #: kJ/mol, of the made-up runs: K of 500 waters at 297 K is 3700.
 KINETIC = 3700.0
-
-
-@pytest.fixture(scope="module")
-def box(tmp_path_factory):
-    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
-
-
-@pytest.fixture(autouse=True)
-def directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def plan(ensemble="nve", **options):
