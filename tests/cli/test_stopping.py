@@ -29,8 +29,8 @@ from openmm_sier.cli import main, outputs, run, stopping
 sys.exit(main.main(sys.argv[1:]))
 """
 
-#: Code of OpenMM's kind: it leaves Python to other threads, returns after minutes, and no signal cuts it short. The file
-#: is made once the thread's CPU time shows that it is being executed.
+#: Code of OpenMM's kind: it leaves Python to other threads, returns after minutes, and no signal cuts it short.
+#: The file is made once the CPU time of the thread shows that it is being executed.
 BUSY = """
 def busy(*_, **__):
     import hashlib, threading, time
