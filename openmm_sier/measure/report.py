@@ -36,10 +36,10 @@ class Report(Protocol):
     """The receiver of reports."""
 
     def note(self, message: str) -> None:
-        """A line about what is being done."""
+        """Take a line of progress information."""
 
     def table(self, table: Table) -> None:
-        """A result."""
+        """Take a table of results."""
 
     def progress(
         self, description: str, total: float = 1.0, ps: float | None = None
@@ -76,5 +76,5 @@ SILENT = Silent()
 
 
 def duration(seconds: float) -> str:
-    """A duration with a unit that suits it."""
+    """A duration as text, in ms or s."""
     return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"

@@ -280,7 +280,7 @@ def test_progress_lines_where_there_is_no_terminal(box, capsys, monkeypatch):
     monkeypatch.setattr(command, "LONGEST_CHUNK", 1)
     run("run", box, *SMALL, "--equilibrate", "0", "--steps", "4")
     lines = capsys.readouterr().err.splitlines()
-    assert [line.split(" steps")[0] for line in lines] == [f"SIER4G: {i}/4" for i in (1, 2, 3, 4)]
+    assert [line.split(" steps")[0] for line in lines] == [f"SIER2: {i}/4" for i in (1, 2, 3, 4)]
     assert "50 %, " in lines[1]
     assert " ns/day, 0:00:0" in lines[1]
 
