@@ -1,4 +1,4 @@
-"""The body states of a run, in a file that a crash leaves whole."""
+"""The file of body states of a run, which stays readable after a crash."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class BodyStates(records.GrowingFile):
         self.append(record.tobytes())
 
     def finish(self) -> None:
-        """Put the frames in the HDF5 file and remove the other."""
+        """Move the frames to the HDF5 file and remove the temporary one."""
         self.close()
         records.convert(self.path, self.target, self._write_frames)
 

@@ -1,4 +1,4 @@
-"""What the commands show: tables, notes and a progress bar, with rich."""
+"""Output of the commands: tables, notes and a progress bar, with rich."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LINE_AFTER = 30.0
 
 @contextmanager
 def _standard_output() -> Iterator[None]:
-    """Errors name it, when it goes to a full disk for instance."""
+    """Make errors of writing name standard output, for example when it goes to a full disk."""
     try:
         yield
     except OSError as error:
@@ -35,7 +35,7 @@ def _standard_output() -> Iterator[None]:
 
 
 def note(message: str) -> None:
-    """A line about what is being done."""
+    """Print a line of progress information."""
     with _standard_output():
         print(message, flush=True)
 

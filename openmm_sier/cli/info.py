@@ -1,4 +1,4 @@
-"""The command `openmm-sier info`: what bodies a PDB file holds."""
+"""The command `openmm-sier info`: the rigid bodies of a PDB file."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def kind(moments: np.ndarray) -> str:
 
 
 def _riders(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:
-    """For the first atom of each body the virtual sites that depend on the body's atoms."""
+    """Virtual sites that depend on the atoms of a body, by the first atom of that body."""
     body_of = {int(i): int(members[0]) for species in bodies.species for members in species.atoms for i in members}
     riders: dict[int, list[int]] = {}
     for i in range(system.getNumParticles()):

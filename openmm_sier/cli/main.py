@@ -1,4 +1,4 @@
-"""The arguments of `openmm-sier`. What its commands do stands in modules of their own, imported when needed."""
+"""The arguments of `openmm-sier`. Each command has a module of its own, imported when it is needed."""
 
 from __future__ import annotations
 

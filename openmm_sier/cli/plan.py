@@ -1,4 +1,4 @@
-"""What `openmm-sier run` was asked for, and what follows from it."""
+"""Options of `openmm-sier run`, and the plan of the run that follows from them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class RunError(ValueError):
 
 @dataclass(frozen=True)
 class Options:
-    """What the command was given; None where it was left to the command. Times in ps but `dt`, which is in fs."""
+    """Options of the command; None where an option was not given. Times are in ps, but `dt` is in fs."""
 
     box: Path
     forcefield: list[str] | None = None
@@ -86,7 +86,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run and its continuations have in common; the units are those of `Options`, 1/ps and bar."""
+    """Settings that a run and its continuations have in common; units as in `Options`, 1/ps and bar."""
 
     ensemble: str
     temperature: float
@@ -119,7 +119,7 @@ class Plan:
         return max(1, round(time * 1000 / self.dt))
 
     def noted(self, checkpoint: Path) -> dict[str, Any]:
-        """What the checkpoint notes of it: all of it, with files relative to the checkpoint."""
+        """The plan as the checkpoint holds it, with files relative to the checkpoint."""
         here = os.path.dirname(checkpoint) or "."
         fields = asdict(self)
         return fields | {name: os.path.relpath(fields[name], here) for name in FILES if fields[name]}

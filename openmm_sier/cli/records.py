@@ -1,4 +1,4 @@
-"""The files of a run that is cut off at any moment: trajectory, log and checkpoint.
+"""Files that survive a run being cut off at any moment: trajectory, log and checkpoint.
 
 Trajectory and log only grow, by one write a frame or row. The checkpoint notes how long they were, and is replaced as a
 whole. After a crash they are cut back to these lengths, and the run goes on from the checkpoint, without a gap and with
@@ -42,7 +42,7 @@ class RecordError(ValueError):
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Errors of the operating system name this file."""
+    """Make errors of the operating system name this file."""
     try:
         yield
     except OSError as error:
@@ -109,7 +109,7 @@ class GrowingFile:
             self._file.seek(self.size)
 
     def sync(self) -> None:
-        """Return when the bytes are on the disk."""
+        """Wait until all bytes are on the disk."""
         with naming(self.path):
             os.fsync(self._file.fileno())
 
@@ -117,7 +117,7 @@ class GrowingFile:
         self._file.close()
 
     def length(self) -> dict[str, int]:
-        """What the checkpoint notes."""
+        """The entries of the checkpoint for this file."""
         return {"size": self.size, "count": self.count}
 
     @staticmethod
@@ -233,7 +233,7 @@ class HDF5Trajectory(DCDTrajectory):
         return [path.with_name(path.name + ".dcd"), unfinished(path)]
 
     def finish(self) -> None:
-        """Put the frames in the HDF5 file and remove the other."""
+        """Move the frames to the HDF5 file and remove the temporary one."""
         self.close()
         convert(self.path, self.target, self._write_frames)
 
@@ -265,7 +265,7 @@ class HDF5Trajectory(DCDTrajectory):
 
 
 def unfinished(path: Path) -> Path:
-    """Where an HDF5 file is made before it takes its place."""
+    """Temporary path of an HDF5 file, which is moved to its place when it is complete."""
     return path.with_name(f"unfinished-{path.name}")
 
 
@@ -313,7 +313,7 @@ def trajectory_format(path: Path) -> type[DCDTrajectory] | type[XTCTrajectory]:
 
 
 def temporary_checkpoint(path: Path) -> Path:
-    """Where a checkpoint is written before it takes the place of the last one."""
+    """Temporary path of a checkpoint, which replaces the last one when it is complete."""
     return path.with_name(path.name + ".tmp")
 
 

@@ -174,7 +174,7 @@ def _restore(
     plan: Plan,
     paths: Iterable[Path],
 ) -> None:
-    """Put a Context where a checkpoint left off.
+    """Set a Context to the state of a checkpoint.
 
     Raises:
         RunError: the checkpoint is of another system, or nothing is left to be done.
@@ -248,7 +248,7 @@ def _advance(
 
 @contextmanager
 def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) -> Iterator[None]:
-    """Add to errors where they came, why they may have, and which checkpoint is left.
+    """Add to errors the step, the likely cause and the checkpoint that is left.
 
     Raises:
         Runaway, RunError: in place of errors of a runaway and of the operating system.
@@ -267,7 +267,7 @@ def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) 
 
 
 def _write(due: list[str], context: openmm.Context, outputs: Outputs, guard: runaway.Guard) -> None:
-    """Write what is due after the bounds have been looked at."""
+    """Check the bounds, then write the files that are due."""
     values = None
     if "row" in due or "checkpoint" in due:
         values = dict(zip(conservation.COLUMNS, conservation.row(context), strict=True))

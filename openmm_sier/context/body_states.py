@@ -61,7 +61,7 @@ def frame_shapes(n: int, periodic: bool) -> dict[str, tuple[int, ...]]:
 def body_frame_values(
     step: int, time: float, motion: BodyState, box: np.ndarray | None = None, unwrapped: bool = True
 ) -> dict[str, Any]:
-    """What a frame holds, by dataset.
+    """The contents of a frame by dataset.
 
     Args:
         step: number of the step.

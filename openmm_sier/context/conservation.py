@@ -1,4 +1,4 @@
-"""What a simulation should conserve, and its temperatures: the columns of the command's log and of our reporter."""
+"""Conserved quantities and temperatures of a simulation: the columns of the command's log and of our reporter."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ Method: TypeAlias = Any
 
 
 def install() -> None:
-    """Put the methods above in place; it may be called again."""
+    """Replace the methods above. Calling it again changes nothing."""
     _replace(openmm.Context, "__init__", _binding_new_context)
     _replace(openmm.Context, "reinitialize", _binding_again)
     _replace(openmm.Context, "setState", _accepting)
@@ -51,7 +51,7 @@ def install() -> None:
 
 
 def _replace(cls: type, name: str, wrap: Callable[[Method], Method]) -> None:
-    """Replace a method by its wrapper, once: an earlier wrapper of this package gives way."""
+    """Replace a method by its wrapper. An earlier wrapper of this package is removed first."""
     if name not in vars(cls):
         return
     found = vars(cls)[name]
@@ -65,7 +65,7 @@ def _replace(cls: type, name: str, wrap: Callable[[Method], Method]) -> None:
 
 
 def _binding_new_context(method: Method) -> Method:
-    """`Context.__init__`, with which the integrator is bound."""
+    """`Context.__init__`: bind the integrator too."""
 
     @functools.wraps(method)
     def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
@@ -82,7 +82,7 @@ def _binding_new_context(method: Method) -> Method:
 
 
 def _binding_again(method: Method) -> Method:
-    """`Context.reinitialize`, after which the System may be another one."""
+    """`Context.reinitialize`: bind the integrator again, since the System may have changed."""
 
     @functools.wraps(method)
     def wrapper(self: Any, preserveState: bool = False) -> Any:
@@ -99,7 +99,7 @@ def _binding_again(method: Method) -> Method:
 
 
 def _going_on_as_a_restart(method: Method) -> Method:
-    """What writes all that a restart needs, after which this run and the restart share no past but that."""
+    """Methods that write a restart point. Afterwards the run goes on from the same values as a restart would."""
 
     @functools.wraps(method)
     def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
@@ -118,7 +118,7 @@ def _is_complete(found: openmm.State) -> bool:
 
 
 def _telling_of_new_forces(method: Method) -> Method:
-    """`updateParametersInContext` of a Force, after which the Context's forces are not those that were computed."""
+    """`updateParametersInContext` of a Force: forces computed earlier are no longer valid."""
 
     @functools.wraps(method)
     def wrapper(self: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> Any:
@@ -132,7 +132,7 @@ def _telling_of_new_forces(method: Method) -> Method:
 
 
 def _keeping_bodies(method: Method) -> Method:
-    """`LocalEnergyMinimizer.minimize`, which knows constraints and would tear bodies that are rigid without them."""
+    """`LocalEnergyMinimizer.minimize`, which would deform bodies that are rigid without constraints."""
 
     @functools.wraps(method)
     def wrapper(context: openmm.Context, tolerance: Any = 10.0, maxIterations: int = 0, reporter: Any = None) -> Any:
@@ -150,10 +150,9 @@ def _keeping_bodies(method: Method) -> Method:
 def _accepting(method: Method) -> Method:
     """`Context.setState` as users of OpenMM's integrators know it.
 
-    A State that another kind of integrator saved, after an equilibration say, is welcome: OpenMM takes over all of it
-    and then fails over the parameters of that integrator, which mean nothing to ours. And as with OpenMM's integrators
-    a State brings no noise that was used already: runs with other seeds from one State differ, and so do replicas that
-    share a Context.
+    A State saved by another kind of integrator, for example after an equilibration, is accepted. OpenMM would set all
+    of it and then fail on the parameters of that integrator. As with OpenMM's integrators, a State does not repeat
+    noise that was used already: runs with other seeds from one State differ, and so do replicas that share a Context.
     """
 
     @functools.wraps(method)
@@ -191,7 +190,7 @@ def _telling_of_moved_atoms(method: Method) -> Method:
 
 
 def _loading(method: Method) -> Method:
-    """`Context.loadCheckpoint`, after which the heat may be one that the native engine counted."""
+    """`Context.loadCheckpoint`: the heat may have been counted by the native engine."""
 
     @functools.wraps(method)
     def wrapper(self: Any, checkpoint: bytes) -> Any:
@@ -210,7 +209,7 @@ def _take_over(integrator: openmm.Integrator) -> None:
 
 
 def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> None:
-    """What `Context.setState` does but for the integrator's parameters, with its errors for what does not fit."""
+    """Do as `Context.setState`, errors included, but leave out the parameters of the integrator."""
     context.setTime(state.getTime())
     context.setStepCount(state.getStepCount())
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
@@ -225,7 +224,7 @@ def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> Non
 
 
 def _reviving(method: Method) -> Method:
-    """What reads or clones an integrator from its serialized form."""
+    """Functions that read or clone an integrator from its serialized form."""
 
     @functools.wraps(method)
     def wrapper(source: str) -> Any:

@@ -54,7 +54,7 @@ class NativeEngine:
         forces: the count of force evaluations.
     """
 
-    #: What `SIERIntegrator.engine` says.
+    #: The value of `SIERIntegrator.engine`.
     name = "native"
 
     def __init__(self, integrator: Host, context: openmm.Context) -> None:
@@ -242,7 +242,7 @@ def _refuse(integrator: Host, system: openmm.System) -> None:
 
 
 def _unheld_bodies(given: RigidBodies | Sequence[Sequence[int]] | None, system: openmm.System) -> str | None:
-    """What is said of a body that is named and that constraints do not keep rigid; None if there is none."""
+    """Text of a refusal for a named body that constraints do not keep rigid; None if there is no such body."""
     if given is None:
         return None
     rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given

@@ -15,7 +15,7 @@ from openmm_sier.context.body_states import BodyStateFile, import_extras
 
 
 class _Reporter:
-    """What OpenMM's protocol asks of both reporters: when to report, and what of the State they need."""
+    """OpenMM's protocol for both reporters: the steps between reports, and the parts of the State that they need."""
 
     def __init__(self, reportInterval: int, include: list[str]):
         if reportInterval < 1:
@@ -30,10 +30,10 @@ class _Reporter:
 
 
 class ConservationReporter(_Reporter):
-    """Writes what should be conserved, and the temperatures of translation and rotation, as CSV.
+    """Writes conserved quantities and the temperatures of translation and rotation as CSV.
 
-    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`, where `row` says
-    what they are.
+    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`; `row` there
+    describes them.
     """
 
     def __init__(self, file: str | PathLike[str], reportInterval: int, append: bool = False) -> None:
@@ -110,7 +110,7 @@ class BodyStateReporter(_Reporter):
         self._path, self._unwrapped = Path(file), unwrapped
         self._append = append and self._path.exists()
         if not self._append:
-            # What cannot be written is found before the run.
+            # An unwritable path fails here, before the run.
             h5py.File(self._path, "w", libver="earliest").close()
         self._file: BodyStateFile | None = None
 

@@ -1,4 +1,4 @@
-"""The time that evaluations of forces take."""
+"""Time spent in evaluations of forces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import openmm
 
 
 class ForceClock:
-    """Measures the time that evaluations of forces and energies take, and to give the positions for them, from outside.
+    """Measures from outside the time of evaluations of forces and energies, and of setting positions for them.
 
     It stands in front of `Context.getState` and `Context.setPositions`.
 

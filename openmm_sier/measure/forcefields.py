@@ -38,7 +38,7 @@ LARGEST_CUTOFF = 0.45
 
 @dataclass(frozen=True)
 class Choice:
-    """Force-field files, and in words why they were picked."""
+    """Force-field files, and the reason for the choice in words."""
 
     files: tuple[str, ...]
     reason: str
@@ -132,7 +132,7 @@ def add_virtual_sites(
 
 
 def pme_system(topology: app.Topology, forcefield: app.ForceField) -> openmm.System:
-    """The System: rigid water, PME where there is a box, everything with everything where there is none.
+    """The System: rigid water, PME in a periodic box, no cut-off without one.
 
     The cut-off is 0.9 nm, less in a box too small for it, with the sums of PME balanced (`openmm_sier.balance_pme`);
     Lennard-Jones is switched off over the last sixth of it, with the usual correction for its tail. Nothing removes the

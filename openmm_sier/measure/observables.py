@@ -1,4 +1,4 @@
-"""How well a run conserved energy: fluctuation and drift, each defined once.
+"""Energy conservation of a run: fluctuation and drift, each defined once.
 
 Temperatures are in `openmm_sier.context.temperature`, since integrators state them too.
 """
@@ -19,7 +19,7 @@ LEAST = 8
 
 
 def number_of_windows(time: np.ndarray, window: float = WINDOW) -> int:
-    """Into how many windows of about this length in ps times (n,) are divided, each with `LEAST` of them or more."""
+    """Number of windows of about this length in ps for times (n,); each window has at least `LEAST` of them."""
     return max(1, min(round((time[-1] - time[0]) / window), len(time) // LEAST))
 
 

@@ -1,4 +1,4 @@
-"""Integrators to compare, and time series of what they do."""
+"""Integrators to compare, and time series of their runs."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def _observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> _
 
 
 def _body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
-    """The bodies at the whole step, whichever integrator the Context has."""
+    """The state of the bodies at a whole step, for any integrator."""
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
         return integrator.getBodyState()

@@ -53,11 +53,11 @@ KEPT_PROPERTIES = ("Threads", "DeterministicForces", "Precision", "DeviceIndex")
 
 
 class EquilibrationWarning(UserWarning):
-    """An equilibration has ended before temperatures and potential energy were what they should be."""
+    """An equilibration ended before temperatures and potential energy had settled."""
 
 
 def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
-    """A Context on a platform of a given name, in mixed precision where there is a choice; None takes the fastest."""
+    """A Context on the named platform, in mixed precision if it offers a choice; None takes the fastest platform."""
     for index in range(openmm.Platform.getNumPlatforms()):
         known = openmm.Platform.getPlatform(index)
         if "Precision" in known.getPropertyNames():
@@ -70,7 +70,7 @@ def make_context(system: openmm.System, integrator: openmm.Integrator, platform:
 def equilibrated(
     box: Box, temperature: float, seed: int, time: float | None, platform: str | None = None, report: Report = SILENT
 ) -> openmm.State:
-    """State of a box (`openmm_sier.measure.forcefields.Box`) from which runs at constant energy have a temperature.
+    """State of a box (`openmm_sier.measure.forcefields.Box`) from which constant-energy runs have a given temperature.
 
     Args:
         box: what to equilibrate.
@@ -139,7 +139,7 @@ def _strongest_force(context: openmm.Context) -> float:
 
 @dataclass(frozen=True)
 class Equilibration:
-    """How an equilibration ended.
+    """The end of an equilibration.
 
     Attributes:
         state: positions, velocities and box.
@@ -205,7 +205,7 @@ def equilibrate(
 
 
 def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
-    """A Context like another one, but at constant temperature, with velocities drawn."""
+    """A copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
     pressure = integrator.getPressure() if isinstance(integrator, SIERLangevinIntegrator) else None
     langevin = SIERLangevinIntegrator(temperature, FRICTION, STEP, SCHEME, integrator.bodies, pressure=pressure)
@@ -249,7 +249,7 @@ def _has_settled(windows: list[_Window], temperature: float, dof: DegreesOfFreed
 
 
 def bound(temperature: float, dof: int) -> float:
-    """By how much a mean temperature may be off, K: one canonical standard deviation of a snapshot, or 1 K."""
+    """Largest deviation of a mean temperature, K: one canonical standard deviation of a snapshot, at least 1 K."""
     return max(temperature * math.sqrt(2 / dof), TIGHTEST)
 
 

@@ -1,4 +1,4 @@
-"""Water models by their geometry: which one a PDB file holds, where that can be told.
+"""Water models by their geometry, and recognition of the model in a PDB file.
 
 Rigid water models share few geometries. TIP3P, in Amber's form and in CHARMM's, has that of TIP4P and TIP5P without
 their charge sites; SPC has that of SPC/E. A PDB file of such a geometry does not tell its model.
@@ -29,7 +29,7 @@ class ForceFieldError(ValueError):
 
 @dataclass(frozen=True)
 class WaterModel:
-    """What tells a water model by its geometry.
+    """The geometry by which a water model is recognized.
 
     Attributes:
         name: as in the literature.
@@ -78,7 +78,7 @@ WATER_MODELS = (
 
 
 def recognize(waters: Sequence[app.topology.Residue], positions: np.ndarray, ions: bool = False) -> WaterModel:
-    """The one model that water molecules have the geometry of.
+    """The one model whose geometry water molecules have.
 
     Without virtual sites in the file, the geometry of the atoms alone has to tell it.
 

@@ -1,4 +1,4 @@
-"""Whether rotations and translations have one temperature: what `openmm-sier equipartition` compares."""
+"""Temperatures of rotations and translations by integrator: the comparison behind `openmm-sier equipartition`."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ SETTLING = 2.0
 #: Samples of the forces that predict the bias, steps of SIER2 before each, and their length in ps.
 FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 
-#: What the numbers are written to.
+#: The file of the numbers.
 FILE = "equipartition.json"
 
 
 @dataclass(frozen=True)
 class EquipartitionSettings:
-    """What is compared. Times in ps; the steps per force evaluation in fs; seeds of replicas follow the first."""
+    """Settings of the comparison. Times in ps; steps per force evaluation in fs; seeds of replicas follow the first."""
 
     box: Path
     forcefield: list[str] | None = None
@@ -115,7 +115,7 @@ def compare(settings: EquipartitionSettings, report: Report = SILENT) -> list[Ro
 
 
 def _slope(system: openmm.System, bodies: RigidBodies, start: openmm.State, settings: EquipartitionSettings) -> float:
-    """How much steeper the potential is for rotations: the difference of `sampling.steepness`, K/ps^2."""
+    """Excess steepness of the potential for rotations: the difference of `sampling.steepness`, K/ps^2."""
     context = make_context(system, SIERIntegrator(FORCE_STEP, SIER2, bodies), settings.platform)
     context.setState(start)
     translation, rotation = sampling.steepness(context, bodies, FORCE_SAMPLES, FORCE_INTERVAL)

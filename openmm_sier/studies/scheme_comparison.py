@@ -1,4 +1,4 @@
-"""Which scheme conserves energy best for a given number of forces: what `openmm-sier schemes` measures."""
+"""Energy conservation of the schemes for a given number of forces: the comparison behind `openmm-sier schemes`."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ OTHERS = {
 
 @dataclass(frozen=True)
 class SchemesSettings:
-    """What is compared. Times in ps; `dt`, the simulated time per force evaluation, in fs."""
+    """Settings of the comparison. Times in ps; `dt`, the simulated time per force evaluation, in fs."""
 
     box: Path
     forcefield: list[str] | None = None

@@ -1,4 +1,4 @@
-"""How all figures look: one style, and for each method one colour and marker. Figures need matplotlib, an extra."""
+"""The style of all figures, with one colour and marker for each method. Figures need matplotlib, an extra."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from openmm_sier import RigidBodies
 from openmm_sier.cli import console, main, records
 from openmm_sier.cli import run as command
 from openmm_sier.measure import forcefields
-from tests.support.commands import SMALL, SYSTEMS, complaint, datasets, frames, log, run, write_lattice
+from tests.support.commands import SMALL, SYSTEMS, complaint, datasets, frames, log, run
 
 #: A rigid ring of six united atoms with charges that alternate; no bonds, since nothing is to hold it but rigidity.
 RING = """<ForceField>
@@ -20,11 +20,6 @@ RING = """<ForceField>
  <Residues><Residue name="RNG">{atoms}</Residue></Residues>
  <NonbondedForce coulomb14scale="1" lj14scale="1">{parameters}</NonbondedForce>
 </ForceField>"""
-
-
-@pytest.fixture(scope="module")
-def box(tmp_path_factory):
-    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
 
 
 @pytest.fixture(scope="module")
@@ -45,11 +40,6 @@ def npt_run(box):
     ]
     assert main.main(["run", str(box), *options, "--time", "0.2", "--out", str(box.with_name("npt.dcd"))]) == 0
     return box.parent
-
-
-@pytest.fixture(autouse=True)
-def directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def momentum(rows):
@@ -290,7 +280,7 @@ def test_progress_lines_where_there_is_no_terminal(box, capsys, monkeypatch):
     monkeypatch.setattr(command, "LONGEST_CHUNK", 1)
     run("run", box, *SMALL, "--equilibrate", "0", "--steps", "4")
     lines = capsys.readouterr().err.splitlines()
-    assert [line.split(" steps")[0] for line in lines] == [f"SIER4G: {i}/4" for i in (1, 2, 3, 4)]
+    assert [line.split(" steps")[0] for line in lines] == [f"SIER2: {i}/4" for i in (1, 2, 3, 4)]
     assert "50 %, " in lines[1]
     assert " ns/day, 0:00:0" in lines[1]
 

@@ -13,17 +13,7 @@ from openmm_sier import SIER4G, SIERIntegrator
 from openmm_sier.cli import records
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.studies import equipartition
-from tests.support.commands import SMALL, complaint, log, run, write_lattice
-
-
-@pytest.fixture(scope="module")
-def box(tmp_path_factory):
-    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
-
-
-@pytest.fixture(autouse=True)
-def directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+from tests.support.commands import SMALL, complaint, log, run
 
 
 @pytest.mark.slow

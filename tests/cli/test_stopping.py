@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main, outputs, records, run
-from tests.support.commands import SMALL, datasets, frames, log, wait_for, write_lattice
+from tests.support.commands import SMALL, datasets, frames, log, wait_for
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
 LIMIT = 120
@@ -30,22 +30,19 @@ sys.exit(main.main(sys.argv[1:]))
 """
 
 #: Code of OpenMM's kind: it leaves Python to other threads, returns after minutes, and no signal cuts it short.
+#: The file is made once the CPU time of the thread shows that it is being executed.
 BUSY = """
 def busy(*_, **__):
-    import hashlib
-    open("busy", "w").close()
+    import hashlib, threading, time
+    clock = time.pthread_getcpuclockid(threading.get_ident())
+    begun = time.clock_gettime(clock)
+    def tell():
+        while time.clock_gettime(clock) < begun + 0.05:
+            time.sleep(0.01)
+        open("busy", "w").close()
+    threading.Thread(target=tell, daemon=True).start()
     hashlib.pbkdf2_hmac("sha512", b"a", b"b", 10**9)
 """
-
-
-@pytest.fixture(scope="module")
-def box(tmp_path_factory):
-    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
-
-
-@pytest.fixture(autouse=True)
-def directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture(params=["SIGINT", "SIGTERM", "SIGHUP"])

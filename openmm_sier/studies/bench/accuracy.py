@@ -186,7 +186,7 @@ def tables(points: list[Point]) -> list[Table]:
 
 
 def notes(points: list[Point]) -> list[str]:
-    """How the other programs that took part differ."""
+    """Differences of the other programs that took part."""
     return [
         f"{name}: {difference}"
         for name, difference in peers.DIFFERENCES.items()

@@ -1,4 +1,4 @@
-"""What the layer above the forces costs by itself: time and memory against the number of bodies, and start-up."""
+"""Cost of the layer above the forces alone: time and memory against the number of bodies, and start-up."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class PeerError(RuntimeError):
 
 @dataclass(frozen=True)
 class Liquid:
-    """What a peer needs to know of a System of three-site water, in OpenMM's units.
+    """A System of three-site water as peers need it, in OpenMM's units.
 
     Attributes:
         positions, velocities: (N, 3), atoms in the order O, H, H.

@@ -87,7 +87,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Dipole:
-    """What the experiment gave."""
+    """Results of the experiment."""
 
     settings: DipoleSettings
     entries: tuple[Entry, ...]

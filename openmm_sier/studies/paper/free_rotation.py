@@ -111,7 +111,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class FreeRotation:
-    """What the experiment gave."""
+    """Results of the experiment."""
 
     settings: FreeRotationSettings
     moments: tuple[float, ...]

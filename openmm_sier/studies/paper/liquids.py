@@ -16,7 +16,7 @@ from openmm_sier.studies.paper.molecular_cutoff import SITES, MolecularCutoff
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """How the interactions of a liquid end.
+    """Cut-offs of the interactions of a liquid.
 
     Attributes:
         molecular_on, molecular_off: distances of the oxygens, nm, between which the interaction of two molecules is

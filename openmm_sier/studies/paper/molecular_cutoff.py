@@ -53,7 +53,7 @@ class MolecularCutoff:
             raise ValueError(f"the cut-off needs 0 < on < off, got on = {self.on} nm and off = {self.off} nm")
 
     def __call__(self, state: openmm.State) -> tuple[float, np.ndarray]:
-        """What an `openmm.PythonForce` calls: a State with positions and box to energy and forces."""
+        """Energy and forces of a State with positions and box, as `openmm.PythonForce` asks for them."""
         positions = state.getPositions(asNumpy=True)._value
         box = np.diag(state.getPeriodicBoxVectors(asNumpy=True)._value)
         return self.energy_and_forces(positions, box)

@@ -59,7 +59,7 @@ def _lines(row: dict) -> list[dict]:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can hold; numbers that are not finite become null."""
+    """A value as JSON can hold it; numbers that are not finite become null."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -122,7 +122,7 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Water:
-    """What the experiment gave."""
+    """Results of the experiment."""
 
     settings: WaterSettings
     box: str
@@ -148,7 +148,7 @@ def simulate_water(settings: WaterSettings, progress: Progress = lambda what, fr
 
 
 def _plan(settings: WaterSettings) -> list[tuple[Method, float, int]]:
-    """What runs from each phase point: method, h/f, and how many of the phase points."""
+    """The runs from each phase point: method, h/f, and the number of phase points."""
     plan = []
     for method in METHODS:
         compared = method.name in ("MRDL", "SEJ4")
