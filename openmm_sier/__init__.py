@@ -6,6 +6,7 @@ from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.named_integrators import SIER2Integrator, SIER4GIntegrator, SIER4Integrator, SIER4PIntegrator
 from openmm_sier.context.pme import balance_pme
+from openmm_sier.context.preparation import Preparation, prepare_system
 from openmm_sier.dynamics.bodies import BodyState, RigidityError
 from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, SIER4V, Scheme
 from openmm_sier.version import __version__
@@ -19,6 +20,7 @@ __all__ = [
     "SIER4P",
     "SIER4V",
     "BodyState",
+    "Preparation",
     "RigidBodies",
     "RigidityError",
     "SIER2Integrator",
@@ -30,4 +32,5 @@ __all__ = [
     "Scheme",
     "__version__",
     "balance_pme",
+    "prepare_system",
 ]

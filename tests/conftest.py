@@ -1,8 +1,12 @@
+import os
 import signal
 from importlib import util
 
 import numpy as np
 import pytest
+
+# OpenMM reads it when it is imported. The systems are too small for threads, and tests run side by side.
+os.environ.setdefault("OPENMM_CPU_THREADS", "1")
 
 from openmm_sier.dynamics import backend
 
@@ -20,6 +24,12 @@ def signals_reach_children():
     yield
     for number in ignored:
         signal.signal(number, signal.SIG_IGN)
+
+
+@pytest.fixture(autouse=True)
+def seeded_libraries():
+    """Libraries that draw from NumPy's global generator, such as openmmtools, do so alike in every run."""
+    np.random.seed(20070518)  # noqa: NPY002
 
 
 @pytest.fixture

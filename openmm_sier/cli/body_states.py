@@ -1,4 +1,4 @@
-"""The body states of a run, in a file that a crash leaves whole."""
+"""The file of body states of a run, which stays readable after a crash."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+import openmm
 from openmm import unit
 
 from openmm_sier.cli import records
@@ -49,7 +50,7 @@ class BodyStates(records.GrowingFile):
         if not size:
             path.unlink(missing_ok=True)
 
-    def write(self, context) -> None:
+    def write(self, context: openmm.Context) -> None:
         """Append the bodies of a Context at its last completed step."""
         state = context.getState()
         box = np.array(state.getPeriodicBoxVectors().value_in_unit(unit.nanometer)) if self._periodic else None
@@ -65,7 +66,7 @@ class BodyStates(records.GrowingFile):
         self.append(record.tobytes())
 
     def finish(self) -> None:
-        """Put the frames in the HDF5 file and remove the other."""
+        """Move the frames to the HDF5 file and remove the temporary one."""
         self.close()
         records.convert(self.path, self.target, self._write_frames)
 

@@ -1,22 +1,22 @@
-"""What the commands show: tables, notes and a progress bar, with rich."""
+"""Output of the commands: tables, notes and a progress bar, with rich."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import timedelta
 
 try:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
     from rich.table import Table as RichTable
     from rich.text import Text
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("the command needs rich; install it with: pip install 'openmm-sier[cli]'") from error
 
-from openmm_sier.measure.report import Table
+from openmm_sier.measure.report import Advance, Table
 
 PS_PER_NS = 1000.0
 SECONDS_PER_DAY = 86400.0
@@ -27,7 +27,7 @@ LINE_AFTER = 30.0
 
 @contextmanager
 def _standard_output() -> Iterator[None]:
-    """Errors name it, when it goes to a full disk for instance."""
+    """Make errors of writing name standard output, for example when it goes to a full disk."""
     try:
         yield
     except OSError as error:
@@ -35,7 +35,7 @@ def _standard_output() -> Iterator[None]:
 
 
 def note(message: str) -> None:
-    """A line about what is being done."""
+    """Print a line of progress information."""
     with _standard_output():
         print(message, flush=True)
 
@@ -55,7 +55,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
 class _Amount(ProgressColumn):
     """Steps done, or the fraction done where no steps are counted."""
 
-    def render(self, task) -> Text:
+    def render(self, task: Task) -> Text:
         if task.fields["ps"] is None:
             return Text(f"{task.percentage:.0f} %")
         return Text(f"{task.completed:.0f}/{task.total:.0f} steps")
@@ -64,14 +64,14 @@ class _Amount(ProgressColumn):
 class _Rate(ProgressColumn):
     """Simulated ns a day, from the time since the bar was started."""
 
-    def render(self, task) -> Text:
+    def render(self, task: Task) -> Text:
         if task.fields["ps"] is None or not task.elapsed or not task.completed:
             return Text("")
         ps_done = (task.completed - task.fields["begun_at"]) * task.fields["ps"]
         return Text(f"{ps_done / PS_PER_NS / task.elapsed * SECONDS_PER_DAY:.2f} ns/day")
 
 
-class ProgressBar:
+class ProgressBar(AbstractContextManager[Advance]):
     """A progress bar on standard error, or lines now and then where that is no terminal.
 
     A context manager, whose value is a function of how much has been done in all, and of a new description if wanted.
@@ -92,7 +92,7 @@ class ProgressBar:
         self._task = self._progress.add_task(description, total=total, completed=done, ps=ps, begun_at=done)
         self._lines = None if console.is_terminal else _Lines(description, total, ps, done)
 
-    def __enter__(self):
+    def __enter__(self) -> Advance:
         with suppress(OSError):
             self._progress.start()
         return self._advance
@@ -104,7 +104,7 @@ class ProgressBar:
             else:
                 self._lines.show(done, description)
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         with suppress(OSError):
             self._progress.stop()
 

@@ -1,4 +1,4 @@
-"""The command `openmm-sier info`: what bodies a PDB file holds."""
+"""The command `openmm-sier info`: the rigid bodies of a PDB file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from openmm import unit
+import openmm
+from openmm import app, unit
 
 from openmm_sier.cli.console import note, table
 from openmm_sier.context.conservation import density
@@ -57,7 +58,7 @@ def info(path: Path, files: Sequence[str] | None = None, rigid: Sequence[str] | 
     note(counts + _extent(box))
 
 
-def _row(species: Species, atoms, riders: dict[int, list[int]]) -> list[str]:
+def _row(species: Species, atoms: Sequence[app.topology.Atom], riders: dict[int, list[int]]) -> list[str]:
     first = species.atoms[0]
     names = Counter(atoms[i].residue.name for i in species.atoms[:, 0])
     return [
@@ -72,7 +73,7 @@ def _row(species: Species, atoms, riders: dict[int, list[int]]) -> list[str]:
     ]
 
 
-def kind(moments) -> str:
+def kind(moments: np.ndarray) -> str:
     """The name of a top with these ascending moments."""
     low, middle, high = moments
     if high == 0:
@@ -87,8 +88,8 @@ def kind(moments) -> str:
     return "prolate top" if upper_pair else "asymmetric top"
 
 
-def _riders(system, bodies: RigidBodies) -> dict[int, list[int]]:
-    """For the first atom of each body the virtual sites that depend on the body's atoms."""
+def _riders(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:
+    """Virtual sites that depend on the atoms of a body, by the first atom of that body."""
     body_of = {int(i): int(members[0]) for species in bodies.species for members in species.atoms for i in members}
     riders: dict[int, list[int]] = {}
     for i in range(system.getNumParticles()):
@@ -97,7 +98,7 @@ def _riders(system, bodies: RigidBodies) -> dict[int, list[int]]:
     return riders
 
 
-def _extent(box) -> str:
+def _extent(box: Box) -> str:
     vectors = box.topology.getPeriodicBoxVectors()
     if vectors is None:
         return ", no periodic box"

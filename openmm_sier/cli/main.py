@@ -1,21 +1,28 @@
-"""The arguments of `openmm-sier`. What its commands do stands in modules of their own, imported when needed."""
+"""The arguments of `openmm-sier`. Each command has a module of its own, imported when it is needed."""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import math
-import os
+import dataclasses
 import signal
 import sys
 import warnings
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
+from openmm_sier.cli import streams
+from openmm_sier.cli.plan import RECOMMENDED, Options, usual_step
+from openmm_sier.cli.values import any_number, not_negative, positive, whole
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.version import __version__
 
-PROGRAM = "openmm-sier"
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    #: The action to which commands are added.
+    Commands = argparse._SubParsersAction["Parser"]
+    Settings = TypeVar("Settings", bound=DataclassInstance)
+
 SCHEMES = tuple(CATALOGUE)
 
 #: Exit codes; further ones are an error's own `exit_code`, and 128 + n after signal n.
@@ -25,100 +32,59 @@ EXIT_CODES = """exit codes:
   0    done
   1    an error, in one line on standard error
   2    wrong arguments
-  3    energy or temperature ran away: the step is too long, say. The last good checkpoint is kept
+  3    energy or temperature ran away, for example because the step is too long. The last good checkpoint is kept
   129, 130, 143
        ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,
        and --restart goes on. A second signal ends the run at once
 """
 
-RIGID_HELP = "names of residues that are rigid bodies of the geometry that they have in the PDB file, besides water"
+RIGID_HELP = "names of residues, besides water, to be held rigid in the geometry that they have in the PDB file"
 
 FORCEFIELD_HELP = (
     "force-field files, OpenMM's or your own. Without it the file named in a record 'REMARK  99 FORCEFIELD file.xml' "
-    "of the PDB file, and without that the water model whose geometry the file has, if that is one alone; else the "
-    "error says which to choose from"
+    "of the PDB file; without such a record the water model whose geometry the file has, if only one has it. Otherwise "
+    "the error lists the models to choose from"
 )
+
+STEP_HELP = "step in fs (default: " + ", ".join(f"{usual_step(name):g} for {name}" for name in SCHEMES) + ")"
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Reports errors in one line."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         self.exit(MISUSED, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Carry out a command line; returns the exit code."""
     options = build_parser().parse_args(arguments)
-    if not _standard_streams():
-        return _complain("standard output is closed; send it to a file, or to /dev/null")
+    if not streams.open_closed_streams():
+        streams.complain("standard output is closed; send it to a file, or to /dev/null")
+        return FAILED
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _note_warning
+            warnings.showwarning = streams.note_warning
             options.execute(options)
     except KeyboardInterrupt as stop:
-        return _complain(str(stop) or "interrupted", SIGNALLED + getattr(stop, "signum", signal.SIGINT))
+        streams.complain(str(stop) or "interrupted")
+        return SIGNALLED + getattr(stop, "signum", signal.SIGINT)
     except BrokenPipeError:
-        # The reader of our output has gone, as `head` does: nothing is left to be said.
-        _discard(sys.stdout)
-        _discard(sys.stderr)
+        # The reader of our output has gone, as `head` does: there is nobody to tell.
+        streams.discard(sys.stdout)
+        streams.discard(sys.stderr)
         return FAILED
     except Exception as error:
         if options.debug:
             raise
-        return _complain(_said_of(error), getattr(error, "exit_code", FAILED))
+        streams.complain(streams.described(error))
+        return getattr(error, "exit_code", FAILED)
     return 0
 
 
-def _note_warning(message, category, filename, lineno, file=None, line=None) -> None:
-    """A warning on one line among the notes, without the line of our code that gave it."""
-    print(f"warning: {' '.join(str(message).split())}", flush=True)
-
-
-def _standard_streams() -> bool:
-    """Make sure that no file of ours gets the number of a closed standard stream; whether standard output is open."""
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            # The lowest number that is free, which is this one.
-            os.open(os.devnull, os.O_RDWR)
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
-    return sys.stdout is not None
-
-
-def _complain(message: str, code: int = FAILED) -> int:
-    try:
-        print(f"{PROGRAM}: {message}", file=sys.stderr, flush=True)
-    except OSError:
-        # A terminal that was closed, say. The code tells it too.
-        _discard(sys.stderr)
-    return code
-
-
-def _discard(stream: TextIO) -> None:
-    """Send what a stream could not write to the null device, or Python would fail over it at its end."""
-    with contextlib.suppress(OSError, ValueError):
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, stream.fileno())
-        os.close(null)
-
-
-def _said_of(error: Exception) -> str:
-    """An error in one line."""
-    message = " ".join(str(error).split()) or type(error).__name__
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    known = isinstance(error, (ValueError, OSError, ImportError)) or type(error).__module__.startswith("openmm")
-    return (
-        message if known or hasattr(error, "exit_code") else f"{type(error).__name__}: {message} (--debug shows where)"
-    )
-
-
 def build_parser() -> argparse.ArgumentParser:
-    parser = Parser(prog=PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
-    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    parser = Parser(prog=streams.PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
+    parser.add_argument("--version", action="version", version=f"{streams.PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for add in (_add_run, _add_info, _add_paper, _add_equipartition, _add_schemes, _add_bench):
         added = add(commands)
@@ -129,7 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
 # --- run ---
 
 
-def _add_run(commands) -> argparse.ArgumentParser:
+def _add_run(commands: Commands) -> argparse.ArgumentParser:
     parser = commands.add_parser(
         "run",
         help="simulate a PDB file",
@@ -144,23 +110,23 @@ def _add_run(commands) -> argparse.ArgumentParser:
     )
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
     parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
-    parser.add_argument("--scheme", choices=("auto", *SCHEMES), help="default: sier4; auto takes the recommended one")
-    parser.add_argument("--dt", metavar="FS", type=_positive, help="step in fs (default: 1 per force evaluation)")
+    parser.add_argument("--scheme", choices=SCHEMES, help=f"default: {RECOMMENDED}")
+    parser.add_argument("--dt", metavar="FS", type=positive, help=STEP_HELP)
     parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
-    parser.add_argument("--friction", metavar="1/PS", type=_not_negative, help="of the heat bath (default: 1)")
-    parser.add_argument("--pressure", metavar="BAR", type=_number, help="with npt (default: 1)")
+    parser.add_argument("--friction", metavar="1/PS", type=not_negative, help="of the heat bath (default: 1)")
+    parser.add_argument("--pressure", metavar="BAR", type=any_number, help="with npt (default: 1)")
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
-        "--steps", type=_whole, help="length of the whole trajectory, of which a restart does what is left"
+        "--steps", type=whole, help="length of the whole trajectory, of which a restart does what is left"
     )
-    length.add_argument("--time", metavar="PS", type=_positive, help="the same in ps (default: 10)")
+    length.add_argument("--time", metavar="PS", type=positive, help="the same in ps (default: 10)")
     parser.add_argument(
-        "--temperature", metavar="K", type=_not_negative, help="default: 297, or that of the run of --start"
+        "--temperature", metavar="K", type=not_negative, help="default: 297, or that of the run of --start"
     )
     parser.add_argument(
         "--equilibrate",
         metavar="PS",
-        type=_not_negative,
+        type=not_negative,
         help="how long (default: until temperatures and potential energy have settled, 3 to 20; not at all with "
         "--start)",
     )
@@ -174,21 +140,21 @@ def _add_run(commands) -> argparse.ArgumentParser:
         "--unwrapped", action="store_true", default=None, help="frames have molecules where they went, not in the box"
     )
     parser.add_argument("--report", metavar="CSV", type=Path, help="log (default: as the trajectory, with .csv)")
-    parser.add_argument("--every", metavar="PS", type=_positive, help="between frames (default: 0.1)")
-    parser.add_argument("--report-every", metavar="PS", type=_positive, help="between rows of the log (default: 0.04)")
-    parser.add_argument("--checkpoint-every", metavar="PS", type=_positive, help="between checkpoints (default: 1)")
+    parser.add_argument("--every", metavar="PS", type=positive, help="between frames (default: 0.1)")
+    parser.add_argument("--report-every", metavar="PS", type=positive, help="between rows of the log (default: 0.04)")
+    parser.add_argument("--checkpoint-every", metavar="PS", type=positive, help="between checkpoints (default: 1)")
     parser.add_argument(
         "--bodies", metavar="FILE.h5", type=Path, help="write centres, quaternions and momenta of the bodies there"
     )
-    parser.add_argument("--bodies-every", metavar="PS", type=_positive, help="between them (default: as --every)")
-    parser.add_argument("--seed", type=_whole, help="of velocities, equilibration and heat bath (default: 1)")
+    parser.add_argument("--bodies-every", metavar="PS", type=positive, help="between them (default: as --every)")
+    parser.add_argument("--seed", type=whole, help="of velocities, equilibration and heat bath (default: 1)")
     parser.add_argument("--platform", help="of OpenMM (default: the fastest)")
     parser.add_argument(
         "--start",
         metavar="FILE",
         type=Path,
         help="checkpoint (.chk) of any run, whose positions, velocities and box a new run begins with; unless given, "
-        "force field, --rigid and temperature are taken from it too",
+        "--forcefield, --rigid and --temperature are those of that run",
     )
     parser.add_argument("--restart", metavar="FILE", type=Path, help="checkpoint (.chk) to go on from")
     parser.add_argument("--overwrite", action="store_true", help="replace files of an earlier run")
@@ -196,17 +162,16 @@ def _add_run(commands) -> argparse.ArgumentParser:
     return parser
 
 
-def _run(options) -> None:
-    from openmm_sier.cli import plan, run
+def _run(options: argparse.Namespace) -> None:
+    from openmm_sier.cli import run
 
-    names = plan.Options.__dataclass_fields__
-    run.run(plan.Options(**{name: getattr(options, name) for name in names}))
+    run.run(Options(**{field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}))
 
 
 # --- info ---
 
 
-def _add_info(commands) -> argparse.ArgumentParser:
+def _add_info(commands: Commands) -> argparse.ArgumentParser:
     parser = commands.add_parser(
         "info",
         help="show what rigid bodies a PDB file has",
@@ -219,7 +184,7 @@ def _add_info(commands) -> argparse.ArgumentParser:
     return parser
 
 
-def _info(options) -> None:
+def _info(options: argparse.Namespace) -> None:
     from openmm_sier.cli import info
 
     info.info(options.box, options.forcefield, options.rigid)
@@ -228,7 +193,7 @@ def _info(options) -> None:
 # --- paper ---
 
 
-def _add_paper(commands) -> argparse.ArgumentParser:
+def _add_paper(commands: Commands) -> argparse.ArgumentParser:
     parser = commands.add_parser(
         "paper",
         help="repeat the paper's experiments",
@@ -237,12 +202,12 @@ def _add_paper(commands) -> argparse.ArgumentParser:
     parser.add_argument("experiment", choices=("free-rotation", "dipole", "water", "all"))
     parser.add_argument("--quick", action="store_true", help="less of everything, to see it work")
     parser.add_argument("--out", metavar="DIR", type=Path, help="where tables and figures go")
-    parser.add_argument("--seed", type=_whole, default=1, help="default: 1")
+    parser.add_argument("--seed", type=whole, default=1, help="default: 1")
     parser.set_defaults(execute=_paper)
     return parser
 
 
-def _paper(options) -> None:
+def _paper(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import paper
 
@@ -252,7 +217,7 @@ def _paper(options) -> None:
 # --- comparisons ---
 
 
-def _add_comparison(commands, name: str, title: str, description: str):
+def _add_comparison(commands: Commands, name: str, title: str, description: str) -> argparse.ArgumentParser:
     """A parser with the arguments that all comparisons of integrators share."""
     parser = commands.add_parser(name, help=title, description=description)
     parser.add_argument("box", metavar="BOX.pdb", type=Path, nargs="?", help="default: 512 molecules of TIP3P water")
@@ -262,9 +227,9 @@ def _add_comparison(commands, name: str, title: str, description: str):
     return parser
 
 
-def _settings(cls, options):
+def _settings(cls: type[Settings], options: argparse.Namespace) -> Settings:
     """The settings of a comparison from the options of its command; what was not given keeps its default."""
-    given = {name: getattr(options, name, None) for name in cls.__dataclass_fields__}
+    given = {field.name: getattr(options, field.name, None) for field in dataclasses.fields(cls)}
     given = {
         name: tuple(value) if isinstance(value, list) and name != "forcefield" else value
         for name, value in given.items()
@@ -277,20 +242,18 @@ def _settings(cls, options):
     return cls(**given)
 
 
-def _add_equipartition(commands) -> argparse.ArgumentParser:
+def _add_equipartition(commands: Commands) -> argparse.ArgumentParser:
     parser = _add_comparison(
         commands,
         "equipartition",
         "compare the temperatures of rotation and translation",
         "T_trans, T_rot, mean potential energy and density with OpenMM's integrators and ours, at several steps.",
     )
-    parser.add_argument(
-        "--dt", metavar="FS", type=_positive, nargs="+", help="per force evaluation (default: 0.5 to 4)"
-    )
+    parser.add_argument("--dt", metavar="FS", type=positive, nargs="+", help="per force evaluation (default: 0.5 to 4)")
     parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
     parser.add_argument("--methods", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
-    parser.add_argument("--time", metavar="PS", type=_positive, help="of each run (default: 20)")
-    parser.add_argument("--replicas", type=_whole, help="runs of each, with seeds that follow --seed (default: 1)")
+    parser.add_argument("--time", metavar="PS", type=positive, help="of each run (default: 20)")
+    parser.add_argument("--replicas", type=whole, help="runs of each, with seeds that follow --seed (default: 1)")
     parser.add_argument(
         "--pool",
         metavar="DIR",
@@ -298,16 +261,16 @@ def _add_equipartition(commands) -> argparse.ArgumentParser:
         nargs="+",
         help="instead of runs: pool those of earlier --out directories",
     )
-    parser.add_argument("--equilibrate", metavar="PS", type=_positive, help="default: 10")
-    parser.add_argument("--temperature", metavar="K", type=_positive, help="default: 297")
-    parser.add_argument("--friction", metavar="1/PS", type=_positive, help="default: 1")
-    parser.add_argument("--pressure", metavar="BAR", type=_number, help="default: 1")
-    parser.add_argument("--seed", type=_whole, help="default: 1")
+    parser.add_argument("--equilibrate", metavar="PS", type=positive, help="default: 10")
+    parser.add_argument("--temperature", metavar="K", type=positive, help="default: 297")
+    parser.add_argument("--friction", metavar="1/PS", type=positive, help="default: 1")
+    parser.add_argument("--pressure", metavar="BAR", type=any_number, help="default: 1")
+    parser.add_argument("--seed", type=whole, help="default: 1")
     parser.set_defaults(execute=_equipartition)
     return parser
 
 
-def _equipartition(options) -> None:
+def _equipartition(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import equipartition
 
@@ -319,31 +282,29 @@ def _equipartition(options) -> None:
         equipartition.run(_settings(equipartition.EquipartitionSettings, options), options.out, REPORT)
 
 
-def _add_schemes(commands) -> argparse.ArgumentParser:
+def _add_schemes(commands: Commands) -> argparse.ArgumentParser:
     parser = _add_comparison(
         commands,
         "schemes",
         "compare the energy conservation of all schemes",
         "Energy error and long-run drift of every scheme and of OpenMM's Verlet, against force evaluations per ps.",
     )
-    parser.add_argument(
-        "--dt", metavar="FS", type=_positive, nargs="+", help="per force evaluation (default: 1 to 2.5)"
-    )
-    parser.add_argument("--time", metavar="PS", type=_positive, help="of each run (default: 4)")
+    parser.add_argument("--dt", metavar="FS", type=positive, nargs="+", help="per force evaluation (default: 1 to 2.5)")
+    parser.add_argument("--time", metavar="PS", type=positive, help="of each run (default: 4)")
     parser.add_argument("--schemes", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
-    parser.add_argument("--seed", type=_whole, help="default: 1")
+    parser.add_argument("--seed", type=whole, help="default: 1")
     parser.set_defaults(execute=_schemes)
     return parser
 
 
-def _schemes(options) -> None:
+def _schemes(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import scheme_comparison
 
     scheme_comparison.run(_settings(scheme_comparison.SchemesSettings, options), options.out, REPORT)
 
 
-def _add_bench(commands) -> argparse.ArgumentParser:
+def _add_bench(commands: Commands) -> argparse.ArgumentParser:
     parser = _add_comparison(
         commands,
         "bench",
@@ -353,51 +314,20 @@ def _add_bench(commands) -> argparse.ArgumentParser:
         "the PATH. Takes some 10 minutes of two cores; --parts and --copies make it shorter.",
     )
     parser.add_argument("--parts", nargs="+", help="of steps, rotations, layer, accuracy (default: all)")
-    parser.add_argument("--copies", type=_whole, nargs="+", help="of the box along each edge (default: 1 2 4)")
-    parser.add_argument("--bodies", type=_whole, nargs="+", help="without forces (default: 512 4096 32768 131072)")
-    parser.add_argument("--rounds", type=_whole, help="default: 8")
-    parser.add_argument("--time", metavar="PS", type=_positive, help="of runs for the energy error (default: 1)")
-    parser.add_argument("--seed", type=_whole, help="default: 1")
+    parser.add_argument("--copies", type=whole, nargs="+", help="of the box along each edge (default: 1 2 4)")
+    parser.add_argument("--bodies", type=whole, nargs="+", help="without forces (default: 512 4096 32768 131072)")
+    parser.add_argument("--rounds", type=whole, help="default: 8")
+    parser.add_argument("--time", metavar="PS", type=positive, help="of runs for the energy error (default: 1)")
+    parser.add_argument("--seed", type=whole, help="default: 1")
     parser.set_defaults(execute=_bench)
     return parser
 
 
-def _bench(options) -> None:
+def _bench(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import bench
 
     bench.run(_settings(bench.BenchSettings, options), options.out, REPORT)
-
-
-# --- values ---
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"expected a number, got {text!r}")
-    return value
-
-
-def _positive(text: str) -> float:
-    if (value := _number(text)) <= 0:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
-    return value
-
-
-def _not_negative(text: str) -> float:
-    if (value := _number(text)) < 0:
-        raise argparse.ArgumentTypeError(f"expected a number not below 0, got {text!r}")
-    return value
-
-
-def _whole(text: str) -> int:
-    if not text.isdigit() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
-    return int(text)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The files of a run: which they are, whether they may be written, and when each is."""
+"""The output files of a run: their paths, checks before they are written, and the steps at which they are."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import openmm
 from openmm import app, unit
 
@@ -21,7 +22,7 @@ from openmm_sier.measure.forcefields import Box
 
 
 def output_paths(plan: Plan, checkpoint: Path) -> dict[str, Path]:
-    """The files of a run by what they are, the checkpoint first.
+    """The output files of a run by kind, the checkpoint first.
 
     Raises:
         RecordError: a name has the wrong ending, or a package that its format needs is missing.
@@ -36,7 +37,7 @@ def output_paths(plan: Plan, checkpoint: Path) -> dict[str, Path]:
 
 
 def _companions(kind: str, path: Path) -> list[Path]:
-    """Files that are written on the way to an output."""
+    """Temporary files of an output."""
     if kind == "checkpoint":
         return [records.temporary_checkpoint(path)]
     if kind == "trajectory":
@@ -134,15 +135,19 @@ class Outputs:
         self.saved_step: int | None = notes.get("step")
 
     def next_due(self, step: int) -> int:
-        """The first step after this one at which something is to be written."""
+        """The next step after this one at which a file is due."""
         return min((step // interval + 1) * interval for interval in self._intervals.values())
 
     def due(self, step: int) -> list[str]:
-        """What is to be written after a step."""
+        """Names of the files that are due after a step."""
         return [what for what, interval in self._intervals.items() if step % interval == 0]
 
     def write(
-        self, due: Iterable[str], context, values: Mapping[str, float] | None, start_energy: float | None
+        self,
+        due: Iterable[str],
+        context: openmm.Context,
+        values: Mapping[str, float] | None,
+        start_energy: float | None,
     ) -> None:
         """Write what is due; the checkpoint last, since it notes the lengths of the others.
 
@@ -168,12 +173,12 @@ class Outputs:
             if what in due:
                 write()
 
-    def _write_frame(self, context) -> None:
+    def _write_frame(self, context: openmm.Context) -> None:
         periodic = context.getSystem().usesPeriodicBoundaryConditions()
         state = context.getState(positions=True, enforcePeriodicBox=periodic and not self._plan.unwrapped)
         self.trajectory.write(state.getPositions(asNumpy=True)[self._listed], state.getPeriodicBoxVectors())
 
-    def _write_checkpoint(self, context, potential: float, start_energy: float | None) -> None:
+    def _write_checkpoint(self, context: openmm.Context, potential: float, start_energy: float | None) -> None:
         for file in self._growing.values():
             file.sync()
         step = context.getStepCount()
@@ -189,14 +194,14 @@ class Outputs:
         self.saved_step = step
 
     def finish(self) -> None:
-        """Close the files, and make those that are made at the end."""
+        """Close all files and write those that are made at the end of a run."""
         self.log.close()
         if self._plan.bodies:
             self.bodies.finish()
         self.trajectory.finish()
 
 
-def _subset(topology, listed):
+def _subset(topology: app.Topology, listed: np.ndarray) -> app.Topology:
     """The Topology of some atoms; names are all that a trajectory needs of them."""
     modeller = app.Modeller(topology, [openmm.Vec3(0, 0, 0)] * topology.getNumAtoms() * unit.nanometer)
     kept = set(listed.tolist())

@@ -1,4 +1,4 @@
-"""What `openmm-sier run` was asked for, and what follows from it."""
+"""Options of `openmm-sier run`, and the plan of the run that follows from them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 from openmm_sier.dynamics.schemes import CATALOGUE
 
-#: What `--scheme auto` stands for; the README's page on choosing a step says why.
+#: The default scheme, which is that of our integrators too.
 RECOMMENDED = "sier4g"
 
-#: Steps in fs that the README recommends for rigid water, by scheme.
+#: Steps in fs that the README recommends for rigid water, by scheme. They are the default steps.
 USUAL_STEPS = {"sier2": 2.0, "sier4": 4.0, "sier4v": 5.0, "sier4g": 6.0, "sier4p": 6.0}
 
 #: K; that of the systems that the project ships.
@@ -49,7 +49,7 @@ class RunError(ValueError):
 
 @dataclass(frozen=True)
 class Options:
-    """What the command was given; None where it was left to the command. Times in ps but `dt`, which is in fs."""
+    """Options of the command; None where an option was not given. Times are in ps, but `dt` is in fs."""
 
     box: Path
     forcefield: list[str] | None = None
@@ -86,7 +86,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run and its continuations have in common; the units are those of `Options`, 1/ps and bar."""
+    """Settings that a run and its continuations have in common; units as in `Options`, 1/ps and bar."""
 
     ensemble: str
     temperature: float
@@ -119,7 +119,7 @@ class Plan:
         return max(1, round(time * 1000 / self.dt))
 
     def noted(self, checkpoint: Path) -> dict[str, Any]:
-        """What the checkpoint notes of it: all of it, with files relative to the checkpoint."""
+        """The plan as the checkpoint holds it, with files relative to the checkpoint."""
         here = os.path.dirname(checkpoint) or "."
         fields = asdict(self)
         return fields | {name: os.path.relpath(fields[name], here) for name in FILES if fields[name]}
@@ -141,9 +141,8 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
         RunError: options contradict each other.
     """
     origin = origin or {}
-    scheme = RECOMMENDED if options.scheme == "auto" else options.scheme or "sier4"
-    # 1 fs for each force evaluation.
-    dt = options.dt or float(CATALOGUE[scheme].force_evaluations)
+    scheme = options.scheme or RECOMMENDED
+    dt = options.dt or usual_step(scheme)
     ensemble = options.ensemble or "nve"
     _check_combinations(options, ensemble)
     out = _file("--out", options.out) or Path(f"{options.box.stem}.dcd")
@@ -172,7 +171,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
     )
 
 
-def _first(*values):
+def _first(*values: Any) -> Any:
     """The first of some values that is given, None if none is."""
     return next((value for value in values if value is not None), None)
 

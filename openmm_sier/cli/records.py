@@ -1,4 +1,4 @@
-"""The files of a run that is cut off at any moment: trajectory, log and checkpoint.
+"""Files that survive a run being cut off at any moment: trajectory, log and checkpoint.
 
 Trajectory and log only grow, by one write a frame or row. The checkpoint notes how long they were, and is replaced as a
 whole. After a crash they are cut back to these lengths, and the run goes on from the checkpoint, without a gap and with
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import openmm
 from openmm import app
+from openmm.unit import Quantity
 
 #: Version of what a checkpoint holds.
 FORMAT = 1
@@ -41,7 +42,7 @@ class RecordError(ValueError):
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Errors of the operating system name this file."""
+    """Make errors of the operating system name this file."""
     try:
         yield
     except OSError as error:
@@ -108,7 +109,7 @@ class GrowingFile:
             self._file.seek(self.size)
 
     def sync(self) -> None:
-        """Return when the bytes are on the disk."""
+        """Wait until all bytes are on the disk."""
         with naming(self.path):
             os.fsync(self._file.fileno())
 
@@ -116,7 +117,7 @@ class GrowingFile:
         self._file.close()
 
     def length(self) -> dict[str, int]:
-        """What the checkpoint notes."""
+        """The entries of the checkpoint for this file."""
         return {"size": self.size, "count": self.count}
 
     @staticmethod
@@ -149,7 +150,9 @@ class DCDTrajectory(GrowingFile):
     The frames are OpenMM's; the number of frames in the header is raised after the frame has been written.
     """
 
-    def __init__(self, path: Path, topology, dt: float, interval: int, size: int = 0, count: int = 0):
+    def __init__(
+        self, path: Path, topology: app.Topology, dt: float, interval: int, size: int = 0, count: int = 0
+    ) -> None:
         """
         Args:
             path: of the file.
@@ -164,7 +167,7 @@ class DCDTrajectory(GrowingFile):
         if size:
             self._patch_header()
 
-    def write(self, positions, box) -> None:
+    def write(self, positions: Quantity, box: Quantity) -> None:
         """Append a frame.
 
         Args:
@@ -191,11 +194,13 @@ class DCDTrajectory(GrowingFile):
 class XTCTrajectory(GrowingFile):
     """Frames of an XTC file, which follow each other without a header."""
 
-    def __init__(self, path: Path, topology, dt: float, interval: int, size: int = 0, count: int = 0):
+    def __init__(
+        self, path: Path, topology: app.Topology, dt: float, interval: int, size: int = 0, count: int = 0
+    ) -> None:
         super().__init__(path, size, count)
         self._topology, self._dt, self._interval = topology, dt, interval
 
-    def write(self, positions, box) -> None:
+    def write(self, positions: Quantity, box: Quantity) -> None:
         with tempfile.TemporaryDirectory() as directory:
             frame = Path(directory) / "frame.xtc"
             step, dt = (self.count + 1) * self._interval, self._dt
@@ -215,7 +220,9 @@ class HDF5Trajectory(DCDTrajectory):
     the run ends.
     """
 
-    def __init__(self, path: Path, topology, dt: float, interval: int, size: int = 0, count: int = 0):
+    def __init__(
+        self, path: Path, topology: app.Topology, dt: float, interval: int, size: int = 0, count: int = 0
+    ) -> None:
         self.target = path
         if size and path.exists():
             raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
@@ -226,7 +233,7 @@ class HDF5Trajectory(DCDTrajectory):
         return [path.with_name(path.name + ".dcd"), unfinished(path)]
 
     def finish(self) -> None:
-        """Put the frames in the HDF5 file and remove the other."""
+        """Move the frames to the HDF5 file and remove the temporary one."""
         self.close()
         convert(self.path, self.target, self._write_frames)
 
@@ -240,7 +247,7 @@ class HDF5Trajectory(DCDTrajectory):
                 steps = (np.arange(len(positions)) + first + 1) * self._interval
                 file.write(coordinates=positions, time=steps * self._dt, cell_lengths=lengths, cell_angles=angles)
 
-    def _read(self, first: int, count: int):
+    def _read(self, first: int, count: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         """Positions in nm, and lengths (nm) and angles (degrees) of the box, or None, of some frames."""
         mark, n = "<i4", self._topology.getNumAtoms()
         record = [("x0", mark), ("x", "<f4", n), ("x1", mark), ("y0", mark), ("y", "<f4", n), ("y1", mark)]
@@ -258,7 +265,7 @@ class HDF5Trajectory(DCDTrajectory):
 
 
 def unfinished(path: Path) -> Path:
-    """Where an HDF5 file is made before it takes its place."""
+    """Temporary path of an HDF5 file, which is moved to its place when it is complete."""
     return path.with_name(f"unfinished-{path.name}")
 
 
@@ -306,11 +313,11 @@ def trajectory_format(path: Path) -> type[DCDTrajectory] | type[XTCTrajectory]:
 
 
 def temporary_checkpoint(path: Path) -> Path:
-    """Where a checkpoint is written before it takes the place of the last one."""
+    """Temporary path of a checkpoint, which replaces the last one when it is complete."""
     return path.with_name(path.name + ".tmp")
 
 
-def write_checkpoint(path: Path, state, notes: dict[str, Any]) -> None:
+def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
     """Replace the checkpoint: at any moment the file is either the old or the new one.
 
     Args:

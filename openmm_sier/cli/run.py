@@ -132,7 +132,7 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
 # --- the beginning ---
 
 
-def _begin(context, box: Box, state, options: Options, plan: Plan) -> None:
+def _begin(context: openmm.Context, box: Box, state: openmm.State | None, options: Options, plan: Plan) -> None:
     """Positions and velocities of a new run.
 
     Raises:
@@ -166,8 +166,15 @@ def _begin(context, box: Box, state, options: Options, plan: Plan) -> None:
 # --- the continuation ---
 
 
-def _restore(context, state, notes: dict[str, Any], options: Options, plan: Plan, paths: Iterable[Path]) -> None:
-    """Put a Context where a checkpoint left off.
+def _restore(
+    context: openmm.Context,
+    state: openmm.State,
+    notes: dict[str, Any],
+    options: Options,
+    plan: Plan,
+    paths: Iterable[Path],
+) -> None:
+    """Set a Context to the state of a checkpoint.
 
     Raises:
         RunError: the checkpoint is of another system, or nothing is left to be done.
@@ -191,7 +198,7 @@ def _restore(context, state, notes: dict[str, Any], options: Options, plan: Plan
         )
 
 
-def _check_particles(context, state, checkpoint: Path | None, box: Path) -> None:
+def _check_particles(context: openmm.Context, state: openmm.State, checkpoint: Path | None, box: Path) -> None:
     there, here = len(state.getPositions()), context.getSystem().getNumParticles()
     if there != here:
         raise RunError(f"{checkpoint} has {there} particles, {box} with its force field {here}")
@@ -200,7 +207,9 @@ def _check_particles(context, state, checkpoint: Path | None, box: Path) -> None
 # --- the run ---
 
 
-def _advance(context, plan: Plan, outputs: Outputs, guard: runaway.Guard, requests: StopRequests) -> summary.Cost:
+def _advance(
+    context: openmm.Context, plan: Plan, outputs: Outputs, guard: runaway.Guard, requests: StopRequests
+) -> summary.Cost:
     """Run from the Context's step to the last one of the plan, writing what is due.
 
     Raises:
@@ -238,8 +247,8 @@ def _advance(context, plan: Plan, outputs: Outputs, guard: runaway.Guard, reques
 
 
 @contextmanager
-def _saying_how_to_go_on(context, plan: Plan, outputs: Outputs) -> Iterator[None]:
-    """Add to errors where they came, why they may have, and which checkpoint is left.
+def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) -> Iterator[None]:
+    """Add to errors the step, the likely cause and the checkpoint that is left.
 
     Raises:
         Runaway, RunError: in place of errors of a runaway and of the operating system.
@@ -257,8 +266,8 @@ def _saying_how_to_go_on(context, plan: Plan, outputs: Outputs) -> Iterator[None
         raise RunError(f"{error.filename}: {error.strerror}, at step {where}. {kept}") from error
 
 
-def _write(due: list[str], context, outputs: Outputs, guard: runaway.Guard) -> None:
-    """Write what is due after the bounds have been looked at."""
+def _write(due: list[str], context: openmm.Context, outputs: Outputs, guard: runaway.Guard) -> None:
+    """Check the bounds, then write the files that are due."""
     values = None
     if "row" in due or "checkpoint" in due:
         values = dict(zip(conservation.COLUMNS, conservation.row(context), strict=True))

@@ -1,4 +1,4 @@
-"""Where a run is stopped because its energy or temperature runs away, and where its table warns.
+"""Bounds at which a run stops because its energy or temperature runs away, and at which its table warns.
 
 The conserved energy H is the total energy, less the heat that a heat bath and moves of the volume gave. It is compared
 with the kinetic energy K, since energy that an integrator makes ends as heat: half of it or so in the kinetic energy,
@@ -96,7 +96,7 @@ class Guard:
             self._judge(energy - self.start, LARGEST * typical, "since the start")
 
     def look_at_temperatures(self, translation: float, rotation: float) -> None:
-        """Compare temperatures in K with the bounds; NaN is that of nothing that moves so.
+        """Compare temperatures in K with the bounds; NaN stands for no degrees of freedom.
 
         Raises:
             Runaway: one of them is passed.
@@ -115,7 +115,7 @@ class Guard:
 
 
 def _by_chance(temperature: float, freedoms: int) -> float:
-    """A temperature that so many degrees of freedom in equilibrium practically never have, K.
+    """A temperature in K that this many degrees of freedom practically never exceed in equilibrium.
 
     Laurent and Massart, Ann. Statist. 28, 1302 (2000), Lemma 1, for the chi-squared distribution.
     """
@@ -125,7 +125,7 @@ def _by_chance(temperature: float, freedoms: int) -> float:
 
 
 def is_runaway(error: BaseException) -> bool:
-    """Whether an error of a step tells of forces or positions that are not finite."""
+    """Whether a step failed because forces or positions are not finite."""
     return isinstance(error.__context__, NotFiniteError)
 
 

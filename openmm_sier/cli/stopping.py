@@ -1,4 +1,4 @@
-"""Signals that ask a run to stop: Ctrl-C, and what batch systems and closing terminals send."""
+"""Signals that ask a run to stop: Ctrl-C, and those of batch systems and of closing terminals."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class StopRequests:
                 raise Stopped(signum)
 
     def _watch(self) -> None:
-        """Runs in a thread of its own: ends the process where the main thread does not."""
+        """End the process if the main thread does not; runs in a thread of its own."""
         first = None
         while True:
             waits = first is not None and not self._deferred

@@ -1,4 +1,4 @@
-"""The table at the end of a run: what was conserved, and what it cost."""
+"""The table at the end of a run: conservation and cost."""
 
 from __future__ import annotations
 

@@ -10,11 +10,15 @@ attribute, the root has the conventions (`CONVENTIONS`), and q says whether its 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+
+if TYPE_CHECKING:
+    import h5py
 
 #: Version of the layout.
 LAYOUT = 2
@@ -54,8 +58,10 @@ def frame_shapes(n: int, periodic: bool) -> dict[str, tuple[int, ...]]:
     return shapes | {"L": (n, 3), "heat": ()} | ({"box": (3, 3)} if periodic else {})
 
 
-def body_frame_values(step: int, time: float, motion: BodyState, box=None, unwrapped: bool = True) -> dict[str, Any]:
-    """What a frame holds, by dataset.
+def body_frame_values(
+    step: int, time: float, motion: BodyState, box: np.ndarray | None = None, unwrapped: bool = True
+) -> dict[str, Any]:
+    """The contents of a frame by dataset.
 
     Args:
         step: number of the step.
@@ -79,7 +85,7 @@ def body_frame_values(step: int, time: float, motion: BodyState, box=None, unwra
     return values if box is None else values | {"box": np.asarray(box, dtype=float)}
 
 
-def create_datasets(file, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
+def create_datasets(file: h5py.File, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
     """Put empty datasets over frames, and all that does not change, into an open, empty HDF5 file."""
     for name, shape in frame_shapes(bodies.n, periodic).items():
         frames = max(1, CHUNK // max(1, int(np.prod(shape))))
@@ -104,7 +110,7 @@ def _wrapping(periodic: bool, unwrapped: bool) -> str:
     return CONTINUOUS if unwrapped or not periodic else WRAPPED
 
 
-def _constant(group, name: str, values, unit: str) -> None:
+def _constant(group: h5py.Group, name: str, values: ArrayLike, unit: str) -> None:
     group[name] = values
     group[name].attrs["unit"] = unit
 
@@ -115,7 +121,9 @@ class BodyStateFile:
     Every frame is flushed, so that the file of a run that was killed can be read; the last frame may be damaged.
     """
 
-    def __init__(self, path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True, append: bool = False):
+    def __init__(
+        self, path: str | Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True, append: bool = False
+    ) -> None:
         """
         Args:
             path: of the HDF5 file.
@@ -143,7 +151,7 @@ class BodyStateFile:
         self._count = len(self._file["step"])
         self._file.flush()
 
-    def write(self, step: int, time: float, motion: BodyState, box=None) -> None:
+    def write(self, step: int, time: float, motion: BodyState, box: np.ndarray | None = None) -> None:
         """Append a frame, and flush it; the arguments are those of `body_frame_values`."""
         values = body_frame_values(step, time, motion, box if self._periodic else None, self._unwrapped)
         self._count += 1
@@ -158,7 +166,7 @@ class BodyStateFile:
         self._file.close()
 
 
-def check_same(file, path: Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
+def check_same(file: h5py.File, path: Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
     """Refuse a file to which frames of these bodies cannot be appended.
 
     Raises:
@@ -174,7 +182,7 @@ def check_same(file, path: Path, bodies: RigidBodies, periodic: bool, unwrapped:
         raise ValueError(f"{path} cannot be continued: its centres are wrapped: {there}, expected: {wrapping}")
 
 
-def import_extras():
+def import_extras() -> tuple[Any, Any]:
     """The module h5py and the class scipy.spatial.transform.Rotation.
 
     Raises:
@@ -188,7 +196,7 @@ def import_extras():
     return h5py, Rotation
 
 
-def wrapped(points, box) -> np.ndarray:
+def wrapped(points: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Points (n, 3) moved by box vectors into the box.
 
     Args:

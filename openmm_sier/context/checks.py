@@ -1,9 +1,8 @@
-"""What Forces do besides giving forces: they may change positions, velocities or the box in `updateContextState`.
-
-And Systems in which the volume cannot be changed without harm to rigid bodies, by Forces or by an integrator.
-"""
+"""Checks of a System: Forces that change positions, velocities or the box, and barostats that deform bodies."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import openmm
@@ -12,7 +11,7 @@ from openmm_sier.context.geometries import RESOLUTION
 from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 
-#: These are known to do nothing; with any other kind in the System the Context is told and read each step.
+#: These do nothing in `updateContextState`. With any other kind the Context is updated and read at each step.
 PASSIVE_FORCES = (
     openmm.NonbondedForce,
     openmm.HarmonicBondForce,
@@ -46,14 +45,14 @@ BAROSTATS = (
 )
 
 
-def is_passive(force) -> bool:
-    """Whether a Force does nothing but give forces, whatever the time."""
+def is_passive(force: openmm.Force) -> bool:
+    """Whether a Force only gives forces and does not depend on the time."""
     if isinstance(force, openmm.CustomCVForce):
         return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
     return isinstance(force, PASSIVE_FORCES)
 
 
-def refuse_constant_pressure(system, bodies: RigidBodies) -> None:
+def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:
     """Refuse a System whose volume an integrator cannot change.
 
     Raises:
@@ -77,7 +76,7 @@ def refuse_constant_pressure(system, bodies: RigidBodies) -> None:
             )
 
 
-def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
+def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequence[int]], bodies: RigidBodies) -> None:
     """Refuse a barostat that moves atoms of one body apart.
 
     Args:
@@ -110,8 +109,8 @@ def refuse_deforming_barostats(system, molecules, bodies: RigidBodies) -> None:
             )
 
 
-def tell_of_misfit(bodies: RigidBodies, misfit) -> bool:
-    """Warn of atoms that are moved by more than the rounding of a PDB file when bodies are fitted to them.
+def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
+    """Warn of atoms that fitting bodies to them moves by more than the rounding of a PDB file.
 
     Args:
         bodies: the rigid bodies.

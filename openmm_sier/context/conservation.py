@@ -1,9 +1,12 @@
-"""What a simulation should conserve, and its temperatures: the columns of the command's log and of our reporter."""
+"""Conserved quantities and temperatures of a simulation: the columns of the command's log and of our reporter."""
 
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
+import numpy as np
+import openmm
 from openmm import unit
 
 from openmm_sier.context.integrator import SIERIntegrator
@@ -27,12 +30,15 @@ COLUMNS = (
 )
 
 
-def density(mass: float, volume):
+Volume = TypeVar("Volume", float, np.ndarray)
+
+
+def density(mass: float, volume: Volume) -> Volume:
     """g/ml of a mass in dalton in a volume, or an array of volumes, in nm^3."""
     return mass / volume / GRAM_PER_CM3
 
 
-def sier_integrator(context) -> SIERIntegrator:
+def sier_integrator(context: openmm.Context) -> SIERIntegrator:
     """The integrator of a Context.
 
     Raises:
@@ -44,7 +50,7 @@ def sier_integrator(context) -> SIERIntegrator:
     return integrator
 
 
-def row(context, observed=None) -> tuple[float, ...]:
+def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[float, ...]:
     """Values of `COLUMNS` at the last completed step.
 
     The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a thermostat,

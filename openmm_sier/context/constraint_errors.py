@@ -1,4 +1,4 @@
-"""How far atoms are off the constraints of a System."""
+"""Distances of atoms from the constraints of a System."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ from openmm import unit
 
 from openmm_sier.context import geometries
 from openmm_sier.context.geometries import EMBEDDING_TOLERANCE, Cluster, Kind, KindCollector, Sharing
+from openmm_sier.context.links import Links, joins_a_body
 from openmm_sier.context.notices import tell
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError, Species
@@ -32,9 +33,10 @@ class RigidBodies(dynamics.RigidBodies):
     def from_system(cls, system, topology=None, rigid: Rigid = None, positions=None) -> RigidBodies:
         """Find the bodies of a System.
 
-        Particles that the user names form bodies of the geometry that they have. Of the others, those joined by
-        constraints form bodies whose geometry the constraint lengths define, and every massive particle that is left
-        is a point body. Virtual sites ride along. Massless particles that are no virtual sites stay where they are.
+        Particles that the user names form bodies of the geometry that they have. Of the others, molecules in which
+        every distance is constrained form bodies whose geometry the constraint lengths define, and every massive
+        particle that is left is a point body, with what constraints there are between them. Virtual sites ride along.
+        Massless particles that are no virtual sites stay where they are.
 
         Molecules of one kind whose lengths or positions differ a little, as those of a PDB file do, share the average
         geometry, which a warning says.
@@ -48,9 +50,8 @@ class RigidBodies(dynamics.RigidBodies):
             positions: (N, 3), nm or a Quantity, where the geometry of `rigid` is to be taken from.
 
         Raises:
-            RigidityError: a cluster is constrained but not rigid, its lengths contradict each other, a constraint joins
-                a body to another particle, a massless particle that is no virtual site is in a body, or positions are
-                needed and were not given.
+            RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
+                massless particle that is no virtual site is in a body, or positions are needed and were not given.
             ValueError: `rigid` names particles or residues that do not exist, or a particle twice; or it needs the
                 topology.
         """
@@ -79,7 +80,8 @@ class BodyPlan:
         self._describe = RigidBodies([], n, self._labels).describe_atoms
         self._masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(n)])
         lengths = _constraint_lengths(system)
-        named = self._checked(_named(topology, rigid, lengths), system)
+        self._links = Links(system, lengths)
+        named = self._checked(_named(topology, rigid, lengths, self._links), system)
         self.kinds = self._collect(named, lengths)
 
     @property
@@ -115,7 +117,7 @@ class BodyPlan:
             else:
                 species.append(kind.model)
         self._say(shared)
-        return RigidBodies(species, self._n, self._labels)
+        return self._links.tie(RigidBodies(species, self._n, self._labels))
 
     def _say(self, shared: list[Sharing]) -> None:
         shared = [some for some in shared if some.deviation > geometries.ROUNDING]
@@ -158,11 +160,7 @@ class BodyPlan:
         loose = {}
         for (a, b), length in lengths.items():
             if owner.get(a) != owner.get(b):
-                raise RigidityError(
-                    f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms "
-                    "that are joined by constraints into one body, or build the System without that constraint "
-                    "(constraints=None or HBonds instead of AllBonds or HAngles)"
-                )
+                raise joins_a_body(a, b)
             if a in owner:
                 inside[owner[a]][a, b] = length
             else:
@@ -173,35 +171,25 @@ class BodyPlan:
         for cluster, constraints in zip(named, inside, strict=True):
             collector.add(cluster, self._masses[list(cluster)], constraints)
             free[list(cluster)] = False
+        rigid = _rigid_molecules(loose, self._links)
         for cluster in _clusters(loose):
-            self._check(cluster, lengths)
-            collector.add(cluster, self._masses[list(cluster)], {p: lengths[p] for p in combinations(cluster, 2)})
-            free[list(cluster)] = False
+            self._check(cluster)
+            if cluster[0] in rigid:
+                pairs = {pair: lengths[pair] for pair in combinations(cluster, 2)}
+                collector.add(cluster, self._masses[list(cluster)], pairs)
+                free[list(cluster)] = False
         masses = self._masses.tolist()
         for atom in np.flatnonzero(free).tolist():
             collector.add((atom,), (masses[atom],), {})
         return collector.kinds(self._describe)
 
-    def _check(self, cluster: Cluster, lengths: Lengths) -> None:
+    def _check(self, cluster: Cluster) -> None:
         for atom in cluster:
             if self._masses[atom] == 0:
                 raise RigidityError(
                     f"{self._describe(cluster)}: atom {atom} is constrained but has no mass. Give it a mass, or make "
                     "it a virtual site"
                 )
-        pairs = list(combinations(cluster, 2))
-        missing = [pair for pair in pairs if pair not in lengths]
-        if missing:
-            a, b = missing[0]
-            raise RigidityError(
-                f"{self._describe(cluster)} is constrained but not rigid: {len(missing)} of its {len(pairs)} distances "
-                f"are free, the first between atoms {a} and {b}. A body needs a constraint between every two of its "
-                "atoms and none to other atoms. Either make each heavy atom and its hydrogens one rigid body, which "
-                "fixes H-X-H angles: bodies=RigidBodies.from_system(system, topology, "
-                f'rigid="{HYDROGEN_GROUPS}", positions=positions). Or name the atoms in `bodies` to make them one '
-                "rigid body. Or build the System with rigidWater=True and constraints=None, so that only water is "
-                "constrained; bonds of hydrogen bear steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2"
-            )
 
     def _demand_extent(self, kind: Kind, positions) -> None:
         for cluster in kind.clusters:
@@ -218,7 +206,7 @@ class BodyPlan:
 # --- bodies that are named --------------------------------------------------------------------------------------------
 
 
-def _named(topology, rigid: Rigid, lengths: Lengths) -> Iterable[Iterable[int]]:
+def _named(topology, rigid: Rigid, lengths: Lengths, links: Links) -> Iterable[Iterable[int]]:
     if rigid is None:
         return []
     if not isinstance(rigid, str | Mapping):
@@ -227,7 +215,7 @@ def _named(topology, rigid: Rigid, lengths: Lengths) -> Iterable[Iterable[int]]:
         raise ValueError(f'rigid must be lists of particles, a mapping or "{HYDROGEN_GROUPS}", got "{rigid}"')
     if topology is None:
         raise ValueError("bodies by name need the topology: RigidBodies.from_system(system, topology, rigid)")
-    return _hydrogen_groups(topology, lengths) if isinstance(rigid, str) else _residues_named(topology, rigid)
+    return _hydrogen_groups(topology, _rigid_molecules(lengths, links)) if isinstance(rigid, str) else _residues_named(topology, rigid)
 
 
 def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
@@ -242,8 +230,8 @@ def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
     return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
 
 
-def _hydrogen_groups(topology, lengths: Lengths) -> list[list[int]]:
-    """Each heavy atom with its hydrogens, but for groups that constraints hold already."""
+def _hydrogen_groups(topology, rigid: Mapping[int, int]) -> list[list[int]]:
+    """Each heavy atom with its hydrogens, but for those of molecules that constraints hold already."""
     groups: dict[int, list[int]] = {}
     grouped: set[int] = set()
     for bond in topology.bonds():
@@ -258,17 +246,20 @@ def _hydrogen_groups(topology, lengths: Lengths) -> list[list[int]]:
             f'"{HYDROGEN_GROUPS}" needs bonds of hydrogens in the topology, which has {topology.getNumBonds()} bonds '
             "and none of a hydrogen to a heavy atom"
         )
-    whole = _wholly_constrained(lengths)
-    return [sorted(group) for group in groups.values() if len({whole.get(i, -i - 1) for i in group}) > 1]
+    return [sorted(group) for group in groups.values() if len({rigid.get(i, -i - 1) for i in group}) > 1]
 
 
-def _wholly_constrained(lengths: Lengths) -> dict[int, int]:
-    """For each particle of a cluster in which every distance is constrained the number of the cluster."""
+def _rigid_molecules(lengths: Lengths, links: Links) -> dict[int, int]:
+    """For each particle of a molecule in which every distance is constrained the number of its cluster.
+
+    A group in a larger molecule is none: fast forces move points, and so its constraints are left to hold it.
+    """
     clusters = _clusters(lengths)
     owner = {i: number for number, cluster in enumerate(clusters) for i in cluster}
     counts = Counter(owner[a] for a, _ in lengths)
-    whole = [counts[number] == len(cluster) * (len(cluster) - 1) // 2 for number, cluster in enumerate(clusters)]
-    return {i: number for i, number in owner.items() if whole[number]}
+    wanted = [len(cluster) * (len(cluster) - 1) // 2 for cluster in clusters]
+    leave = links.leave(clusters)
+    return {i: n for i, n in owner.items() if counts[n] == wanted[n] and not leave[n]}
 
 
 def _residue_labels(topology, n_particles) -> list[str]:
@@ -319,12 +310,21 @@ def _clusters(pairs) -> list[Cluster]:
     return clusters
 
 
-def refuse_other_masses(system, bodies: dynamics.RigidBodies) -> None:
-    """Refuse bodies whose masses are not those of the System.
+def tied(system, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
+    """Bodies that a user gave, with the constraints between them and the molecules that a System has.
 
     Raises:
-        ValueError: naming the first body and atom.
+        ValueError: the System has another number of particles or other masses.
+        RigidityError: a constraint joins one of several atoms to something else.
     """
+    n = system.getNumParticles()
+    if bodies.n_particles != n:
+        raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {n}")
+    _refuse_other_masses(system, bodies)
+    return Links(system, _constraint_lengths(system)).tie(bodies)
+
+
+def _refuse_other_masses(system, bodies: dynamics.RigidBodies) -> None:
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(bodies.n_particles)])
     for species in bodies.species:
         wrong = np.argwhere(masses[species.atoms] != species.masses)

@@ -6,7 +6,7 @@ which are rounded, would make every molecule a kind of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -77,10 +77,12 @@ class Kind(NamedTuple):
 class KindCollector:
     """Sorts clusters into kinds."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._members: dict[tuple, tuple[list[Cluster], list[list[float]]]] = {}
 
-    def add(self, cluster: Cluster, masses, lengths: Mapping[tuple[int, int], float]) -> None:
+    def add(
+        self, cluster: Cluster, masses: Sequence[float] | np.ndarray, lengths: Mapping[tuple[int, int], float]
+    ) -> None:
         """Take a cluster.
 
         Args:
@@ -116,7 +118,7 @@ class KindCollector:
         return found
 
 
-def _alike(rows):
+def _alike(rows: np.ndarray) -> Iterator[np.ndarray]:
     """Masks of rows that agree within `LENGTH_TOLERANCE` with the most frequent one among them."""
     if not rows.size:
         yield np.ones(len(rows), dtype=bool)
@@ -131,7 +133,9 @@ def _alike(rows):
         yield near[inverse]
 
 
-def _kind(masses, clusters, pairs, rows) -> Kind:
+def _kind(
+    masses: tuple[float, ...], clusters: np.ndarray, pairs: tuple[tuple[int, int], ...], rows: np.ndarray
+) -> Kind:
     if not rows.size or (rows == rows[0]).all():
         return Kind(masses, clusters, pairs, rows[0], None)
     mean = rows.mean(axis=0)
@@ -154,7 +158,7 @@ def _embedded(kind: Kind, describe: Callable) -> Species:
     return Species.from_coordinates(kind.clusters, kind.masses, coordinates, resolution)
 
 
-def _embed(k, distances):
+def _embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
     """Coordinates (k, 3) of points with given distances, and the largest distance error.
 
     Classical multidimensional scaling (Torgerson, Psychometrika 17, 401 (1952)), exact for consistent distances.
@@ -173,7 +177,7 @@ def _embed(k, distances):
     return coordinates, float(np.abs(found - np.sqrt(squares)).max())
 
 
-def by_handedness(model: Species, positions) -> list[Species]:
+def by_handedness(model: Species, positions: np.ndarray) -> list[Species]:
     """The bodies of a species apart from those that are its mirror images."""
     mirror = model.mirrored()
     arms = _arms(model.masses, positions[model.atoms])
@@ -185,7 +189,7 @@ def by_handedness(model: Species, positions) -> list[Species]:
 # --- from positions ---------------------------------------------------------------------------------------------------
 
 
-def from_positions(kind: Kind, positions, describe: Callable) -> tuple[list[Species], list[Sharing]]:
+def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tuple[list[Species], list[Sharing]]:
     """Bodies of the geometries that positions (N, 3) in nm show, as few as `SHARING_TOLERANCE` allows.
 
     A geometry is the mean over the bodies that share it, turned onto one another, and satisfies their constraints.
@@ -216,7 +220,7 @@ def from_positions(kind: Kind, positions, describe: Callable) -> tuple[list[Spec
     return species, sharing
 
 
-def _mean_shape(model: Species, arms):
+def _mean_shape(model: Species, arms: np.ndarray) -> np.ndarray:
     """Mean (k, 3) of arms (m, k, 3), each turned onto the model.
 
     Turning them onto the mean instead, and so on, would change it in second order of their deviations.
@@ -225,7 +229,7 @@ def _mean_shape(model: Species, arms):
     return np.einsum("axm,mkx->ka", attitudes, arms) / len(arms)
 
 
-def _model(kind: Kind, shape, describe: Callable) -> Species:
+def _model(kind: Kind, shape: np.ndarray, describe: Callable) -> Species:
     masses = np.array(kind.masses)
     shape, excess = _constrained(shape, masses, kind.pairs, kind.lengths)
     if excess > EMBEDDING_TOLERANCE:
@@ -237,7 +241,9 @@ def _model(kind: Kind, shape, describe: Callable) -> Species:
     return of_sites(kind.clusters, masses, species.sites.T)
 
 
-def _constrained(shape, masses, pairs, lengths):
+def _constrained(
+    shape: np.ndarray, masses: np.ndarray, pairs: tuple[tuple[int, int], ...], lengths: np.ndarray
+) -> tuple[np.ndarray, float]:
     """A shape (k, 3) moved onto constraints one after another, as SHAKE does, and the largest error that is left."""
     shape, largest = shape.copy(), 0.0
     # It converges in some ten rounds for the hydrogens of one atom, the slower the more constraints share atoms.
@@ -255,7 +261,7 @@ def _constrained(shape, masses, pairs, lengths):
     return shape, float(largest)
 
 
-def from_sites(kind: Kind, sites) -> list[Species]:
+def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
     """The bodies whose places in their principal frames, (N, 3) in nm, are given; none if these masses do not balance.
 
     Bodies are those of one species whose sites are the same to the bit.
@@ -277,7 +283,7 @@ def from_sites(kind: Kind, sites) -> list[Species]:
     return species
 
 
-def of_sites(clusters, masses, frame) -> Species:
+def of_sites(clusters: np.ndarray, masses: np.ndarray, frame: np.ndarray) -> Species:
     """A species whose moments depend, to the bit, on nothing but its sites (k, 3) and masses."""
     sites = np.ascontiguousarray(frame.T)
     squares = (masses * sites**2).sum(axis=1)
@@ -286,6 +292,6 @@ def of_sites(clusters, masses, frame) -> Species:
     return Species(np.array(clusters, dtype=np.int64), masses, sites, moments)
 
 
-def _arms(masses, positions):
+def _arms(masses: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Positions (m, k, 3) from the centres of mass."""
     return positions - np.einsum("k,mkx->mx", masses / masses.sum(), positions)[:, None]

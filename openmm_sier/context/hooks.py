@@ -19,17 +19,22 @@ from __future__ import annotations
 
 import functools
 import inspect
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import openmm
 
-from openmm_sier.context.engine import DRAWS, HEAT, SEED
 from openmm_sier.context.integrator import SIERIntegrator, revived
 from openmm_sier.context.minimization import constraints_hold, minimize_bodies
 from openmm_sier.context.stored_settings import stored
+from openmm_sier.context.stored_state import DRAWS, HEAT, SEED
+
+#: A method of OpenMM or its wrapper, which has an attribute that tells so.
+Method: TypeAlias = Any
 
 
 def install() -> None:
-    """Put the methods above in place; it may be called again."""
+    """Replace the methods above. Calling it again changes nothing."""
     _replace(openmm.Context, "__init__", _binding_new_context)
     _replace(openmm.Context, "reinitialize", _binding_again)
     _replace(openmm.Context, "setState", _accepting)
@@ -45,8 +50,8 @@ def install() -> None:
         _replace(openmm.XmlSerializer, name, _reviving)
 
 
-def _replace(cls, name: str, wrap) -> None:
-    """Replace a method by its wrapper, once: an earlier wrapper of this package gives way."""
+def _replace(cls: type, name: str, wrap: Callable[[Method], Method]) -> None:
+    """Replace a method by its wrapper. An earlier wrapper of this package is removed first."""
     if name not in vars(cls):
         return
     found = vars(cls)[name]
@@ -59,11 +64,11 @@ def _replace(cls, name: str, wrap) -> None:
     setattr(cls, name, staticmethod(wrapper) if static else wrapper)
 
 
-def _binding_new_context(method):
-    """`Context.__init__`, with which the integrator is bound."""
+def _binding_new_context(method: Method) -> Method:
+    """`Context.__init__`: bind the integrator too."""
 
     @functools.wraps(method)
-    def wrapper(self, *args, **kwargs):
+    def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
         # OpenMM's constructor takes its arguments by position.
         if len(args) > 1:
             _refuse_parts(args[1])
@@ -76,11 +81,11 @@ def _binding_new_context(method):
     return wrapper
 
 
-def _binding_again(method):
-    """`Context.reinitialize`, after which the System may be another one."""
+def _binding_again(method: Method) -> Method:
+    """`Context.reinitialize`: bind the integrator again, since the System may have changed."""
 
     @functools.wraps(method)
-    def wrapper(self, preserveState=False):
+    def wrapper(self: Any, preserveState: bool = False) -> Any:
         result = method(self, preserveState)
         if (integrator := _integrator_of(self)) is not None:
             # OpenMM clears the per-atom variables without the state, but not the global ones.
@@ -93,11 +98,11 @@ def _binding_again(method):
     return wrapper
 
 
-def _going_on_as_a_restart(method):
-    """What writes all that a restart needs, after which this run and the restart share no past but that."""
+def _going_on_as_a_restart(method: Method) -> Method:
+    """Methods that write a restart point. Afterwards the run goes on from the same values as a restart would."""
 
     @functools.wraps(method)
-    def wrapper(self, *args, **kwargs):
+    def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
         found = method(self, *args, **kwargs)
         integrator = _integrator_of(self)
         # A checkpoint is bytes; a State has all of it where it has the integrator's parameters.
@@ -108,15 +113,15 @@ def _going_on_as_a_restart(method):
     return wrapper
 
 
-def _is_complete(found) -> bool:
+def _is_complete(found: openmm.State) -> bool:
     return not isinstance(found, openmm.State) or bool(found.getDataTypes() & openmm.State.IntegratorParameters)
 
 
-def _telling_of_new_forces(method):
-    """`updateParametersInContext` of a Force, after which the Context's forces are not those that were computed."""
+def _telling_of_new_forces(method: Method) -> Method:
+    """`updateParametersInContext` of a Force: forces computed earlier are no longer valid."""
 
     @functools.wraps(method)
-    def wrapper(self, context, *args, **kwargs):
+    def wrapper(self: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> Any:
         result = method(self, context, *args, **kwargs)
         integrator = _integrator_of(context)
         if integrator is not None and integrator._engine is not None:
@@ -126,11 +131,11 @@ def _telling_of_new_forces(method):
     return wrapper
 
 
-def _keeping_bodies(method):
-    """`LocalEnergyMinimizer.minimize`, which knows constraints and would tear bodies that are rigid without them."""
+def _keeping_bodies(method: Method) -> Method:
+    """`LocalEnergyMinimizer.minimize`, which would deform bodies that are rigid without constraints."""
 
     @functools.wraps(method)
-    def wrapper(context, tolerance=10.0, maxIterations=0, reporter=None):
+    def wrapper(context: openmm.Context, tolerance: Any = 10.0, maxIterations: int = 0, reporter: Any = None) -> Any:
         integrator = _integrator_of(context)
         if integrator is None:
             return method(context, tolerance, maxIterations, reporter)
@@ -142,17 +147,16 @@ def _keeping_bodies(method):
     return wrapper
 
 
-def _accepting(method):
+def _accepting(method: Method) -> Method:
     """`Context.setState` as users of OpenMM's integrators know it.
 
-    A State that another kind of integrator saved, after an equilibration say, is welcome: OpenMM takes over all of it
-    and then fails over the parameters of that integrator, which mean nothing to ours. And as with OpenMM's integrators
-    a State brings no noise that was used already: runs with other seeds from one State differ, and so do replicas that
-    share a Context.
+    A State saved by another kind of integrator, for example after an equilibration, is accepted. OpenMM would set all
+    of it and then fail on the parameters of that integrator. As with OpenMM's integrators, a State does not repeat
+    noise that was used already: runs with other seeds from one State differ, and so do replicas that share a Context.
     """
 
     @functools.wraps(method)
-    def wrapper(self, state):
+    def wrapper(self: Any, state: openmm.State) -> Any:
         integrator = _integrator_of(self)
         if integrator is None:
             return method(self, state)
@@ -171,11 +175,11 @@ def _accepting(method):
     return wrapper
 
 
-def _telling_of_moved_atoms(method):
+def _telling_of_moved_atoms(method: Method) -> Method:
     """A method of the Context that sets positions or velocities."""
 
     @functools.wraps(method)
-    def wrapper(self, *args, **kwargs):
+    def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
         result = method(self, *args, **kwargs)
         integrator = _integrator_of(self)
         if integrator is not None and integrator._engine is not None:
@@ -185,11 +189,11 @@ def _telling_of_moved_atoms(method):
     return wrapper
 
 
-def _loading(method):
-    """`Context.loadCheckpoint`, after which the heat may be one that the native engine counted."""
+def _loading(method: Method) -> Method:
+    """`Context.loadCheckpoint`: the heat may have been counted by the native engine."""
 
     @functools.wraps(method)
-    def wrapper(self, checkpoint):
+    def wrapper(self: Any, checkpoint: bytes) -> Any:
         method(self, checkpoint)
         if (integrator := _integrator_of(self)) is not None:
             _take_over(integrator)
@@ -197,15 +201,15 @@ def _loading(method):
     return wrapper
 
 
-def _take_over(integrator) -> None:
+def _take_over(integrator: openmm.Integrator) -> None:
     integrator._fold_heat()
     integrator._tell_program()
     if integrator._engine is not None:
         integrator._engine.notice()
 
 
-def _set_all_but_integrator(context, state) -> None:
-    """What `Context.setState` does but for the integrator's parameters, with its errors for what does not fit."""
+def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> None:
+    """Do as `Context.setState`, errors included, but leave out the parameters of the integrator."""
     context.setTime(state.getTime())
     context.setStepCount(state.getStepCount())
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
@@ -219,22 +223,22 @@ def _set_all_but_integrator(context, state) -> None:
         context.setVelocities(state.getVelocities(asNumpy=True))
 
 
-def _reviving(method):
-    """What reads or clones an integrator from its serialized form."""
+def _reviving(method: Method) -> Method:
+    """Functions that read or clone an integrator from its serialized form."""
 
     @functools.wraps(method)
-    def wrapper(source):
+    def wrapper(source: str) -> Any:
         return revived(method(source))
 
     return wrapper
 
 
-def _integrator_of(context) -> SIERIntegrator | None:
+def _integrator_of(context: openmm.Context) -> SIERIntegrator | None:
     integrator = getattr(context, "_integrator", None)
     return integrator if isinstance(integrator, SIERIntegrator) else None
 
 
-def _refuse_parts(integrator) -> None:
+def _refuse_parts(integrator: openmm.Integrator) -> None:
     """Refuse a CompoundIntegrator with a SIER integrator, whose Python part it does not call."""
     if not isinstance(integrator, openmm.CompoundIntegrator):
         return

@@ -19,6 +19,9 @@ class Host(Protocol):
 
     _piston: MonteCarloVolumeMove | None
     _given_bodies: Bodies
+    #: Bit mask of the force groups that act within drifts, and into how many inner steps these are divided, if given.
+    _fast_groups: int
+    _substeps: int | None
 
     @property
     def scheme(self) -> Scheme: ...

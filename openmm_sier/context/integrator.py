@@ -5,19 +5,19 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-import numbers
-import operator
 
 import numpy as np
 import openmm
 from openmm import unit
 
 from openmm_sier.context import native_program, stored_settings
-from openmm_sier.context.engine import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Engine
-from openmm_sier.context.find_bodies import BodyPlan, refuse_other_masses
+from openmm_sier.context.arguments import GROUPS, checked_bodies, group_mask, step_size, whole_number
+from openmm_sier.context.engine import Engine
+from openmm_sier.context.find_bodies import BodyPlan, tied
 from openmm_sier.context.host import Bodies
 from openmm_sier.context.native_engine import TOLERANCE, NativeEngine
 from openmm_sier.context.native_program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
+from openmm_sier.context.stored_state import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES
 from openmm_sier.context.temperature import Temperatures
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
@@ -55,7 +55,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         bodies: Bodies = None,
         rotation=exact,
         engine: str = "auto",
-        substeps: int = SUBSTEPS,
+        substeps: int | None = None,
+        fastForceGroups=None,
     ):
         """
         Args:
@@ -65,24 +66,32 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
             rotation: free-rotation map, as `rotation.exact`.
             engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
-            substeps: of the native engine, the steps of RATTLE in each drift; 3 and 5 make it of fourth order.
+            substeps: into how many steps a drift is divided. With the native engine these are the steps of RATTLE in
+                each drift, 3 if not given; 3 and 5 make it of fourth order. With the exact engine they are the inner
+                steps of the fast forces in the longest drift, if not given the least number that makes them no longer
+                than 3 fs; without fast forces its drifts are not divided.
+            fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
+                of molecules that are not rigid, see `prepare_system`. The exact engine computes them from a Context of
+                those molecules alone.
 
         Raises:
-            ValueError: the step is negative or not finite, the engine is none of these, or there are no substeps. A
-                step of 0 is for Contexts that only evaluate forces: steps are counted and nothing moves.
+            ValueError: the step is negative or not finite, the engine is none of these, there are no substeps, or a
+                force group is not from 0 to 31. A step of 0 is for Contexts that only evaluate forces: steps are
+                counted and nothing moves.
             TypeError: the step is no time, or `scheme` is no Scheme.
         """
         if not isinstance(scheme, Scheme):
             raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {scheme!r}")
         if engine not in ENGINES:
             raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
-        if (substeps := whole_number("substeps", substeps)) == 0:
+        if substeps is not None and (substeps := whole_number("substeps", substeps)) == 0:
             raise ValueError("substeps must be at least 1, got 0")
-        super().__init__(_step_size(stepSize))
+        super().__init__(step_size(stepSize))
         self._engine: Engine | NativeEngine | None = None
         self._scheme, self._rotation = scheme, rotation
         self._wanted_engine, self._substeps = engine, substeps
-        self._given_bodies = _checked_bodies(bodies)
+        self._fast_groups = group_mask("fastForceGroups", fastForceGroups)
+        self._given_bodies = checked_bodies(bodies)
         for name in (*STATE_VARIABLES, SITES):
             self.addPerDofVariable(name, 0)
         for name in (HEAT, DRAWS, SEED):
@@ -116,6 +125,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """What the native engine cannot do of what this integrator was made for, and the remedy."""
         if isinstance(self._program, str):
             return f"does not know this scheme, since {self._program}: take another scheme"
+        if self._fast_groups:
+            return "has no fast forces within its drifts: leave out `fastForceGroups`"
         if self._rotation is not exact:
             return "has no other free-rotation maps: leave out `rotation`"
         return None
@@ -126,7 +137,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         stored_settings.store(self, "rotation", text=stored_settings.place_of(self._rotation))
         stored_settings.store_scheme(self, self._scheme)
         stored_settings.store_bodies(self, self._given_bodies)
-        stored_settings.store(self, "engine", [self._substeps], self._wanted_engine)
+        stored_settings.store(self, "engine", [self._substeps or 0, self._fast_groups], self._wanted_engine)
 
     def _take_settings(self, rotation=None) -> None:
         """Take over all settings from what OpenMM serialized; the free-rotation map, if it is known, as it is."""
@@ -135,8 +146,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         place = stored_settings.required(self, "rotation")[0]
         self._rotation = rotation or stored_settings.from_place(place, "free-rotation map")
         self._given_bodies = stored_settings.stored_bodies(self)
-        self._wanted_engine, (substeps,) = stored_settings.required(self, "engine")
-        self._substeps = int(substeps)
+        self._wanted_engine, (substeps, groups) = stored_settings.required(self, "engine")
+        self._substeps, self._fast_groups = int(substeps) or None, int(groups)
         self._program = _written(self._scheme, self._substeps)
         (self._step,) = stored_settings.required(self, "step")[1].tolist()
         step = super().getStepSize()._value * self._native_steps
@@ -152,9 +163,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._wanted_engine if self._engine is None else self._engine.name
 
     @property
-    def substeps(self) -> int:
-        """Steps of RATTLE in each drift of the native engine."""
+    def substeps(self) -> int | None:
+        """Into how many steps a drift is divided, as it was asked for; None where it is left to the engine."""
         return self._substeps
+
+    @property
+    def fastForceGroups(self) -> set[int]:
+        """The force groups that act within drifts."""
+        return {group for group in range(GROUPS) if self._fast_groups >> group & 1}
 
     @property
     def program(self) -> Program:
@@ -201,7 +217,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def setStepSize(self, size) -> None:
         """Set the step, a time quantity or a number in ps."""
-        self._step = _step_size(size)
+        self._step = step_size(size)
         super().setStepSize(self._step / self._native_steps)
         stored_settings.store(self, "step", [self._step])
 
@@ -251,7 +267,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Changes of positions, velocities, box and Context parameters, and those by `updateParametersInContext`, are
         noticed without this.
         """
-        self._bound().forces.invalidate()
+        self._bound().renew_forces()
 
     def setIntegrationForceGroups(self, groups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
@@ -308,14 +324,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _plan_bodies(self, system):
         """What the engine gets its bodies from: something with `needs_positions` and `bodies(positions)`."""
-        n = system.getNumParticles()
         given = self._given_bodies
         if not isinstance(given, RigidBodies):
             return BodyPlan(system, rigid=given)
-        if given.n_particles != n:
-            raise ValueError(f"bodies are those of a system of {given.n_particles} particles, this one has {n}")
-        refuse_other_masses(system, given)
-        return _Settled(given)
+        return _Settled(tied(system, given))
 
     def _counters(self, known: BodyState | None) -> tuple[float, int]:
         """Heat in kJ/mol and number of draws of noise so far; `known` is the state before what happened outside."""
@@ -378,53 +390,9 @@ def _unpickled(xml: str, cls, attributes: dict):
     return _restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
 
 
-def _written(scheme: Scheme, substeps: int) -> Program | str:
+def _written(scheme: Scheme, substeps: int | None) -> Program | str:
     """The program of a scheme, or why there is none."""
     try:
-        return native_program.write(scheme, substeps)
+        return native_program.write(scheme, substeps or SUBSTEPS)
     except ValueError as error:
         return str(error)
-
-
-def _checked_bodies(bodies: Bodies) -> Bodies:
-    """Bodies as `RigidBodies`, lists of integers, or None.
-
-    Raises:
-        TypeError: they are none of these.
-    """
-    if bodies is None or isinstance(bodies, RigidBodies):
-        return bodies
-    try:
-        return [[operator.index(i) for i in cluster] for cluster in bodies]
-    except TypeError:
-        raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
-
-
-def _step_size(size) -> float:
-    size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
-    if size < 0:
-        raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")
-    return size
-
-
-def quantity_to_float(name: str, value, of, symbol: str) -> float:
-    """A finite number in a unit, from a quantity or a plain number."""
-    if unit.is_quantity(value):
-        if not value.unit.is_compatible(of):
-            raise TypeError(f"{name} must be in units like {symbol}, got {value}")
-        value = value.value_in_unit(of)
-    try:
-        value = float(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{name} must be finite, got {value} {symbol}")
-    return value
-
-
-def whole_number(name: str, value) -> int:
-    """A nonnegative integer, from an int or a float without a fraction."""
-    whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
-    if not whole or value < 0:
-        raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
-    return int(value)

@@ -7,8 +7,10 @@ import secrets
 from openmm import unit
 
 from openmm_sier.context import stored_settings
-from openmm_sier.context.engine import SEED
-from openmm_sier.context.integrator import SUBSTEPS, Bodies, SIERIntegrator, quantity_to_float, whole_number
+from openmm_sier.context.arguments import quantity_to_float, whole_number
+from openmm_sier.context.host import Bodies
+from openmm_sier.context.integrator import SIERIntegrator
+from openmm_sier.context.stored_state import SEED
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
@@ -44,7 +46,8 @@ class SIERLangevinIntegrator(SIERIntegrator):
         pressure=None,
         barostatInterval=25,
         engine: str = "auto",
-        substeps: int = SUBSTEPS,
+        substeps: int | None = None,
+        fastForceGroups=None,
     ):
         """
         Args:
@@ -58,14 +61,15 @@ class SIERLangevinIntegrator(SIERIntegrator):
             pressure: if it is to be constant, a quantity or a number in bar. All edges of the box change by one factor,
                 and ln V by up to 0.5/sqrt(number of molecules) in one move.
             barostatInterval: steps from one attempt to change the volume to the next.
-            engine, substeps: see `SIERIntegrator`. The native engine takes OpenMM's noise and OpenMM's barostats.
+            engine, substeps, fastForceGroups: see `SIERIntegrator`. The native engine takes OpenMM's noise and
+                barostats.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
         scheme = scheme.with_bath() if isinstance(scheme, Scheme) else scheme
-        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps)
+        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
         friction = _friction("frictionCoeff", frictionCoeff)
         turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
         bath = OrnsteinUhlenbeck(_temperature(temperature), friction, turning, seed=0)

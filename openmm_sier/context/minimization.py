@@ -17,11 +17,9 @@ from openmm_sier.dynamics.minimizer import descent
 
 def constraints_hold(system, bodies: RigidBodies) -> bool:
     """Whether every distance inside every body is constrained."""
-    owner = np.full(bodies.n_particles, -1)
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
-        owner[species.atoms] = np.arange(part.start, part.stop)[:, None]
     ends = np.array([system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())], dtype=np.int64)
     pairs = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0)
+    owner = bodies.owners
     inside = owner[pairs[:, 0]]
     found = np.bincount(inside[(inside == owner[pairs[:, 1]]) & (inside >= 0)], minlength=bodies.n)
     sizes = np.repeat([s.atoms.shape[1] for s in bodies.species], [len(s.atoms) for s in bodies.species])
@@ -49,7 +47,7 @@ def minimize_bodies(context, engine, tolerance, iterations: int, reporter=None) 
         tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
     engine.adopt()
     state = engine.state
-    points = descent(engine.bodies, engine.forces.at, state.q, state.A)
+    points = descent(engine.bodies, engine.all_forces, state.q, state.A)
     try:
         for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
             if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):

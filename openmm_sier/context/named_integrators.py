@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from openmm_sier.context.integrator import SUBSTEPS, Bodies, SIERIntegrator
+from openmm_sier.context.host import Bodies
+from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, Scheme
 
 
@@ -13,13 +14,21 @@ class IntegratorOfOneScheme(SIERIntegrator):
 
     SCHEME: ClassVar[Scheme]
 
-    def __init__(self, stepSize, bodies: Bodies = None, engine: str = "auto", substeps: int = SUBSTEPS):
+    def __init__(
+        self,
+        stepSize,
+        bodies: Bodies = None,
+        engine: str = "auto",
+        substeps: int | None = None,
+        fastForceGroups=None,
+    ):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
-            bodies, engine, substeps: see `SIERIntegrator`.
+            bodies, engine, substeps, fastForceGroups: see `SIERIntegrator`.
         """
-        super().__init__(stepSize, self.SCHEME, bodies, engine=engine, substeps=substeps)
+        chosen = {"engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
+        super().__init__(stepSize, self.SCHEME, bodies, **chosen)
 
 
 class SIER2Integrator(IntegratorOfOneScheme):

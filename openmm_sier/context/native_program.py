@@ -14,6 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import openmm
+
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
 
@@ -73,7 +75,7 @@ class Statement(NamedTuple):
     def needs_force(self) -> bool:
         return "f/m" in self.expression
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{self.target} = {self.expression}".replace(PREFIX, "") if self.expression else self.target
 
 
@@ -90,7 +92,7 @@ class Line(NamedTuple):
     statements: tuple[Statement, ...]
     lengths: tuple[float, ...] = ()
 
-    def __str__(self):
+    def __str__(self) -> str:
         text = f"{self.title}: {'; '.join(map(str, self.statements))}"
         return f"{text}  for d/h = {', '.join(f'{d:.6g}' for d in self.lengths)}" if self.lengths else text
 
@@ -107,7 +109,7 @@ class Program:
     name: str
     parts: tuple[tuple[Line, ...], ...]
 
-    def __str__(self):
+    def __str__(self) -> str:
         n = len(self.parts)
         lines = [f"{self.name}: one step h = {n} native steps dt"]
         for k, part in enumerate(self.parts, 1):
@@ -223,7 +225,7 @@ def _in_steps(stage: Stage) -> list[str]:
     return [f"{factor!r}*{unit}" for factor, unit in zip(stage.times(1.0), ("h", "h*h"), strict=False)]
 
 
-def install(program: Program | None, integrator) -> None:
+def install(program: Program | None, integrator: openmm.CustomIntegrator) -> None:
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
     `PART` says which native step is next. Where it is negative OpenMM updates the Context's state and does nothing
@@ -254,7 +256,7 @@ def install(program: Program | None, integrator) -> None:
     integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
 
 
-def _add_guard(integrator) -> None:
+def _add_guard(integrator: openmm.CustomIntegrator) -> None:
     """Have the program fail where it is not all that was asked for, and this package is not there to do it.
 
     XML gives a plain CustomIntegrator there. Reference and CPU name the variable that does not exist, other platforms
@@ -267,7 +269,7 @@ def _add_guard(integrator) -> None:
     integrator.endBlock()
 
 
-def _add_statement(statement: Statement, integrator, definitions: str) -> None:
+def _add_statement(statement: Statement, integrator: openmm.CustomIntegrator, definitions: str) -> None:
     if statement.target == CONSTRAIN_X:
         integrator.addConstrainPositions()
     elif statement.target == CONSTRAIN_V:

@@ -10,7 +10,7 @@ _PACKAGE = str(Path(__file__).parent.parent)
 
 
 def tell(message: str) -> None:
-    """Warn of something that is done otherwise than a user may expect, at the line that called the package."""
+    """Warn of behaviour that a user may not expect; the warning names the line that called the package."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         level, frame = level + 1, frame.f_back

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from openmm import unit
+import openmm
+from openmm import app, unit
 
 from openmm_sier.context import conservation
 from openmm_sier.context.body_states import BodyStateFile, import_extras
 
 
 class _Reporter:
-    """What OpenMM's protocol asks of both reporters: when to report, and what of the State they need."""
+    """OpenMM's protocol for both reporters: the steps between reports, and the parts of the State that they need."""
 
     def __init__(self, reportInterval: int, include: list[str]):
         if reportInterval < 1:
@@ -21,20 +23,20 @@ class _Reporter:
         self._interval = reportInterval
         self._include = include
 
-    def describeNextReport(self, simulation) -> dict:
+    def describeNextReport(self, simulation: app.Simulation) -> dict:
         """Steps to the next report, for OpenMM's Simulation."""
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": self._include}
 
 
 class ConservationReporter(_Reporter):
-    """Writes what should be conserved, and the temperatures of translation and rotation, as CSV.
+    """Writes conserved quantities and the temperatures of translation and rotation as CSV.
 
-    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`, where `row` says
-    what they are.
+    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`; `row` there
+    describes them.
     """
 
-    def __init__(self, file, reportInterval: int, append: bool = False):
+    def __init__(self, file: str | PathLike[str], reportInterval: int, append: bool = False) -> None:
         """
         Args:
             file: path of the CSV file.
@@ -54,7 +56,7 @@ class ConservationReporter(_Reporter):
         if fresh:
             self._rows.writerow(conservation.COLUMNS)
 
-    def report(self, simulation, state) -> None:
+    def report(self, simulation: app.Simulation, state: openmm.State) -> None:
         """Write one row, and flush it."""
         step, *values = conservation.row(simulation.context, state)
         self._rows.writerow([step, *(repr(value) for value in values)])
@@ -64,7 +66,7 @@ class ConservationReporter(_Reporter):
         """Close the file."""
         self._out.close()
 
-    def __del__(self):
+    def __del__(self) -> None:
         if hasattr(self, "_out"):
             self._out.close()
 
@@ -86,7 +88,9 @@ class BodyStateReporter(_Reporter):
     was killed can be read.
     """
 
-    def __init__(self, file, reportInterval: int, append: bool = False, unwrapped: bool = True):
+    def __init__(
+        self, file: str | PathLike[str], reportInterval: int, append: bool = False, unwrapped: bool = True
+    ) -> None:
         """
         Args:
             file: path of the HDF5 file, which is replaced unless `append` is true.
@@ -106,11 +110,11 @@ class BodyStateReporter(_Reporter):
         self._path, self._unwrapped = Path(file), unwrapped
         self._append = append and self._path.exists()
         if not self._append:
-            # What cannot be written is found before the run.
+            # An unwritable path fails here, before the run.
             h5py.File(self._path, "w", libver="earliest").close()
         self._file: BodyStateFile | None = None
 
-    def report(self, simulation, state) -> None:
+    def report(self, simulation: app.Simulation, state: openmm.State) -> None:
         """Write one frame, and flush it."""
         integrator = conservation.sier_integrator(simulation.context)
         if self._file is None:

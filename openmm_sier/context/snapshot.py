@@ -1,4 +1,4 @@
-"""What a Context holds at one moment, to tell later what was changed from outside."""
+"""The contents of a Context at one moment, so that changes from outside can be recognized later."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Snapshot:
         steps: the step count.
     """
 
-    def __init__(self, context):
+    def __init__(self, context: openmm.Context) -> None:
         state = context.getState(positions=True, velocities=True, parameters=True)
         shape = (state._getNumParticles(), 3)
         self.positions = read_vectors(state, openmm.State.Positions, np.empty(shape))
@@ -34,10 +34,10 @@ class Snapshot:
         return other is not None and self._environment == other._environment
 
 
-def read_vectors(state, kind: int, values: np.ndarray) -> np.ndarray:
+def read_vectors(state: openmm.State, kind: int, values: np.ndarray) -> np.ndarray:
     """Fill a contiguous float64 array (N, 3) of just this size, which is not checked, with vectors of a State.
 
-    It is what getPositions(asNumpy=True) and the like do, without a search in all names and a quantity made and undone.
+    Like getPositions(asNumpy=True), but without its overhead for names and units.
 
     Args:
         state: a State.

@@ -11,6 +11,13 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 #: Per-atom vectors that hold the numbers of all bodies: 18 of one of two or more atoms, 6 of a point.
 VARIABLES = 3
 
+#: Per-atom variables of the CustomIntegrator in which the bodies' state travels, and that of the bodies' geometry.
+STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(VARIABLES))
+SITES = "sier_sites"
+
+#: Global variables of it.
+HEAT, DRAWS, SEED = "sier_heat", "sier_draws", "sier_seed"
+
 
 def pack(bodies: RigidBodies, state: BodyState) -> np.ndarray:
     """The numbers (q, p, L, A) of all bodies, one after the other.

@@ -1,8 +1,9 @@
-"""Degrees of freedom and temperatures of rigid bodies: one rule for everything that states a temperature.
+"""Degrees of freedom and temperatures of bodies: one rule for everything that states a temperature.
 
 Where the total momentum is conserved, the motion of the centre of mass is no heat: three degrees of freedom are left
 out, and so is the kinetic energy of that motion, whatever velocities the user has set. Where it is not conserved, a
-heat bath, a field or fixed particles make it fluctuate like any other momentum, and nothing is left out.
+heat bath, a field or fixed particles make it fluctuate like any other momentum, and nothing is left out. Constraints
+between bodies take away as many degrees of freedom as are independent among them.
 
 OpenMM's StateDataReporter differs for integrators that do not compute their own temperature: it leaves out three
 degrees of freedom with a CMMotionRemover alone, and never the kinetic energy of the centre of mass. A drifting box is
@@ -24,6 +25,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 
@@ -34,18 +36,32 @@ ALL_GROUPS = 2**32 - 1
 
 
 class DegreesOfFreedom(NamedTuple):
-    """Numbers of degrees of freedom that share the heat."""
+    """Numbers of degrees of freedom that share the heat.
 
-    translation: int
-    rotation: int
+    Attributes:
+        translation, rotation: of molecules that are one body. Of translation those of the centre of mass that hold no
+            heat are left out by the molecules' share of the mass, which need be no whole number.
+        flexible: all of other molecules.
+    """
+
+    translation: float
+    rotation: float
+    flexible: float = 0.0
 
 
 class Temperatures(NamedTuple):
-    """Temperatures in K of all motion, of translation and of rotation; NaN where there are no degrees of freedom."""
+    """Temperatures in K; NaN where there are no degrees of freedom.
+
+    Attributes:
+        total: of all motion.
+        translation, rotation: of molecules that are one body, rigid or a point.
+        flexible: of all motion of the other molecules.
+    """
 
     total: float
     translation: float
     rotation: float
+    flexible: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -89,10 +105,7 @@ class MomentumConservation:
 
 
 def _outside(bodies: RigidBodies) -> list[int]:
-    alone = np.ones(bodies.n_particles, dtype=bool)
-    for species in bodies.species:
-        alone[species.atoms] = False
-    return np.flatnonzero(alone).tolist()
+    return np.flatnonzero(bodies.owners < 0).tolist()
 
 
 def _has_friction(integrator: openmm.Integrator) -> bool:
@@ -117,44 +130,49 @@ def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom
     """Degrees of freedom that share the heat.
 
     Args:
-        bodies: the rigid bodies.
+        bodies: the bodies.
         conserved: whether the total momentum is conserved, see `MomentumConservation`.
     """
-    translation = 3 * bodies.n - (3 if conserved else 0)
-    return DegreesOfFreedom(max(0, translation), bodies.dof - 3 * bodies.n)
+    rigid = ~bodies.flexible
+    count = int(rigid.sum())
+    share = float(bodies.masses[rigid].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
+    left_out = 3 if conserved and bodies.n else 0
+    turning = int(np.count_nonzero(bodies.moments[:, rigid]))
+    # A single particle has no heat where momentum is conserved.
+    translation, flexible = 3 * count - share * left_out, bodies.dof - 3 * count - turning - (1 - share) * left_out
+    return DegreesOfFreedom(max(0, translation), turning, max(0, flexible))
 
 
-def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> tuple[float, float]:
-    """Kinetic energies of translation and rotation in kJ/mol that count as heat.
+def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> tuple[float, float, float]:
+    """Kinetic energies in kJ/mol that count as heat, in the order of `DegreesOfFreedom`.
 
     Args:
-        bodies: the rigid bodies.
+        bodies: the bodies.
         state: their phase point.
-        conserved: whether the total momentum is conserved; the kinetic energy of the centre of mass is left out then.
+        conserved: whether the total momentum is conserved; the motion with the centre of mass is left out then.
     """
-    translation, rotation = bodies.kinetic_energies(state)
+    p = state.p
     if conserved and bodies.n:
-        momentum = state.p.sum(axis=1)
-        translation -= 0.5 * float(momentum @ momentum) / float(bodies.masses.sum())
-    return translation, rotation
+        p = p - bodies.masses * (p.sum(axis=1) / bodies.masses.sum())[:, None]
+    moving = 0.5 * (p * p).sum(axis=0) * bodies.inverse_masses
+    turning = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
+    rigid = ~bodies.flexible
+    return float(moving[rigid].sum()), float(turning[rigid].sum()), float((moving + turning)[~rigid].sum())
 
 
 def temperatures(bodies: RigidBodies, state: BodyState, conserved: bool) -> Temperatures:
     """Temperatures of a phase point.
 
     Args:
-        bodies: the rigid bodies.
+        bodies: the bodies.
         state: their phase point.
         conserved: whether the total momentum is conserved, see `MomentumConservation`.
     """
     energies = thermal_energies(bodies, state, conserved)
     dof = degrees_of_freedom(bodies, conserved)
-    return Temperatures(
-        _temperature(sum(energies), sum(dof)),
-        _temperature(energies[0], dof.translation),
-        _temperature(energies[1], dof.rotation),
-    )
+    return Temperatures(temperature(sum(energies), sum(dof)), *map(temperature, energies, dof))
 
 
-def _temperature(energy: float, dof: int) -> float:
+def temperature(energy: float, dof: float) -> float:
+    """K of a kinetic energy in kJ/mol; NaN without degrees of freedom."""
     return 2 * energy / (dof * GAS_CONSTANT) if dof > 0 else math.nan

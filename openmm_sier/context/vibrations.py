@@ -14,6 +14,17 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import Scheme
 
 
+#: Longest step over the period of a bond whose forces act within drifts.
+RESONANCE = 0.45
+
+SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
+MORE_SUBSTEPS = "Take more substeps or a shorter step"
+CONSTRAIN = (
+    "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
+    f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)'
+)
+
+
 class Bond(NamedTuple):
     """A bond as a harmonic oscillator.
 
@@ -48,7 +59,7 @@ class Vibrations:
         forces = [force for force in forces if force.getNumBonds()]
         self._bonds: list[Bond] = []
         if forces:
-            owner, mobility = _owners(bodies), _mobilities(bodies)
+            owner, mobility = bodies.owners, _mobilities(bodies)
             found = [_fastest(force, owner, mobility) for force in forces]
             self._bonds = sorted(bond for bond in found if bond is not None)
         self._warned = False
@@ -59,30 +70,62 @@ class Vibrations:
         Args:
             scheme: the scheme that makes the step.
             h: the step, ps.
-            groups: bit mask of the force groups that act.
+            groups: bit mask of the force groups that act in it.
 
         Raises:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
         """
-        bond = next((bond for bond in self._bonds if groups >> bond.group & 1), None)
+        self._check("A step", scheme, h, groups, SHORTER_STEP)
+
+    def check_nested(self, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
+        """The same of fast forces within drifts, which must besides not resonate with the kicks.
+
+        Kicks excite a bond if they come once or twice a period: schemes are unstable in windows just below half a
+        period and a whole one, whose width is the share of the slow forces in the stiffness of the bond.
+
+        Args:
+            inner: the scheme within drifts.
+            inner_step: its longest step, ps.
+            h: the step of the outer scheme, ps.
+            groups: bit mask of the fast force groups.
+
+        Raises:
+            openmm.OpenMMException: the inner step is beyond the inner scheme's stability limit.
+        """
+        self._check("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
+        bond = self._fastest_of(groups)
+        if bond is not None and h > RESONANCE * bond.period:
+            self._tell_once(
+                f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
+                f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
+                f"{_fs(RESONANCE * bond.period)}, or {CONSTRAIN}"
+            )
+
+    def _check(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
+        bond = self._fastest_of(groups)
         if bond is None:
             return
         stable, accurate = (limit * bond.period / (2 * math.pi) for limit in _limits(scheme))
-        if h >= stable:
-            raise openmm.OpenMMException(f"A step of {_fs(h)} is too long: {self._describe(bond, scheme)}")
-        if h > accurate and not self._warned:
-            self._warned = True
-            tell(f"A step of {_fs(h)} is long: {self._describe(bond, scheme)}")
-
-    def _describe(self, bond: Bond, scheme: Scheme) -> str:
-        stable, accurate = (_fs(limit * bond.period / (2 * math.pi)) for limit in _limits(scheme))
-        return (
-            f"the bond between {_names(bond.atoms, self._bodies.labels)} is not constrained and has a period of "
-            f"{_fs(bond.period)}, which {scheme.name} follows with steps of up to {accurate} and bears with less than "
-            f"{stable}. Take a shorter step, or hold the bond in a rigid body: water by rigidWater=True in "
-            "createSystem, other hydrogens by bodies=RigidBodies.from_system(system, topology, "
-            f'rigid="{HYDROGEN_GROUPS}", positions=positions)'
+        described = (
+            f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}, which {scheme.name} "
+            f"follows with steps of up to {_fs(accurate)} and bears with less than {_fs(stable)}. {remedy}, or "
+            f"{CONSTRAIN}"
         )
+        if h >= stable:
+            raise openmm.OpenMMException(f"{what} of {_fs(h)} is too long: {described}")
+        if h > accurate:
+            self._tell_once(f"{what} of {_fs(h)} is long: {described}")
+
+    def _fastest_of(self, groups: int) -> Bond | None:
+        return next((bond for bond in self._bonds if groups >> bond.group & 1), None)
+
+    def _name(self, bond: Bond) -> str:
+        return f"the bond between {_names(bond.atoms, self._bodies.labels)}"
+
+    def _tell_once(self, message: str) -> None:
+        if not self._warned:
+            self._warned = True
+            tell(message)
 
 
 def _limits(scheme: Scheme) -> tuple[float, float]:
@@ -112,14 +155,6 @@ def _fastest(force, owner, mobility) -> Bond | None:
         return None
     a, b = ends[fastest].tolist()
     return Bond(2 * math.pi / math.sqrt(squares[fastest]), (a, b), force.getForceGroup())
-
-
-def _owners(bodies: RigidBodies):
-    """For each particle the number of its body, -1 where it has none."""
-    owner = np.full(bodies.n_particles, -1)
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
-        owner[species.atoms] = np.arange(part.start, part.stop)[:, None]
-    return owner
 
 
 def _mobilities(bodies: RigidBodies):

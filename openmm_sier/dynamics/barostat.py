@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +43,7 @@ class MonteCarloVolumeMove:
         self.interval = interval
         self._thermostat = thermostat
 
-    def operator(self, bodies: RigidBodies, molecules) -> VolumeMove:
+    def operator(self, bodies: RigidBodies, molecules: Sequence[Sequence[int]]) -> VolumeMove:
         """The move of a set of bodies.
 
         Args:
@@ -74,7 +74,7 @@ class MonteCarloVolumeMove:
         return move
 
 
-def _molecule_of(bodies: RigidBodies, molecules) -> np.ndarray:
+def _molecule_of(bodies: RigidBodies, molecules: Sequence[Sequence[int]]) -> np.ndarray:
     """For each body a number of its molecule, counted without gaps. A body that joins several belongs to the first."""
     first = np.concatenate([species.atoms[:, 0] for species in bodies.species])
     return np.unique(molecule_of_atoms(molecules, bodies.n_particles)[first], return_inverse=True)[1]

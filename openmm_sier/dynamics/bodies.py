@@ -13,9 +13,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend, fitting
 from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
@@ -30,7 +32,7 @@ class NotFiniteError(ValueError):
         body: the number of the first one of which they are not.
     """
 
-    def __init__(self, vectors):
+    def __init__(self, vectors: np.ndarray) -> None:
         self.body = int(np.isfinite(vectors).all(axis=0).argmin())
         super().__init__(f"the vectors of body {self.body} are not finite")
 
@@ -73,7 +75,9 @@ class Species:
     moments: np.ndarray
 
     @classmethod
-    def from_coordinates(cls, atoms, masses, coordinates, resolution: float = 0.0) -> Species:
+    def from_coordinates(
+        cls, atoms: ArrayLike, masses: ArrayLike, coordinates: ArrayLike, resolution: float = 0.0
+    ) -> Species:
         """Species whose geometry is that of one set of atom positions.
 
         Args:
@@ -96,7 +100,7 @@ class Species:
         moments[moments <= LINEAR_MOMENT * moments.max()] = 0.0
         return cls(np.array(atoms, dtype=np.int64), masses, sites, moments)
 
-    def of_atoms(self, atoms) -> Species:
+    def of_atoms(self, atoms: ArrayLike) -> Species:
         """Other bodies, (m, k) particle indices, of the same geometry."""
         return replace(self, atoms=np.array(atoms, dtype=np.int64))
 
@@ -118,7 +122,7 @@ class Species:
         """Largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
         return fitting.distance_from_mirror_image(self.sites, self.masses)
 
-    def fit(self, arms, kept=None) -> tuple[np.ndarray, np.ndarray]:
+    def fit(self, arms: np.ndarray, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Attitudes (3, 3, m) of m bodies, and for each the largest distance of an atom from its place, (m,), nm.
 
         Args:
@@ -133,7 +137,7 @@ class Species:
         return 3 + int(np.count_nonzero(self.moments))
 
 
-def molecule_of_atoms(molecules, n_particles: int) -> np.ndarray:
+def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
     """For each particle the number of its molecule.
 
     Args:
@@ -147,7 +151,7 @@ def molecule_of_atoms(molecules, n_particles: int) -> np.ndarray:
 
 
 class RigidBodies:
-    """The rigid and point bodies of a system.
+    """The rigid and point bodies of a system, and what holds them together.
 
     Bodies are numbered species by species. Particles that belong to no body (virtual sites, fixed massless particles)
     are left alone.
@@ -157,18 +161,29 @@ class RigidBodies:
         parts: for each species the slice of its bodies.
         masses: (n,), dalton.
         moments: (3, n), dalton nm^2.
-        dof: degrees of freedom of all bodies.
+        molecules: for each body a number of its molecule, (n,).
     """
 
-    def __init__(self, species: Sequence[Species], n_particles: int, labels: Sequence[str] | None = None):
+    def __init__(
+        self,
+        species: Sequence[Species],
+        n_particles: int,
+        labels: Sequence[str] | None = None,
+        links: tuple[Sequence, Sequence] = ((), ()),
+        molecules=None,
+    ):
         """
         Args:
             species: kinds of body; no particle may be in two.
             n_particles: number of particles of the system.
             labels: for each particle the name of its residue, for messages.
+            links: pairs of point bodies at fixed distances, (c, 2), and the distances, (c,), nm.
+            molecules: for each body a number of its molecule, (n,); None: each body is one by itself, or together with
+                those that it is linked to.
 
         Raises:
-            ValueError: a particle is in two bodies or out of range, or a mass is not positive.
+            ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is none between
+                two points.
         """
         self.species = tuple(species)
         self.n_particles = n_particles
@@ -181,9 +196,52 @@ class RigidBodies:
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self._sites = [backend.Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
-        self.dof = sum(s.dof * s.atoms.shape[0] for s in self.species)
+        self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
+        linked = np.unique(self.links[0])
+        if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
+            raise ValueError(f"{self.describe(extended[0])} is linked to another body and is no point")
+        self.molecules = self._joined() if molecules is None else np.asarray(molecules)
 
-    def _check(self):
+    def _joined(self) -> np.ndarray:
+        molecules = np.arange(self.n)
+        for number in self.constraints.components:
+            members = np.unique(self.constraints.pairs[number])
+            molecules[members] = members[0]
+        return molecules
+
+    @cached_property
+    def constraints(self) -> Constraints:
+        """The constraints between point bodies.
+
+        Raises:
+            ConstraintError: they contradict each other.
+        """
+        return Constraints(*self.links, self.masses, self.describe)
+
+    @cached_property
+    def dof(self) -> int:
+        """Degrees of freedom of all bodies."""
+        return sum(s.dof * s.atoms.shape[0] for s in self.species) - self.constraints.rank()
+
+    @cached_property
+    def flexible(self) -> np.ndarray:
+        """Which bodies are in a molecule with others, (n,), so that the molecule is not rigid."""
+        _, place, counts = np.unique(self.molecules, return_inverse=True, return_counts=True)
+        return (counts > 1)[place]
+
+    @cached_property
+    def owners(self) -> np.ndarray:
+        """For each particle the number of its body, (N,); -1 where it has none."""
+        owners = np.full(self.n_particles, -1)
+        for species, part in zip(self.species, self.parts, strict=True):
+            owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
+        return owners
+
+    def tied(self, links: tuple[Sequence, Sequence], molecules) -> RigidBodies:
+        """The same bodies with other links and molecules, see `RigidBodies`."""
+        return type(self)(self.species, self.n_particles, self.labels, links, molecules)
+
+    def _check(self) -> None:
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
         outside = used[(used < 0) | (used >= self.n_particles)]
         if outside.size:
@@ -206,7 +264,7 @@ class RigidBodies:
         """A name for messages: residue, if known, and atoms of one body."""
         return self.describe_atoms(self.atoms_of(body))
 
-    def describe_atoms(self, atoms) -> str:
+    def describe_atoms(self, atoms: Sequence[int] | np.ndarray) -> str:
         names = "atoms " + ", ".join(str(int(i)) for i in atoms) if len(atoms) > 1 else f"atom {int(atoms[0])}"
         if self.labels is None:
             return names if len(atoms) == 1 else f"the body of {names}"
@@ -215,7 +273,7 @@ class RigidBodies:
 
     # --- from atoms to bodies ---
 
-    def fit(self, positions, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def fit(self, positions: np.ndarray, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Centres and attitudes of the bodies that atom positions form.
 
         Args:
@@ -232,7 +290,9 @@ class RigidBodies:
         """
         return self.fit_with_misfit(positions, previous)[:2]
 
-    def fit_with_misfit(self, positions, previous: BodyState | None = None):
+    def fit_with_misfit(
+        self, positions: np.ndarray, previous: BodyState | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`fit`, and for each body the largest distance in nm of an atom from its place: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
@@ -249,7 +309,7 @@ class RigidBodies:
         self._refuse_torn(misfit)
         return q, A, misfit
 
-    def _refuse_mirrored(self, species: Species, part: slice, misfit, arms) -> None:
+    def _refuse_mirrored(self, species: Species, part: slice, misfit: np.ndarray, arms: np.ndarray) -> None:
         # Nearer to the body than half way to the mirror image they cannot fit that better by the margin.
         suspects = np.flatnonzero(misfit > 0.5 * species.mirror_distance)
         if species.mirror_distance == 0 or not suspects.size:
@@ -261,7 +321,7 @@ class RigidBodies:
                 f"body but that of its mirror image ({np.count_nonzero(mirrored)} bodies of this kind fail)"
             )
 
-    def _refuse_torn(self, misfit) -> None:
+    def _refuse_torn(self, misfit: np.ndarray) -> None:
         tolerances = np.repeat([s.tolerance for s in self.species], [len(s.atoms) for s in self.species])
         torn = misfit > tolerances
         if not torn.any():
@@ -276,7 +336,7 @@ class RigidBodies:
             "from the positions that it was made of"
         )
 
-    def momenta(self, velocities, A) -> tuple[np.ndarray, np.ndarray]:
+    def momenta(self, velocities: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Momenta and angular momenta that atom velocities carry: the rigid part of their motion.
 
         Args:
@@ -291,7 +351,7 @@ class RigidBodies:
         """
         return self._sum_over_sites(velocities, A, [s.masses for s in self.species])
 
-    def forces_and_torques(self, forces, A) -> tuple[np.ndarray, np.ndarray]:
+    def forces_and_torques(self, forces: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Net force and torque about the centre of mass (van Zon and Schofield, Eq. forcestorques).
 
         Args:
@@ -307,7 +367,9 @@ class RigidBodies:
         """
         return self._sum_over_sites(forces, A, [s.ones for s in self._sites])
 
-    def _sum_over_sites(self, vectors, A, weights):
+    def _sum_over_sites(
+        self, vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
         total, moment, finite = backend.active().collect(self._sites, vectors, A, weights)
         if not finite:
             raise NotFiniteError(np.concatenate([total, moment]))
@@ -315,7 +377,7 @@ class RigidBodies:
 
     # --- from bodies to atoms ---
 
-    def place(self, q, A, positions) -> np.ndarray:
+    def place(self, q: np.ndarray, A: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Write the atoms of bodies at (q, A) into `positions`, shape (N, 3); other particles keep theirs.
 
         Raises:
@@ -325,7 +387,7 @@ class RigidBodies:
             raise NotFiniteError(q)
         return positions
 
-    def move(self, state: BodyState, velocities) -> np.ndarray:
+    def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
         inverses = self.inverse_masses, self.inverse_moments
         backend.active().move(self._sites, state.p, state.A, state.L, *inverses, velocities)

@@ -28,7 +28,7 @@ class RigidityError(ValueError):
     """Atoms do not form the rigid body that they are meant to form."""
 
 
-def tolerance_of(sites) -> float:
+def tolerance_of(sites: np.ndarray) -> float:
     """Largest distance in nm of an atom from its place at which the body of sites (3, k) is still recognized."""
     shortest = np.inf
     for i in range(1, sites.shape[1]):
@@ -38,14 +38,14 @@ def tolerance_of(sites) -> float:
     return float(min(FIT_TOLERANCE, FIT_FRACTION * shortest))
 
 
-def distance_from_mirror_image(sites, masses) -> float:
+def distance_from_mirror_image(sites: np.ndarray, masses: np.ndarray) -> float:
     """Largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
     if not sites.any(axis=1).all():
         return 0.0
     return float(fit_attitudes(MIRROR * sites, masses, sites.T[None])[1][0])
 
 
-def fit_mirror_image(sites, masses, arms, misfit):
+def fit_mirror_image(sites: np.ndarray, masses: np.ndarray, arms: np.ndarray, misfit: np.ndarray) -> np.ndarray:
     """Which bodies are mirror images, (m,): those whose atoms fit these, and `MIRROR_MARGIN` times better.
 
     Args:
@@ -58,7 +58,9 @@ def fit_mirror_image(sites, masses, arms, misfit):
     return (mirrored * MIRROR_MARGIN < misfit) & (mirrored <= tolerance_of(sites))
 
 
-def fit_attitudes(sites, masses, arms, kept=None):
+def fit_attitudes(
+    sites: np.ndarray, masses: np.ndarray, arms: np.ndarray, kept: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Attitudes that turn the sites of a body onto atoms, and the largest distance left for each body.
 
     The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
@@ -89,6 +91,6 @@ def fit_attitudes(sites, masses, arms, kept=None):
     return attitudes, _misfit(sites, arms, attitudes)
 
 
-def _misfit(sites, arms, A):
+def _misfit(sites: np.ndarray, arms: np.ndarray, A: np.ndarray) -> np.ndarray:
     places = np.einsum("ak,axm->mkx", sites, A)
     return np.linalg.norm(arms - places, axis=2).max(axis=1)

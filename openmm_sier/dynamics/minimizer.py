@@ -39,7 +39,7 @@ class Point:
     rms: float
 
 
-def descent(bodies: RigidBodies, forces: Forces, q, A) -> Iterator[Point]:
+def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -> Iterator[Point]:
     """Bodies on their way to a minimum of the potential energy, the start first, for as long as one asks.
 
     FIRE: a motion under the forces, of unit masses, that is turned towards the force and stopped whenever it goes
@@ -77,7 +77,7 @@ def descent(bodies: RigidBodies, forces: Forces, q, A) -> Iterator[Point]:
         q, A = q + step * v[:3], _turned(A, step * v[3:] * inverse)
 
 
-def _turned(A, angle):
+def _turned(A: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Attitudes turned by lab vectors (3, n); the Cayley form, which differs from the rotation in third order."""
     x, y, z = t = 0.5 * angle
     zero = np.zeros_like(x)

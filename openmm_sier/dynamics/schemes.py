@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -34,7 +35,7 @@ class Scheme:
     stages: tuple[Stage, ...]
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
         if not self.stages:
             raise ValueError(f"scheme {self.name} has no stages")
@@ -153,7 +154,7 @@ class Scheme:
         return min([order_of_flow(stages, flows) for stages in motions] + carried, default=HIGHEST_ORDER)
 
 
-def _before_kick(stages) -> list[str]:
+def _before_kick(stages: Iterable[Stage]) -> list[str]:
     """Names of the operators before the first kick."""
     return [stage.operator for stage in itertools.takewhile(lambda stage: stage.flow != KICK, stages)]
 

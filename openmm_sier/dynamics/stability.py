@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -42,7 +43,7 @@ def accuracy_limit(stages: Sequence[Stage]) -> float:
     return min(stability_limit(stages), math.sqrt(min(unequal)))
 
 
-def _propagation(stages: Sequence[Stage]):
+def _propagation(stages: Sequence[Stage]) -> tuple[Any, Any]:
     """Rows of the matrix. Stages that are neither kick nor drift, such as a heat bath, are left out."""
     one, zero = Polynomial([1.0]), Polynomial([0.0])
     q, p = (one, zero), (zero, one)

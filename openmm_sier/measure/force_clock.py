@@ -1,13 +1,17 @@
-"""The time that evaluations of forces take."""
+"""Time spent in evaluations of forces."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from time import perf_counter
+from typing import Any
+
+import openmm
 
 
 class ForceClock:
-    """Measures the time that evaluations of forces and energies take, and to give the positions for them, from outside.
+    """Measures from outside the time of evaluations of forces and energies, and of setting positions for them.
 
     It stands in front of `Context.getState` and `Context.setPositions`.
 
@@ -16,18 +20,18 @@ class ForceClock:
         calls: number of evaluations of forces.
     """
 
-    def __init__(self, context):
+    def __init__(self, context: openmm.Context) -> None:
         self.seconds, self.calls = 0.0, 0
         ask, place = context.getState, context.setPositions
 
-        def timed(call, *args, **kwargs):
+        def timed(call: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
             start = perf_counter()
             try:
                 return call(*args, **kwargs)
             finally:
                 self.seconds += perf_counter() - start
 
-        def timed_ask(*args, **kwargs):
+        def timed_ask(*args: Any, **kwargs: Any) -> Any:
             if not (kwargs.get("forces") or kwargs.get("energy")):
                 return ask(*args, **kwargs)
             self.calls += bool(kwargs.get("forces"))

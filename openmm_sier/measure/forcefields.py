@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import openmm
 from openmm import app, unit
+from openmm.unit import Quantity
 
 from openmm_sier.context.pme import balance_pme, meshed_forces
 from openmm_sier.measure.water_models import ForceFieldError, WaterModel, recognize
@@ -37,13 +38,13 @@ LARGEST_CUTOFF = 0.45
 
 @dataclass(frozen=True)
 class Choice:
-    """Force-field files, and in words why they were picked."""
+    """Force-field files, and the reason for the choice in words."""
 
     files: tuple[str, ...]
     reason: str
 
 
-def pick(path: str | Path, topology, positions) -> Choice:
+def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> Choice:
     """The force field of a PDB file for which the user named none.
 
     Records "REMARK  99 FORCEFIELD file.xml" in the file decide; the project's own boxes have them. Without them it is
@@ -80,7 +81,7 @@ def pick(path: str | Path, topology, positions) -> Choice:
     return Choice((file,), f"{model.name}, whose geometry the water has{', with ions' if others else ''}")
 
 
-def _unknown_residues(path, model: WaterModel, others) -> str:
+def _unknown_residues(path: str | Path, model: WaterModel, others: Iterable[app.topology.Residue]) -> str:
     names = ", ".join(sorted({residue.name for residue in others})) or "none"
     hint = "" if model.file_with_ions is None else f"; {model.file_with_ions} has {model.name} water and ions"
     return f"{path} has residues {names} besides {model.name} water. Name force fields for them with --forcefield{hint}"
@@ -114,7 +115,9 @@ def locate(name: str, beside: Path) -> str:
     return name
 
 
-def add_virtual_sites(topology, positions, forcefield):
+def add_virtual_sites(
+    topology: app.Topology, positions: np.ndarray, forcefield: app.ForceField
+) -> tuple[app.Topology, Quantity]:
     """Topology and positions (a Quantity) with the virtual sites that the force field has and the file lacks.
 
     Raises:
@@ -128,8 +131,8 @@ def add_virtual_sites(topology, positions, forcefield):
     return modeller.topology, modeller.positions
 
 
-def pme_system(topology, forcefield):
-    """The System: rigid water, PME where there is a box, everything with everything where there is none.
+def pme_system(topology: app.Topology, forcefield: app.ForceField) -> openmm.System:
+    """The System: rigid water, PME in a periodic box, no cut-off without one.
 
     The cut-off is 0.9 nm, less in a box too small for it, with the sums of PME balanced (`openmm_sier.balance_pme`);
     Lennard-Jones is switched off over the last sixth of it, with the usual correction for its tail. Nothing removes the
@@ -216,7 +219,7 @@ def shipped_box(name: str = DEFAULT_BOX) -> Path:
     raise ForceFieldError(f"the box {name} did not come with this installation; name a PDB file")
 
 
-def make_whole(positions, topology) -> np.ndarray:
+def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
     """Positions (N, 3) in nm, every atom at the periodic image that is nearest to the first one of its residue."""
     box = topology.getPeriodicBoxVectors()
     if box is None:
@@ -230,7 +233,7 @@ def make_whole(positions, topology) -> np.ndarray:
     return positions[first] + arms
 
 
-def _narrowest_width(box) -> float:
+def _narrowest_width(box: Quantity) -> float:
     """Smallest width in nm of a box in OpenMM's reduced form: a along x, b in the xy plane."""
     lengths = np.array(box.value_in_unit(unit.nanometer))
     return float(np.diag(lengths).min())

@@ -1,4 +1,4 @@
-"""How well a run conserved energy: fluctuation and drift, each defined once.
+"""Energy conservation of a run: fluctuation and drift, each defined once.
 
 Temperatures are in `openmm_sier.context.temperature`, since integrators state them too.
 """
@@ -18,12 +18,12 @@ WINDOW = 1.0
 LEAST = 8
 
 
-def number_of_windows(time, window: float = WINDOW) -> int:
-    """Into how many windows of about this length in ps times (n,) are divided, each with `LEAST` of them or more."""
+def number_of_windows(time: np.ndarray, window: float = WINDOW) -> int:
+    """Number of windows of about this length in ps for times (n,); each window has at least `LEAST` of them."""
     return max(1, min(round((time[-1] - time[0]) / window), len(time) // LEAST))
 
 
-def energy_fluctuation(time, total, window: float | None = WINDOW) -> float:
+def energy_fluctuation(time: np.ndarray, total: np.ndarray, window: float | None = WINDOW) -> float:
     """rms(H) in kJ/mol.
 
     Args:
@@ -49,7 +49,7 @@ def energy_fluctuation(time, total, window: float | None = WINDOW) -> float:
     return rms(np.concatenate(rest))
 
 
-def energy_error(time, total, potential, window: float | None = WINDOW) -> float:
+def energy_error(time: np.ndarray, total: np.ndarray, potential: np.ndarray, window: float | None = WINDOW) -> float:
     """rms(H)/rms(V), the measure of energy conservation; rms(V) is about the mean of the run.
 
     Args:
@@ -65,6 +65,6 @@ def energy_error(time, total, potential, window: float | None = WINDOW) -> float
     return energy_fluctuation(time, total, window) / spread if spread > 0 else math.nan
 
 
-def energy_drift(time, total) -> tuple[float, float]:
+def energy_drift(time: np.ndarray, total: np.ndarray) -> tuple[float, float]:
     """Slope of what is conserved in kJ/mol/ps and its standard error; see `slope_and_error`."""
     return slope_and_error(time, total)

@@ -1,6 +1,6 @@
-"""What a long computation tells whoever started it: notes, tables and how far it is.
+"""Reports of long computations: notes, tables and progress.
 
-Nothing here shows anything. The command passes in an object that does, with rich; without one all is silent.
+Nothing here prints. The command passes in an object that prints with rich; without one, computations are silent.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ class Table(NamedTuple):
 
 
 class Advance(Protocol):
-    """Takes how much has been done in all, and what is being done if that changes."""
+    """Takes the amount done so far, and a new description if that changes."""
 
     def __call__(self, done: float, description: str | None = None) -> None: ...
 
 
 class Report(Protocol):
-    """Where a computation reports to."""
+    """The receiver of reports."""
 
     def note(self, message: str) -> None:
-        """A line about what is being done."""
+        """Take a line of progress information."""
 
     def table(self, table: Table) -> None:
-        """A result."""
+        """Take a table of results."""
 
     def progress(
         self, description: str, total: float = 1.0, ps: float | None = None
     ) -> AbstractContextManager[Advance]:
-        """How far something is, within a with-statement.
+        """Progress of a computation, as a context manager.
 
         Args:
             description: what is being done.
@@ -76,5 +76,5 @@ SILENT = Silent()
 
 
 def duration(seconds: float) -> str:
-    """A duration with a unit that suits it."""
+    """A duration as text, in ms or s."""
     return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"

@@ -1,4 +1,4 @@
-"""Integrators to compare, and time series of what they do."""
+"""Integrators to compare, and time series of their runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from openmm_sier.context.temperature import MomentumConservation, degrees_of_fre
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
+from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, Scheme
 
 #: Tolerance of constraints for OpenMM's own integrators; SETTLE is not better than 1e-8.
 CONSTRAINT_TOLERANCE = 1e-7
@@ -100,12 +100,12 @@ def nve_methods() -> dict[str, Method]:
 def nvt_methods(temperature: float, friction: float, seed: int) -> dict[str, Method]:
     """OpenMM's LangevinMiddle and every scheme of the catalogue with a heat bath, by lower-case name."""
 
-    def middle(h):
+    def middle(h: float) -> openmm.Integrator:
         integrator = openmm.LangevinMiddleIntegrator(temperature, friction, h)
         integrator.setRandomNumberSeed(seed)
         return integrator
 
-    def langevin(h, scheme):
+    def langevin(h: float, scheme: Scheme) -> openmm.Integrator:
         integrator = SIERLangevinIntegrator(temperature, friction, h, scheme=scheme)
         integrator.setRandomNumberSeed(seed)
         return integrator
@@ -119,7 +119,7 @@ def nvt_methods(temperature: float, friction: float, seed: int) -> dict[str, Met
 
 
 def sample(
-    context, bodies: RigidBodies, steps: int, every: int, progress: Callable[[int], None] | None = None
+    context: openmm.Context, bodies: RigidBodies, steps: int, every: int, progress: Callable[[int], None] | None = None
 ) -> Series:
     """Run a Context and record energies and temperatures at whole steps.
 
@@ -172,7 +172,7 @@ class _Sample(NamedTuple):
         return f"temperatures of {self.translation:.0f} K and {self.rotation:.0f} K, V = {self.potential:.4g} kJ/mol"
 
 
-def _observe(context, bodies: RigidBodies, conserved: bool) -> _Sample:
+def _observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> _Sample:
     state = context.getState(energy=True)
     found = temperatures(bodies, _body_state(context, bodies), conserved)
     return _Sample(
@@ -185,8 +185,8 @@ def _observe(context, bodies: RigidBodies, conserved: bool) -> _Sample:
     )
 
 
-def _body_state(context, bodies: RigidBodies) -> BodyState:
-    """The bodies at the whole step, whichever integrator the Context has."""
+def _body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
+    """The state of the bodies at a whole step, for any integrator."""
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
         return integrator.getBodyState()
@@ -204,7 +204,7 @@ def _body_state(context, bodies: RigidBodies) -> BodyState:
     return BodyState(q, p, A, L)
 
 
-def steepness(context, bodies: RigidBodies, samples: int, every: int) -> tuple[float, float]:
+def steepness(context: openmm.Context, bodies: RigidBodies, samples: int, every: int) -> tuple[float, float]:
     """Temperature times the mean squared frequency of translation and of rotation, K/ps^2.
 
     In equilibrium <F M^-1 F> = kT <tr M^-1 V''>, and the like with torques and moments, so that forces tell it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import openmm
@@ -17,7 +17,10 @@ from openmm_sier.context.temperature import DegreesOfFreedom, degrees_of_freedom
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
-from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.report import SILENT, Advance, Report
+
+if TYPE_CHECKING:
+    from openmm_sier.measure.forcefields import Box
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized. Among 512 molecules of water at 297 K the
 #: largest is 1000 to 2200.
@@ -50,11 +53,11 @@ KEPT_PROPERTIES = ("Threads", "DeterministicForces", "Precision", "DeviceIndex")
 
 
 class EquilibrationWarning(UserWarning):
-    """An equilibration has ended before temperatures and potential energy were what they should be."""
+    """An equilibration ended before temperatures and potential energy had settled."""
 
 
-def make_context(system, integrator, platform: str | None):
-    """A Context on a platform of a given name, in mixed precision where there is a choice; None takes the fastest."""
+def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
+    """A Context on the named platform, in mixed precision if it offers a choice; None takes the fastest platform."""
     for index in range(openmm.Platform.getNumPlatforms()):
         known = openmm.Platform.getPlatform(index)
         if "Precision" in known.getPropertyNames():
@@ -65,9 +68,9 @@ def make_context(system, integrator, platform: str | None):
 
 
 def equilibrated(
-    box, temperature: float, seed: int, time: float | None, platform: str | None = None, report: Report = SILENT
+    box: Box, temperature: float, seed: int, time: float | None, platform: str | None = None, report: Report = SILENT
 ) -> openmm.State:
-    """State of a box (`openmm_sier.measure.forcefields.Box`) from which runs at constant energy have a temperature.
+    """State of a box (`openmm_sier.measure.forcefields.Box`) from which constant-energy runs have a given temperature.
 
     Args:
         box: what to equilibrate.
@@ -80,8 +83,8 @@ def equilibrated(
 
 
 def prepare(
-    context,
-    positions,
+    context: openmm.Context,
+    positions: np.ndarray,
     temperature: float,
     seed: int = 1,
     time: float | None = None,
@@ -122,7 +125,7 @@ def prepare(
     context.setStepCount(0)
 
 
-def _strongest_force(context) -> float:
+def _strongest_force(context: openmm.Context) -> float:
     """Largest net force on a body, kJ/mol/nm; infinite where one is not finite."""
     integrator = context.getIntegrator()
     forces = context.getState(forces=True).getForces(asNumpy=True)
@@ -136,7 +139,7 @@ def _strongest_force(context) -> float:
 
 @dataclass(frozen=True)
 class Equilibration:
-    """How an equilibration ended.
+    """The end of an equilibration.
 
     Attributes:
         state: positions, velocities and box.
@@ -155,7 +158,7 @@ class Equilibration:
 
 
 def equilibrate(
-    context, temperature: float, seed: int = 1, time: float | None = None, report: Report = SILENT
+    context: openmm.Context, temperature: float, seed: int = 1, time: float | None = None, report: Report = SILENT
 ) -> Equilibration:
     """Run at constant temperature, and pressure if one is kept, until the liquid has settled.
 
@@ -191,7 +194,7 @@ def equilibrate(
     with report.progress(f"equilibration at {temperature:g} K", steps, STEP) as advance:
         while done < steps and not (settled and time is None):
             length = min(each, steps - done)
-            windows.append(_window(bath, length, lambda taken, before=done: advance(before + taken)))
+            windows.append(_window(bath, length, advance, done))
             done += length
             settled = _has_settled(windows, temperature, dof)
     last = _Window(*np.mean(windows[-2:], axis=0)) if windows else _Window(math.nan, math.nan, math.nan)
@@ -201,8 +204,8 @@ def equilibrate(
     return found
 
 
-def _bath_context(context, temperature: float, seed: int) -> openmm.Context:
-    """A Context like another one, but at constant temperature, with velocities drawn."""
+def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
+    """A copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
     pressure = integrator.getPressure() if isinstance(integrator, SIERLangevinIntegrator) else None
     langevin = SIERLangevinIntegrator(temperature, FRICTION, STEP, SCHEME, integrator.bodies, pressure=pressure)
@@ -223,15 +226,15 @@ class _Window(NamedTuple):
     potential: float
 
 
-def _window(bath, steps: int, advance) -> _Window:
-    """Run for some steps, and average."""
+def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> _Window:
+    """Run for some steps after those done before, and average."""
     integrator, samples = bath.getIntegrator(), []
     for begin in range(0, steps, EVERY):
         taken = min(EVERY, steps - begin)
         integrator.step(taken)
         potential = bath.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
         samples.append((*integrator.computeTemperatures()[1:], potential))
-        advance(begin + taken)
+        advance(done + begin + taken)
     return _Window(*np.mean(samples, axis=0).tolist())
 
 
@@ -246,7 +249,7 @@ def _has_settled(windows: list[_Window], temperature: float, dof: DegreesOfFreed
 
 
 def bound(temperature: float, dof: int) -> float:
-    """By how much a mean temperature may be off, K: one canonical standard deviation of a snapshot, or 1 K."""
+    """Largest deviation of a mean temperature, K: one canonical standard deviation of a snapshot, at least 1 K."""
     return max(temperature * math.sqrt(2 / dof), TIGHTEST)
 
 
@@ -267,7 +270,7 @@ def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time:
     report.note(f"equilibrated for {message}" + ("" if found.settled else "; not settled"))
 
 
-def stop_centre_of_mass(context) -> None:
+def stop_centre_of_mass(context: openmm.Context) -> None:
     """Bring the centre of mass of a Context to rest."""
     system = context.getSystem()
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
@@ -277,7 +280,7 @@ def stop_centre_of_mass(context) -> None:
     context.setVelocities(velocities)
 
 
-def _set_energy(context, temperature: float, potential: float) -> None:
+def _set_energy(context: openmm.Context, temperature: float, potential: float) -> None:
     """Scale all velocities so that the total energy is the mean one at a temperature.
 
     Args:

@@ -11,19 +11,19 @@ import numpy as np
 GROUPS = 40
 
 
-def rms(values) -> float:
+def rms(values: np.ndarray) -> float:
     """Root mean square deviation from the mean."""
     return float(np.std(values))
 
 
-def block_means(values, blocks: int) -> np.ndarray:
+def block_means(values: np.ndarray, blocks: int) -> np.ndarray:
     """Means of equal blocks of a series; a remainder that fills no block is left out at its start."""
     values = np.asarray(values, dtype=float)
     length = len(values) // blocks
     return values[len(values) - blocks * length :].reshape(blocks, length).mean(axis=1)
 
 
-def mean_and_error(values, blocks: int = 20) -> tuple[float, float]:
+def mean_and_error(values: np.ndarray, blocks: int = 20) -> tuple[float, float]:
     """Mean of a correlated series and its standard error, from the scatter of the means of equal blocks.
 
     Args:
@@ -36,7 +36,7 @@ def mean_and_error(values, blocks: int = 20) -> tuple[float, float]:
     return float(means.mean()), float(means.std(ddof=1) / math.sqrt(blocks)) if blocks > 1 else math.nan
 
 
-def slope_and_error(x, y, blocks: int = 10) -> tuple[float, float]:
+def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> tuple[float, float]:
     """Slope of a straight line through a correlated series and its standard error, from the means of equal blocks.
 
     The error is that of independent block means, so that blocks must be longer than the correlation time.
@@ -54,7 +54,7 @@ def slope_and_error(x, y, blocks: int = 10) -> tuple[float, float]:
     return float(slope), math.sqrt(covariance[0, 0])
 
 
-def median_and_error(values) -> tuple[float, float]:
+def median_and_error(values: np.ndarray) -> tuple[float, float]:
     """Median of independent values and its standard error, NaN for a single one.
 
     The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the

@@ -1,4 +1,4 @@
-"""Water models by their geometry: which one a PDB file holds, where that can be told.
+"""Water models by their geometry, and recognition of the model in a PDB file.
 
 Rigid water models share few geometries. TIP3P, in Amber's form and in CHARMM's, has that of TIP4P and TIP5P without
 their charge sites; SPC has that of SPC/E. A PDB file of such a geometry does not tell its model.
@@ -7,9 +7,11 @@ their charge sites; SPC has that of SPC/E. A PDB file of such a geometry does no
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from openmm import app
 
 #: Coordinates in a PDB file are rounded to this, nm.
 PDB_RESOLUTION = 1e-4
@@ -27,7 +29,7 @@ class ForceFieldError(ValueError):
 
 @dataclass(frozen=True)
 class WaterModel:
-    """What tells a water model by its geometry.
+    """The geometry by which a water model is recognized.
 
     Attributes:
         name: as in the literature.
@@ -75,8 +77,8 @@ WATER_MODELS = (
 )
 
 
-def recognize(waters, positions, ions: bool = False) -> WaterModel:
-    """The one model that water molecules have the geometry of.
+def recognize(waters: Sequence[app.topology.Residue], positions: np.ndarray, ions: bool = False) -> WaterModel:
+    """The one model whose geometry water molecules have.
 
     Without virtual sites in the file, the geometry of the atoms alone has to tell it.
 
@@ -110,7 +112,7 @@ def recognize(waters, positions, ions: bool = False) -> WaterModel:
     )
 
 
-def _common_size(waters) -> int:
+def _common_size(waters: Sequence[app.topology.Residue]) -> int:
     counts = [len(list(residue.atoms())) for residue in waters]
     sites = max(counts)
     if min(counts) != sites:
@@ -145,7 +147,7 @@ def _distance(means: np.ndarray, model: WaterModel) -> float:
     return float(np.abs(means - model.distances[: len(means)]).max())
 
 
-def _distances(residue, positions) -> tuple[float, ...]:
+def _distances(residue: app.topology.Residue, positions: np.ndarray) -> tuple[float, ...]:
     """O-H (mean of both), H-H and, with sites without mass, O-M (mean of all), nm."""
     kinds: dict[str, list] = {"O": [], "H": [], "M": []}
     for atom in residue.atoms():

@@ -1,4 +1,4 @@
-"""Whether rotations and translations have one temperature: what `openmm-sier equipartition` compares."""
+"""Temperatures of rotations and translations by integrator: the comparison behind `openmm-sier equipartition`."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ SETTLING = 2.0
 #: Samples of the forces that predict the bias, steps of SIER2 before each, and their length in ps.
 FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 
-#: What the numbers are written to.
+#: The file of the numbers.
 FILE = "equipartition.json"
 
 
 @dataclass(frozen=True)
 class EquipartitionSettings:
-    """What is compared. Times in ps; the steps per force evaluation in fs; seeds of replicas follow the first."""
+    """Settings of the comparison. Times in ps; steps per force evaluation in fs; seeds of replicas follow the first."""
 
     box: Path
     forcefield: list[str] | None = None
@@ -114,8 +114,8 @@ def compare(settings: EquipartitionSettings, report: Report = SILENT) -> list[Ro
     return pooled(rows)
 
 
-def _slope(system, bodies, start, settings: EquipartitionSettings) -> float:
-    """How much steeper the potential is for rotations: the difference of `sampling.steepness`, K/ps^2."""
+def _slope(system: openmm.System, bodies: RigidBodies, start: openmm.State, settings: EquipartitionSettings) -> float:
+    """Excess steepness of the potential for rotations: the difference of `sampling.steepness`, K/ps^2."""
     context = make_context(system, SIERIntegrator(FORCE_STEP, SIER2, bodies), settings.platform)
     context.setState(start)
     translation, rotation = sampling.steepness(context, bodies, FORCE_SAMPLES, FORCE_INTERVAL)
@@ -138,7 +138,7 @@ def _pool_of(rows: list[Row]) -> Row:
     times = np.array([row.time for row in rows])
     weights = times / times.sum()
 
-    def together(name):
+    def together(name: str) -> tuple[float, float]:
         means, errors = np.array([getattr(row, name) for row in rows]).T
         return float(weights @ means), float(np.sqrt(((weights * errors) ** 2).sum()))
 
@@ -170,7 +170,15 @@ def methods(settings: EquipartitionSettings) -> list[sampling.Method]:
     return [known[name] for name in chosen]
 
 
-def _run_method(method, dt, system, bodies, start, settings: EquipartitionSettings, report: Report) -> Row:
+def _run_method(
+    method: sampling.Method,
+    dt: float,
+    system: openmm.System,
+    bodies: RigidBodies,
+    start: openmm.State,
+    settings: EquipartitionSettings,
+    report: Report,
+) -> Row:
     step = dt * method.force_evaluations
     integrator = method.make(1e-3 * step)
     integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
@@ -248,7 +256,7 @@ def pool(directories: Sequence[Path], out: Path, report: Report = SILENT) -> lis
     return rows
 
 
-def _refuse_repetitions(directories, records) -> None:
+def _refuse_repetitions(directories: Sequence[Path], records: Sequence[dict[str, Any]]) -> None:
     """Raise ValueError where a run would count twice as if it were independent."""
     seen: dict[tuple, Path] = {}
     for directory, record in zip(directories, records, strict=True):
@@ -283,7 +291,7 @@ def load(path: Path) -> list[Row]:
 def table(rows: list[Row], ensemble: str) -> Table:
     """The rows as text."""
 
-    def cell(pair, digits):
+    def cell(pair: tuple[float, float], digits: int) -> str:
         return "-" if np.isnan(pair[0]) else f"{pair[0]:.{digits}f} ± {pair[1]:.{digits}f}"
 
     return Table(

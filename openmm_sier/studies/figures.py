@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from openmm_sier.studies import style
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-def equipartition_figure(rows, ensemble: str, path: Path) -> None:
+
+def equipartition_figure(rows: Sequence[Any], ensemble: str, path: Path) -> None:
     """T_rot - T_trans against the step per force evaluation, one line a method, and what is predicted for SIER2.
 
     Args:
@@ -38,7 +43,7 @@ def equipartition_figure(rows, ensemble: str, path: Path) -> None:
         figure.savefig(path)
 
 
-def schemes_figure(rows, path: Path) -> None:
+def schemes_figure(rows: Sequence[Any], path: Path) -> None:
     """Energy error and drift against force evaluations per picosecond, one line a scheme.
 
     Args:
@@ -71,7 +76,7 @@ def schemes_figure(rows, path: Path) -> None:
         figure.savefig(path)
 
 
-def cost_figure(points, path: Path) -> None:
+def cost_figure(points: Sequence[Any], path: Path) -> None:
     """Energy error against force evaluations per picosecond, and speed against energy error, one line a method.
 
     Args:
@@ -98,7 +103,7 @@ def cost_figure(points, path: Path) -> None:
         figure.savefig(path)
 
 
-def _logarithmic(axes) -> None:
+def _logarithmic(axes: Axes) -> None:
     from matplotlib.ticker import LogLocator
 
     axes.set_xscale("log")

@@ -1,4 +1,4 @@
-"""Which scheme conserves energy best for a given number of forces: what `openmm-sier schemes` measures."""
+"""Energy conservation of the schemes for a given number of forces: the comparison behind `openmm-sier schemes`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import openmm
 
 from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, Scheme, Stage, alternating
+from openmm_sier.dynamics.schemes import CATALOGUE, Scheme, alternating
+from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, KICK, Stage
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.observables import energy_drift, energy_error
@@ -82,7 +83,7 @@ OTHERS = {
 
 @dataclass(frozen=True)
 class SchemesSettings:
-    """What is compared. Times in ps; `dt`, the simulated time per force evaluation, in fs."""
+    """Settings of the comparison. Times in ps; `dt`, the simulated time per force evaluation, in fs."""
 
     box: Path
     forcefield: list[str] | None = None
@@ -162,7 +163,14 @@ def _chosen(settings: SchemesSettings) -> list[tuple[Method, int]]:
 
 
 def _run_method(
-    method: Method, order: int, dt: float, system, bodies, start, settings: SchemesSettings, report: Report
+    method: Method,
+    order: int,
+    dt: float,
+    system: openmm.System,
+    bodies: RigidBodies,
+    start: openmm.State,
+    settings: SchemesSettings,
+    report: Report,
 ) -> Row:
     step = dt * method.force_evaluations
     row = Row(method.name, order, method.force_evaluations, step, dt, settings.time, math.nan, (math.nan, math.nan))

@@ -1,12 +1,17 @@
-"""How all figures look: one style, and for each method one colour and marker. Figures need matplotlib, an extra."""
+"""The style of all figures, with one colour and marker for each method. Figures need matplotlib, an extra."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from openmm_sier.measure.report import Report
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 RC: Any = {
     "font.size": 11,
@@ -83,7 +88,7 @@ def context() -> AbstractContextManager:
     return mpl.rc_context(RC)
 
 
-def panels(columns: int, title: str = "", **options):
+def panels(columns: int, title: str = "", **options: Any) -> tuple[Figure, list[Axes]]:
     """A Figure with panels side by side, and the list of them.
 
     Args:
@@ -99,7 +104,7 @@ def panels(columns: int, title: str = "", **options):
     return figure, list(figure.subplots(1, columns, squeeze=False, **options)[0])
 
 
-def plain_ticks(axis, values) -> None:
+def plain_ticks(axis: Any, values: Sequence[float]) -> None:
     """Ticks of a logarithmic axis at given values, written out."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 

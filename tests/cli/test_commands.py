@@ -9,18 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from openmm_sier import SIER4G, SIERIntegrator
+from openmm_sier.cli import records
+from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.studies import equipartition
-from tests.support.commands import SMALL, complaint, log, run, write_lattice
-
-
-@pytest.fixture(scope="module")
-def box(tmp_path_factory):
-    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
-
-
-@pytest.fixture(autouse=True)
-def directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+from tests.support.commands import SMALL, complaint, log, run
 
 
 @pytest.mark.slow
@@ -39,7 +32,7 @@ def test_heat_bath_and_piston_are_restarted_bit_for_bit(box, ensemble):
 
 @pytest.mark.slow
 def test_constant_pressure_changes_the_box(box):
-    run("run", box, *SMALL, "--ensemble", "npt", "--pressure", "-500", "--time", "0.4", "--scheme", "auto")
+    run("run", box, *SMALL, "--ensemble", "npt", "--pressure", "-500", "--time", "0.4")
     volumes = log("box.csv")["Box Volume (nm^3)"]
     assert len(set(volumes.tolist())) > 1
 
@@ -143,3 +136,19 @@ def test_short_times_give_one_sample(box, monkeypatch):
 
 def test_equipartition_refuses_unknown_methods(box, capsys):
     assert "unknown method 'leapfrog'" in complaint(capsys, "equipartition", str(box), "--methods", "leapfrog")
+
+
+def test_default_scheme_is_that_of_the_integrators(box):
+    run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1")
+    plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
+    assert CATALOGUE[plan["scheme"]] == SIERIntegrator(0.001).scheme == SIER4G
+    # The README's recommendation.
+    assert plan["dt"] == 6.0
+
+
+def test_runs_begun_with_another_default_scheme_are_continued(box):
+    """Until 0.1.0 the default was SIER4 with 4 fs; checkpoints hold scheme and step."""
+    run("run", box, "--scheme", "sier4", "--platform", "Reference", "--equilibrate", "0", "--steps", "2")
+    run("run", box, "--platform", "Reference", "--restart", "box.chk", "--steps", "3")
+    plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
+    assert (plan["scheme"], plan["dt"], plan["steps"]) == ("sier4", 4.0, 3)

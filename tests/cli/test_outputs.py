@@ -148,6 +148,7 @@ def test_directory_without_permission(box, capsys, no_equilibration):
     assert "cannot be written: Permission denied" in complaint(capsys, "run", box, "--out", "closed/a.dcd")
 
 
+@pytest.mark.slow
 def test_files_that_are_missing_at_a_restart(box, capsys):
     pytest.importorskip("h5py")
     assert main.main(["run", str(box), *SMALL, "--steps", "10", "--bodies", "states.h5"]) == 0
@@ -178,6 +179,7 @@ def test_closed_standard_output(box):
     assert [path.name for path in Path().iterdir()] == ["box.pdb"]
 
 
+@pytest.mark.slow
 def test_closed_standard_error(box):
     """Nothing can be said there; no file of the run becomes number 2, into which other code would write."""
     code, out, _ = run_process(f"$RUN run box.pdb {' '.join(SMALL)} --steps 10 2>&-")
@@ -214,8 +216,8 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
     h5py = pytest.importorskip("h5py")
     # One of them is written at every step, the other and the log at every hundredth.
     often, rare = ("--every", "--bodies-every") if name == "box.dcd" else ("--bodies-every", "--every")
-    options = ["--platform", "Reference", "--equilibrate", "0", "--checkpoint-every", "0.02", "--bodies", "states.h5"]
-    options += [often, "0.004", rare, "0.4", "--report-every", "0.4"]
+    options = ["--dt", "4", "--platform", "Reference", "--equilibrate", "0", "--checkpoint-every", "0.02"]
+    options += ["--bodies", "states.h5", often, "0.004", rare, "0.4", "--report-every", "0.4"]
     assert main.main(["run", str(box), *options, "--steps", "1", "--out", "first.dcd", "--bodies", "first.h5"]) == 0
     # Checkpoints fit, which differ a little in size.
     room = round(1.3 * Path("first.chk").stat().st_size)
@@ -240,6 +242,7 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
             np.testing.assert_array_equal(file["step"], np.arange(1, more + 1))
 
 
+@pytest.mark.slow
 def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
     assert main.main(["run", str(box), *SMALL, "--steps", "20"]) == 0
     before = Path("box.chk").read_bytes()

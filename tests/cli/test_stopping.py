@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main, outputs, records, run
-from tests.support.commands import SMALL, datasets, frames, log, wait_for, write_lattice
+from tests.support.commands import SMALL, datasets, frames, log, wait_for
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
 LIMIT = 120
@@ -30,22 +30,19 @@ sys.exit(main.main(sys.argv[1:]))
 """
 
 #: Code of OpenMM's kind: it leaves Python to other threads, returns after minutes, and no signal cuts it short.
+#: The file is made once the CPU time of the thread shows that it is being executed.
 BUSY = """
 def busy(*_, **__):
-    import hashlib
-    open("busy", "w").close()
+    import hashlib, threading, time
+    clock = time.pthread_getcpuclockid(threading.get_ident())
+    begun = time.clock_gettime(clock)
+    def tell():
+        while time.clock_gettime(clock) < begun + 0.05:
+            time.sleep(0.01)
+        open("busy", "w").close()
+    threading.Thread(target=tell, daemon=True).start()
     hashlib.pbkdf2_hmac("sha512", b"a", b"b", 10**9)
 """
-
-
-@pytest.fixture(scope="module")
-def box(tmp_path_factory):
-    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
-
-
-@pytest.fixture(autouse=True)
-def directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture(params=["SIGINT", "SIGTERM", "SIGHUP"])
@@ -83,6 +80,7 @@ def signal_after_rows(monkeypatch, number, rows):
     monkeypatch.setattr(records.Log, "write", write_and_signal)
 
 
+@pytest.mark.slow
 def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsys):
     options = ["run", str(box), *SMALL, "--bodies", "cut.h5"]
     with monkeypatch.context() as patch:
@@ -100,6 +98,7 @@ def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsy
     assert signal.getsignal(signum).__module__ == __name__
 
 
+@pytest.mark.slow
 def test_run_that_was_stopped_goes_on_bit_for_bit(box, monkeypatch):
     """Trajectory, log and body states of a run that SIGTERM ended, against those of one that was let alone."""
     options = ["run", str(box), *SMALL, "--time", "0.2"]
@@ -117,6 +116,7 @@ def test_run_that_was_stopped_goes_on_bit_for_bit(box, monkeypatch):
     np.testing.assert_equal(ours, theirs)
 
 
+@pytest.mark.slow
 def test_ignored_signals_stay_ignored(box, monkeypatch):
     """`nohup` and the background jobs of a script ask for it."""
     for number in (signal.SIGHUP, signal.SIGINT):
@@ -153,6 +153,7 @@ def test_signal_in_a_minimization_that_takes_long(box):
     assert [path.name for path in Path().iterdir()] == ["busy"]
 
 
+@pytest.mark.slow
 def test_second_signal_ends_at_once(box):
     process = started(box, "--time", "1000", patch=f"{BUSY}\noutputs.Outputs._write_frame = busy\nstopping.SAME = 0.2")
     wait_for(Path("busy").exists, process)
@@ -165,6 +166,7 @@ def test_second_signal_ends_at_once(box):
     assert err == "openmm-sier: SIGINT: ended at once by a second signal; go on from the last checkpoint\n"
 
 
+@pytest.mark.slow
 def test_signal_that_is_sent_twice_at_once_is_one(box):
     """`timeout` sends SIGTERM to the process and to its group; what follows a real one must be in order."""
     process = started(box, "--time", "1000", "--out", "cut.dcd")
@@ -183,6 +185,7 @@ def test_signal_that_is_sent_twice_at_once_is_one(box):
     np.testing.assert_array_equal(log("cut.csv")["Step"], np.arange(0, step + 11, 10))
 
 
+@pytest.mark.slow
 def test_closed_terminal(box):
     """Hanging up sends SIGHUP, and whatever is written to the terminal afterwards fails."""
     child, terminal = pty.fork()

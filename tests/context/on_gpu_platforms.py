@@ -57,8 +57,12 @@ def test_program_moves_atoms_as_on_reference(gpu, cluster, precision, error):
 def test_constant_pressure_and_both_ways_between_the_engines(gpu):
     topology, positions, system = periodic_system("tip4pew")
     point = relaxed(topology, positions, system)
-    system.addForce(openmm.MonteCarloBarostat(500 * unit.bar, 300 * unit.kelvin, 2))
-    on_cpu, on_gpu, again = (SIERLangevinIntegrator(300, 5, 0.004, SIER4G) for _ in range(3))
+    barostat = openmm.MonteCarloBarostat(500 * unit.bar, 300 * unit.kelvin, 2)
+    barostat.setRandomNumberSeed(1)
+    system.addForce(barostat)
+    integrators = on_cpu, on_gpu, again = [SIERLangevinIntegrator(300, 5, 0.004, SIER4G) for _ in range(3)]
+    for integrator in integrators:
+        integrator.setRandomNumberSeed(1)
     first = context_at(system, on_cpu, point, "CPU")
     on_cpu.step(3)
     everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}

@@ -330,8 +330,11 @@ def test_velocities_to_temperature_have_it(kind, constrained):
 
 
 @pytest.mark.slow
-def test_rigidity_after_a_hundred_thousand_steps():
-    """Distances are those of the reference geometry as long as the attitudes are orthogonal, which nothing renews."""
+def test_rigidity_after_thirty_thousand_steps():
+    """Distances are those of the reference geometry as long as the attitudes are orthogonal, which nothing renews.
+
+    Rounding adds up as a random walk: 1e-16 nm sqrt(30 000) is 2e-14 nm, and the bound allows ten times that.
+    """
     system, named, positions = openmm.System(), [], []
     trap = openmm.CustomExternalForce("40*(x^2 + 2*y^2 + 3*z^2) + 20*x*y*z")
     water = [16.0, 1.0, 1.0], np.array([[0, 0, 0], [0.0957, 0, 0], [-0.024, 0.0927, 0]]), None
@@ -345,13 +348,13 @@ def test_rigidity_after_a_hundred_thousand_steps():
     context = context_at(system, integrator, (np.concatenate(positions), np.zeros((22, 3))))
     context.setVelocitiesToTemperature(500.0, 1)
     start = context.getState(positions=True)
-    integrator.step(100_000)
+    integrator.step(30_000)
     before, after = array(start.getPositions()), phase_point(context)[0]
     assert np.abs(after - before).max() > 0.1
     for atoms in named:
         for i, j in combinations(atoms, 2):
             change = np.linalg.norm(after[i] - after[j]) - np.linalg.norm(before[i] - before[j])
-            assert abs(change) < 1e-12
+            assert abs(change) < 2e-13
 
 
 # --- mirror images ----------------------------------------------------------------------------------------------
@@ -629,7 +632,9 @@ def periodic_gas():
 def test_barostats_must_not_tear_bodies_apart(barostat):
     """OpenMM's barostats move molecules, and atoms without bonds are molecules of their own."""
     gas = periodic_gas()
-    gas.system.addForce(openmm.XmlSerializer.clone(barostat))
+    barostat = openmm.XmlSerializer.clone(barostat)
+    barostat.setRandomNumberSeed(1)
+    gas.system.addForce(barostat)
     integrator = SIER2Integrator(0.001, bodies=gas.clusters)
     context = context_at(gas.system, integrator, gas.point)
     with pytest.raises(

@@ -55,7 +55,7 @@ def nitrogen(n=60, edge=1.65):
 def test_volume_is_that_of_openmms_barostat():
     """A dense fluid at 150 K and 800 bar, less than half as dense without its energy.
 
-    Blocks of 4000 steps have standard errors of some 1 % for either, so that 6 % are four times that of the difference.
+    Blocks of 2000 steps have standard errors of some 1.4 % for either, and 8 % are four times that of the difference.
     """
     system, positions = nitrogen()
     ours = SIERLangevinIntegrator(150, 20, 0.004, scheme=SIER2, pressure=800, barostatInterval=2)
@@ -69,13 +69,13 @@ def test_volume_is_that_of_openmms_barostat():
         barostat.setRandomNumberSeed(1)
         context = context_at(its_system, made, (positions, 0 * positions))
         context.setVelocitiesToTemperature(150, 1)
-        made.step(2000)
+        made.step(1000)
         found = []
-        for _ in range(200):
+        for _ in range(100):
             made.step(20)
             found.append(context.getState().getPeriodicBoxVolume()._value)
         means.append(np.mean(found))
-    assert means[0] == pytest.approx(means[1], rel=0.06)
+    assert means[0] == pytest.approx(means[1], rel=0.08)
 
 
 # --- in a Context -----------------------------------------------------------------------------------------------------

@@ -104,6 +104,7 @@ def test_barostat_and_motion_remover_count_whole_steps():
         if isinstance(force, openmm.CMMotionRemover):
             force.setFrequency(4)
     barostat = openmm.MonteCarloBarostat(1000.0, 297.0, 3)
+    barostat.setRandomNumberSeed(1)
     system.addForce(barostat)
     context = context_at(system, integrator := SIERIntegrator(0.001, SIER2, engine="native"), point)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
@@ -284,6 +285,8 @@ def test_runs_go_on_with_the_other_engine(cluster, first, by):
     one, other = (
         SIERLangevinIntegrator(300, 10, 0.002, SIER4, engine=engine, substeps=5) for engine in (first, second)
     )
+    for integrator in (one, other):
+        integrator.setRandomNumberSeed(1)
     context, later = context_at(system, one, point), context_at(system, other, point)
     one.step(7)
     heat = one.getHeat()._value

@@ -37,6 +37,7 @@ def simulation_at(box, integrator):
 @pytest.mark.slow
 def test_conservation_report(tmp_path, box):
     integrator = SIERLangevinIntegrator(297, 5, 0.001, scheme=SIER2)
+    integrator.setRandomNumberSeed(1)
     simulation = simulation_at(box, integrator)
     path = tmp_path / "log.csv"
     simulation.reporters.append(ConservationReporter(path, 5))

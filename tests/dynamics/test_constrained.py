@@ -140,12 +140,12 @@ def test_the_gradient_kick_is_the_force_of_the_modified_potential(name):
 def test_time_reversal(name, scheme):
     system, start, _ = solved(name)
     operators = point_operators(system.constraints(), FastForces(system.forces))
-    there = run(operators, scheme, start, 0.002, 50)
+    there = run(operators, scheme, start, 0.003, 20)
     assert distance(there, start) > 1.0
-    back = run(operators, scheme, replace(there, p=-there.p), 0.002, 50)
+    back = run(operators, scheme, replace(there, p=-there.p), 0.003, 20)
     # Rounding that the flow's instability magnifies.
     assert distance(replace(back, p=-back.p), start) < 1e-9
-    assert distance(run(operators, scheme, there, -0.002, 50), start) < 1e-9
+    assert distance(run(operators, scheme, there, -0.003, 20), start) < 1e-9
 
 
 def without_field(name):
@@ -164,10 +164,10 @@ def test_momentum_and_angular_momentum_are_constant(name, scheme):
     """Of isolated clusters and of two chains; each molecule is a group, so that gradient kicks conserve too."""
     system, start = without_field(name)
     operators = points_of(system, groups=system.molecules)
-    end = run(operators, scheme, start, 0.002, 200)
+    end = run(operators, scheme, start, 0.002, 100)
     size = np.abs(start.p).max()
     for found, expected in zip(totals(end), totals(start), strict=True):
-        # 200 steps with some ten roundings of all momenta each.
+        # 100 steps with some ten roundings of all momenta each.
         assert np.abs(found - expected).max() < 3e-13 * size
 
 

@@ -18,17 +18,25 @@ POSITION_VERLET = Scheme("position Verlet", (("drift", 0.5), ("kick", 1.0), ("dr
 
 
 def motion(scheme, z, steps):
-    """q and p/(m omega) of a harmonic mode after each step of a point body, with omega h = z."""
+    """q and p/(m omega) of a harmonic mode after each step of a point body, with omega h = z.
+
+    A step is linear in both, so that the scheme's operators make it of two bodies at rest in q and in p, and its matrix
+    makes all others. A third body shows that it is linear.
+    """
     mass, strength = 3.0, 7.0
     omega = math.sqrt(strength / mass)
-    bodies = RigidBodies([Species.from_coordinates([[0]], [mass], [[0, 0, 0]])], 1)
+    bodies = RigidBodies([Species.from_coordinates([[0], [1], [2]], [mass], [[0, 0, 0]])], 3)
     forces = operators.CachedForces(lambda q, A: (-strength * q, np.zeros_like(q)))
     step = operators.stepper(scheme, operators.body_operators(bodies, forces), z / omega)
-    state = BodyState(np.array([[1.0], [0.0], [0.0]]), np.zeros((3, 1)), np.eye(3)[:, :, None], np.zeros((3, 1)))
-    path = []
+    q, p = np.zeros((3, 3)), np.zeros((3, 3))
+    q[0], p[0] = (1.0, 0.0, 1.0), (0.0, mass * omega, mass * omega)
+    state = step(BodyState(q, p, np.repeat(np.eye(3)[:, :, None], 3, axis=2), np.zeros((3, 3))))
+    (a, b, both_q), (c, d, both_p) = state.q[0].tolist(), (state.p[0] / (mass * omega)).tolist()
+    assert (a + b, c + d) == pytest.approx((both_q, both_p), rel=1e-13, abs=1e-13)
+    x, y, path = 1.0, 0.0, []
     for _ in range(steps):
-        state = step(state)
-        path.append((state.q[0, 0], state.p[0, 0] / (mass * omega)))
+        x, y = a * x + b * y, c * x + d * y
+        path.append((x, y))
     return np.array(path)
 
 

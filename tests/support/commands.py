@@ -18,7 +18,9 @@ from openmm_sier.measure import forcefields
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
 
-SMALL = ["--platform", "Reference", "--equilibrate", "0.1", "--every", "0.02", "--checkpoint-every", "0.1"]
+#: Options of a short run with the cheapest scheme.
+SMALL = ["--scheme", "sier2", "--dt", "4", "--platform", "Reference", "--equilibrate", "0.1"]
+SMALL += ["--every", "0.02", "--checkpoint-every", "0.1"]
 
 
 def load_program(path):

@@ -48,7 +48,7 @@ class Points:
         self.field = self.FIELD * field
         self.waves = self.WAVES * np.random.default_rng(8).normal(size=(3, n)) / np.sqrt(3)
 
-    def constraints(self, compiled=False):
+    def constraints(self, compiled=None):
         return Constraints(self.pairs, self.lengths, self.masses, compiled=compiled)
 
     @property

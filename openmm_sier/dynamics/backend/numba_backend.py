@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from openmm_sier.dynamics.backend import numba_loops
 from openmm_sier.dynamics.backend.numba_compile import compiled
 from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend, Rotor
+from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.backend.threads import shared
+from openmm_sier.dynamics.backend.top import Top
 
 
 @cache
-def _loop(name: str, rotor: Rotor | None = None):
+def _loop(name: str, rotor: Rotor | None = None) -> Callable[..., Any]:
     """A loop of `numba_loops`, compiled; one that rotates calls the formulas of a rotor."""
     replaced = {} if rotor is None else {numba_loops.rotate_body: rotor.of_body}
     return shared(compiled(getattr(numba_loops, name), replaced))
 
 
-def _all(vectors) -> slice:
+def _all(vectors: np.ndarray) -> slice:
     return slice(0, vectors.shape[1])
 
 
@@ -28,7 +32,7 @@ class NumbaBackend(NumpyBackend):
 
     name = "Numba"
 
-    def rotate(self, rotor, top, A, L, h):
+    def rotate(self, rotor: Rotor, top: Top, A: np.ndarray, L: np.ndarray, h: float) -> np.ndarray:
         if not (top.shared and top.turns):
             return super().rotate(rotor, top, A, L, h)
         new, far = np.empty(A.shape), np.empty(A.shape[2], dtype=bool)
@@ -36,7 +40,17 @@ class NumbaBackend(NumpyBackend):
             self._rotate_far(rotor, top, _all(L), A, L, h, new, far)
         return new
 
-    def drift(self, rotor, kinds, q, p, A, L, h, inverse_masses):
+    def drift(
+        self,
+        rotor: Rotor,
+        kinds: Sequence[tuple[Top, slice]],
+        q: np.ndarray,
+        p: np.ndarray,
+        A: np.ndarray,
+        L: np.ndarray,
+        h: float,
+        inverse_masses: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         new_q, new_A, far = np.empty(q.shape), np.empty(A.shape), np.empty(q.shape[1], dtype=bool)
         loop = _loop("drift", rotor)
         for top, part in kinds:
@@ -44,38 +58,72 @@ class NumbaBackend(NumpyBackend):
                 self._rotate_far(rotor, top, part, A, L, h, new_A, far)
         return new_q, new_A
 
-    def _rotate_far(self, rotor, top, part, A, L, h, new, far):
+    def _rotate_far(
+        self,
+        rotor: Rotor,
+        top: Top,
+        part: slice,
+        A: np.ndarray,
+        L: np.ndarray,
+        h: float,
+        new: np.ndarray,
+        far: np.ndarray,
+    ) -> None:
         """Write the new attitudes of those in a slice of the bodies that the loop left aside."""
         left = part.start + np.flatnonzero(far[part])
         turned = np.empty((3, 3, left.size))
         self._rotate(rotor, top, A[:, :, left], L[:, left], h, turned, left)
         new[:, :, left] = turned
 
-    def kick(self, p, L, F, tau, h):
+    def kick(
+        self, p: np.ndarray, L: np.ndarray, F: np.ndarray, tau: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         new_p, new_L = np.empty(p.shape), np.empty(p.shape)
         _loop("kick")(_all(p), p, L, F, tau, h, new_p, new_L)
         return new_p, new_L
 
-    def kick_from(self, p, L, F, tau, arm, h):
+    def kick_from(
+        self, p: np.ndarray, L: np.ndarray, F: np.ndarray, tau: np.ndarray, arm: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         new_p, new_L = np.empty(p.shape), np.empty(p.shape)
         _loop("kick_from")(_all(p), p, L, F, tau, arm, h, new_p, new_L)
         return new_p, new_L
 
-    def displace(self, q, A, F, tau, shift, inverse_masses, inverse_moments):
+    def displace(
+        self,
+        q: np.ndarray,
+        A: np.ndarray,
+        F: np.ndarray,
+        tau: np.ndarray,
+        shift: float,
+        inverse_masses: np.ndarray,
+        inverse_moments: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         new_q, new_A = np.empty(q.shape), np.empty(A.shape)
         _loop("displace")(_all(q), q, A, F, tau, shift, inverse_masses, inverse_moments, new_q, new_A)
         return new_q, new_A
 
-    def place(self, kinds, q, A, positions):
+    def place(self, kinds: Sequence[Sites], q: np.ndarray, A: np.ndarray, positions: np.ndarray) -> bool:
         loop = _loop("place")
         return not sum(loop(s.part, s.part.start, q, A, s.places, s.atoms, positions) for s in kinds)
 
-    def move(self, kinds, p, A, L, inverse_masses, inverse_moments, velocities):
+    def move(
+        self,
+        kinds: Sequence[Sites],
+        p: np.ndarray,
+        A: np.ndarray,
+        L: np.ndarray,
+        inverse_masses: np.ndarray,
+        inverse_moments: np.ndarray,
+        velocities: np.ndarray,
+    ) -> None:
         loop, bodies = _loop("move"), (p, A, L, inverse_masses, inverse_moments)
         for s in kinds:
             loop(s.part, s.part.start, *bodies, s.places, s.atoms, velocities)
 
-    def collect(self, kinds, vectors, A, weights):
+    def collect(
+        self, kinds: Sequence[Sites], vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
         total, moment = np.empty((3, A.shape[2])), np.empty((3, A.shape[2]))
         loop, broken = _loop("collect"), 0
         for s, weight in zip(kinds, weights, strict=True):

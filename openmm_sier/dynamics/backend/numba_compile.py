@@ -6,7 +6,7 @@ Compiled code is cached on disk, in NUMBA_CACHE_DIR if that is set.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
@@ -18,7 +18,7 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "nump
 _formulas: dict[FunctionType, Any] = {}
 
 
-def compiled(loop: FunctionType, replaced: Mapping[Any, Any]):
+def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., Any]:
     """A loop compiled, and kept on disk where a directory for it can be written.
 
     Args:

@@ -59,7 +59,7 @@ class NumpyBackend:
 
     # --- free motion ---
 
-    def rotate(self, rotor: Rotor, top: Top, A, L, h: float) -> np.ndarray:
+    def rotate(self, rotor: Rotor, top: Top, A: np.ndarray, L: np.ndarray, h: float) -> np.ndarray:
         """Attitudes after a free rotation.
 
         Raises:
@@ -69,7 +69,17 @@ class NumpyBackend:
         self._rotate(rotor, top, A, L, h, new, range(A.shape[2]))
         return new
 
-    def drift(self, rotor: Rotor, kinds: Sequence[tuple[Top, slice]], q, p, A, L, h: float, inverse_masses):
+    def drift(
+        self,
+        rotor: Rotor,
+        kinds: Sequence[tuple[Top, slice]],
+        q: np.ndarray,
+        p: np.ndarray,
+        A: np.ndarray,
+        L: np.ndarray,
+        h: float,
+        inverse_masses: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Centres and attitudes after free motion; `kinds` says which bodies have which moments.
 
         Raises:
@@ -80,7 +90,9 @@ class NumpyBackend:
             self._rotate(rotor, top, A[:, :, part], L[:, part], h, new[:, :, part], range(part.start, part.stop))
         return q + (h * inverse_masses) * p, new
 
-    def _rotate(self, rotor: Rotor, top: Top, A, L, h: float, new, numbers: Sequence[int]) -> None:
+    def _rotate(
+        self, rotor: Rotor, top: Top, A: np.ndarray, L: np.ndarray, h: float, new: np.ndarray, numbers: Sequence[int]
+    ) -> None:
         """Write new attitudes; the numbers of the bodies are for messages."""
         if not top.turns:
             new[:] = A
@@ -93,15 +105,28 @@ class NumpyBackend:
 
     # --- kicks ---
 
-    def kick(self, p, L, F, tau, h: float):
+    def kick(
+        self, p: np.ndarray, L: np.ndarray, F: np.ndarray, tau: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Momenta and angular momenta after forces and torques have acted for a time."""
         return p + h * F, L + h * tau
 
-    def kick_from(self, p, L, F, tau, arm, h: float):
+    def kick_from(
+        self, p: np.ndarray, L: np.ndarray, F: np.ndarray, tau: np.ndarray, arm: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The same by forces that act at a distance `arm`, (3, n), from the centres."""
         return p + h * F, L + h * (tau + np.stack(cross(arm, F)))
 
-    def displace(self, q, A, F, tau, shift: float, inverse_masses, inverse_moments):
+    def displace(
+        self,
+        q: np.ndarray,
+        A: np.ndarray,
+        F: np.ndarray,
+        tau: np.ndarray,
+        shift: float,
+        inverse_masses: np.ndarray,
+        inverse_moments: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Centres and attitudes of bodies displaced by `shift` times their accelerations."""
         x, y, z = A
         rows = displacing_rotation(x, y, z, tau, inverse_moments, shift)
@@ -109,7 +134,7 @@ class NumpyBackend:
 
     # --- atoms ---
 
-    def place(self, kinds: Sequence[Sites], q, A, positions) -> bool:
+    def place(self, kinds: Sequence[Sites], q: np.ndarray, A: np.ndarray, positions: np.ndarray) -> bool:
         """Write the positions (N, 3) of atoms; returns whether they are finite."""
         for sites in kinds:
             for block, columns in _blocks(sites):
@@ -117,7 +142,16 @@ class NumpyBackend:
                     positions[column] = (q[:, block] + arm).T
         return _finite(q)
 
-    def move(self, kinds: Sequence[Sites], p, A, L, inverse_masses, inverse_moments, velocities) -> None:
+    def move(
+        self,
+        kinds: Sequence[Sites],
+        p: np.ndarray,
+        A: np.ndarray,
+        L: np.ndarray,
+        inverse_masses: np.ndarray,
+        inverse_moments: np.ndarray,
+        velocities: np.ndarray,
+    ) -> None:
         """Write the velocities (N, 3) of atoms."""
         v, omega = p * inverse_masses, angular_velocity(A, L, inverse_moments)
         for sites in kinds:
@@ -125,7 +159,9 @@ class NumpyBackend:
                 for column, arm in zip(columns, _products(sites.places.T, A[:, :, block]), strict=True):
                     velocities[column] = (v[:, block] + np.stack(cross(omega[:, block], arm))).T
 
-    def collect(self, kinds: Sequence[Sites], vectors, A, weights: Sequence[np.ndarray]):
+    def collect(
+        self, kinds: Sequence[Sites], vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
         """Sums (3, n) over atoms of weighted vectors (N, 3), sums of their moments, and whether these are finite.
 
         The weights are those of the sites of each kind. With sites r = sum_a s_a A_a the moment sum_j r_j x f_j is
@@ -149,7 +185,9 @@ class NumpyBackend:
         return total, moment, _finite(total) and _finite(moment)
 
 
-def _rotated(rotor: Rotor, top: Top, A, L, h: float, numbers):
+def _rotated(
+    rotor: Rotor, top: Top, A: np.ndarray, L: np.ndarray, h: float, numbers: Sequence[int]
+) -> list[np.ndarray]:
     """Rows of the new attitudes, each (3, n)."""
     with np.errstate(all="ignore"):
         body_L = top.sort(body_frame(A, L))
@@ -167,12 +205,12 @@ def _rotated(rotor: Rotor, top: Top, A, L, h: float, numbers):
     return [combine(row, A[0], A[1], A[2]) for row in rows]
 
 
-def _finite(vectors) -> bool:
+def _finite(vectors: np.ndarray) -> bool:
     """Whether all components (3, n) are finite, as their sum shows if it does not overflow; einsum does not warn."""
     return math.isfinite(np.einsum("ij->", vectors)) or bool(np.isfinite(vectors).all())
 
 
-def _products(factors, vectors):
+def _products(factors: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Sums of vectors (k, 3, n) with factors (j, k), as (j, 3, n)."""
     return (factors @ vectors.reshape(vectors.shape[0], -1)).reshape(-1, *vectors.shape[1:])
 
@@ -189,7 +227,7 @@ def _blocks(sites: Sites) -> Iterator[tuple[slice, list]]:
         yield slice(part.start + start, part.start + stop), columns
 
 
-def _part(column, block: slice):
+def _part(column: slice | np.ndarray, block: slice) -> slice | np.ndarray:
     """What picks the atoms of some of the bodies."""
     if isinstance(column, slice):
         step = column.step or 1

@@ -39,7 +39,7 @@ class Sites:
         return axes, np.vstack([self.ones, self.places[axes]])
 
 
-def _as_slice(indices):
+def _as_slice(indices: np.ndarray) -> slice | np.ndarray:
     if indices.size == 1:
         return slice(int(indices[0]), int(indices[0]) + 1)
     step = int(indices[1] - indices[0]) if indices.size else 0

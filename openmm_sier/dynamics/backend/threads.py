@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 #: Least number of bodies for a thread: to start one takes as long as some ten thousand bodies in a light loop do.
 SHARE = 32768
@@ -47,13 +48,13 @@ def _available() -> int:
         return cores
 
 
-def shared(loop):
+def shared(loop: Callable[..., Any]) -> Callable[..., Any]:
     """A loop (start, stop, ...) as one over a slice of the bodies, which threads share where it is long.
 
     What it returns is summed.
     """
 
-    def run(part, *arguments):
+    def run(part: slice, *arguments: Any) -> Any:
         start, stop = part.start, part.stop
         n, share = stop - start, _used[1]
         if n < 2 * share or (team := min(count(), n // share)) < 2:
@@ -71,14 +72,14 @@ class Team:
     the call, so that a forked process does not wait for threads that it does not have.
     """
 
-    def __init__(self, loop, arguments):
+    def __init__(self, loop: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         self._loop, self._arguments = loop, arguments
         self._abandoned = False
         self._busy: list = []
         self._errors: list[BaseException] = []
         self._results: list = []
 
-    def run(self, spans):
+    def run(self, spans: Sequence[tuple[int, int]]) -> Any:
         own, *others = spans
         workers = [threading.Thread(target=self._work, args=(span,), daemon=True) for span in others]
         try:
@@ -95,7 +96,7 @@ class Team:
             raise self._errors[0]
         return sum(result or 0 for result in self._results)
 
-    def _work(self, span) -> None:
+    def _work(self, span: tuple[int, int]) -> None:
         # In this order: either the thread sees that it has been abandoned, or `_wait` sees that it is busy.
         self._busy.append(span)
         try:

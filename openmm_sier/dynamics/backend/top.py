@@ -40,11 +40,11 @@ class Top:
         """Equal moments for compiled loops."""
         return self.rates, self.order, float(self.parity)
 
-    def part(self, index) -> Top:
+    def part(self, index: slice | np.ndarray) -> Top:
         """The moments of some of the bodies."""
         return self if self.shared else Top(self.rates[:, index], self.order[:, index], self.parity[index])
 
-    def sort(self, v):
+    def sort(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Components (x, y, z) in the sorted frame of vectors (3, n), or rows of matrices (3, 3, n)."""
         if self.shared:
             x, y, z = (v[row] for row in self.order)
@@ -52,7 +52,7 @@ class Top:
             x, y, z = np.take_along_axis(v, self._order_like(v), axis=0)
         return x, y * self.parity, z
 
-    def unsort(self, x, y, z):
+    def unsort(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The inverse of `sort`: components in the user's frame."""
         v = x, y * self.parity, z
         if self.shared:
@@ -62,11 +62,11 @@ class Top:
         np.put_along_axis(unsorted, self._order_like(unsorted), np.stack(v), axis=0)
         return tuple(unsorted)
 
-    def _order_like(self, v):
+    def _order_like(self, v: np.ndarray) -> np.ndarray:
         return self.order if v.ndim == 2 else self.order[:, None]
 
 
-def top(moments) -> Top:
+def top(moments: np.ndarray) -> Top:
     """Prepare principal moments for the free-rotation maps.
 
     Args:
@@ -86,11 +86,11 @@ def top(moments) -> Top:
 
 
 @lru_cache(maxsize=256)
-def _of_three(x, y, z) -> Top:
+def _of_three(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Top:
     return _sorted(np.array([x, y, z]))
 
 
-def _sorted(moments) -> Top:
+def _sorted(moments: np.ndarray) -> Top:
     bad = ~(np.isfinite(moments) & (moments >= 0))
     if bad.any():
         body = f" for body {np.argwhere(bad)[0][1]}" if bad.ndim == 2 else ""

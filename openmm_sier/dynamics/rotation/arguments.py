@@ -11,7 +11,7 @@ from openmm_sier.dynamics.backend.numpy_backend import ROTATED as BLOCK
 from openmm_sier.dynamics.backend.top import Top, top
 
 
-def checked(A, L, moments, h) -> tuple[Top, np.ndarray, np.ndarray, float]:
+def checked(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[Top, np.ndarray, np.ndarray, float]:
     """The arguments of a free-rotation map as arrays, the moments prepared.
 
     Raises:
@@ -28,7 +28,7 @@ def checked(A, L, moments, h) -> tuple[Top, np.ndarray, np.ndarray, float]:
     return bodies, A, L, h
 
 
-def demand_finite(L) -> None:
+def demand_finite(L: np.ndarray) -> None:
     """Refuse angular momenta (3, n) that are not finite.
 
     Raises:

@@ -12,7 +12,7 @@ from openmm_sier.dynamics.rotation.rotor import exact
 FACTORS = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))
 
 
-def mrdl(A, L, moments, h):
+def mrdl(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     """Free rotation by the splitting of McLachlan, Reich, Dullweber and Leimkuhler: second order, symplectic, L exact.
 
     The kinetic energy is split into those of the principal axes; each part turns the body about its axis by the
@@ -48,7 +48,7 @@ def mrdl(A, L, moments, h):
     return new, L.copy()
 
 
-def _turn_about_axis(axis, angle, rows, body_L):
+def _turn_about_axis(axis: int, angle: np.ndarray, rows: np.ndarray, body_L: np.ndarray) -> None:
     """Turn bodies about a principal axis, in place: the other two axes in the lab, and L~, which stays in the lab."""
     j, k = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)

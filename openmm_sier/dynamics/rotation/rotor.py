@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
 from openmm_sier.dynamics.rotation import long_steps
@@ -10,7 +14,7 @@ from openmm_sier.dynamics.rotation.elliptic import long_series, shortest_series
 from openmm_sier.dynamics.rotation.exact import free_rotation
 
 
-def exact(A, L, moments, h):
+def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     """Exact torque-free rotation of rigid bodies over a time of any length and either sign.
 
     Args:
@@ -43,13 +47,13 @@ def exact(A, L, moments, h):
     return backend.active().rotate(EXACT, bodies, A, L, h), L.copy()
 
 
-def _of_body(body_L, rates, h):
+def _of_body(body_L: Any, rates: Any, h: float) -> Any:
     """The free rotation of one body, which Numba compiles, where the series and the sine's reach."""
     turn, _, reached = free_rotation(body_L, rates, h, long_series, small_sine_cosine, SMALL_ANGLE)
     return turn, reached
 
 
-def _of_arrays(body_L, rates, h):
+def _of_arrays(body_L: Any, rates: Any, h: float) -> Any:
     """The free rotation of bodies, which NumPy executes, where the series reach."""
     turn, _, reached = free_rotation(body_L, rates, h, shortest_series, long_steps.sine_cosine, long_steps.PHASE_CAP)
     return turn, reached

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ _SERIES_REACH = SERIES_LIMIT / (0.5 - GAUSS_NODE) ** 2
 _MOST_HALVINGS = 3
 
 
-def sej4(A, L, moments, h):
+def sej4(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     """Free rotation by the scheme SEJ4 of Celledoni and Säfström: L~ exact, A by a fourth-order Magnus step.
 
     With the exact angular velocities w1 and w2 (body frame) at the two Gauss points of the step,
@@ -55,7 +56,9 @@ def sej4(A, L, moments, h):
     return new_A, new_L
 
 
-def _gauss_velocities(rates, rows, L, h):
+def _gauss_velocities(
+    rates: np.ndarray, rows: np.ndarray, L: np.ndarray, h: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Exact angular velocities (body frame) at the two Gauss points of a step, and L~ at its end, each (3, n)."""
     body_L = body_frame(rows, L)
     rates = np.broadcast_to(rates.reshape(3, -1), body_L.shape)
@@ -73,7 +76,9 @@ def _gauss_velocities(rates, rows, L, h):
     return velocities
 
 
-def _velocities_by_series(rates, u, norm, k):
+def _velocities_by_series(
+    rates: np.ndarray, u: np.ndarray, norm: np.ndarray, k: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     motion = euler_rates(rates, u, k)
     _, _, _, p, q = motion
     phase = np.maximum(p, q).max(initial=0.0)
@@ -84,7 +89,7 @@ def _velocities_by_series(rates, u, norm, k):
     to_node = sn_increment(series, p, q, GAUSS_NODE / pieces)
     to_middle = sn_increment(series, p, q, (0.5 - GAUSS_NODE) / pieces)
 
-    def moved_on(direction, increments):
+    def moved_on(direction: Any, increments: Any) -> Any:
         for _ in range(pieces):
             direction = plus(*euler_solution(motion, direction, increments))
         return direction
@@ -96,7 +101,9 @@ def _velocities_by_series(rates, u, norm, k):
     return scale * np.stack(first), scale * np.stack(second), norm * np.stack(end)
 
 
-def _velocities_by_attitude(rates, rows, L, h, chosen):
+def _velocities_by_attitude(
+    rates: np.ndarray, rows: np.ndarray, L: np.ndarray, h: float, chosen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What `_gauss_velocities` gives, for chosen bodies, from the exact attitude; for any state and step."""
     rates, rows, L = rates[:, chosen], rows[:, :, chosen], L[:, chosen]
     moments = np.divide(1.0, rates, out=np.zeros_like(rates), where=rates > 0)
@@ -105,11 +112,11 @@ def _velocities_by_attitude(rates, rows, L, h, chosen):
     return rates * first, rates * second, end
 
 
-def _cross(a, b):
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack(cross(a, b))
 
 
-def _rotated(omega, rows):
+def _rotated(omega: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """exp(-[Omega]x) A by Rodrigues' formula; regular at Omega = 0."""
     angle = np.sqrt((omega * omega).sum(axis=0))
     sine = np.sinc(angle / np.pi)  # sin(angle)/angle

@@ -1,4 +1,4 @@
-"""What a step costs beyond its forces, and what accuracy costs: the measurements behind `openmm-sier bench`.
+"""Cost of a step beyond its forces, and cost of accuracy: the measurements behind `openmm-sier bench`.
 
 All timings of one table come from one run. What is compared takes turns, several rounds of it, and ratios are taken
 within a round, so that changes of a machine's speed cancel; medians over the rounds are shown with their standard
@@ -20,7 +20,7 @@ from openmm_sier.studies.bench.timing import BenchSettings, machine
 
 
 class Part(NamedTuple):
-    """What finds numbers, and what makes tables of them."""
+    """Functions that measure, and that make tables of the numbers."""
 
     find: Callable[[BenchSettings, Report], Any]
     tables: Callable[[Any], list[Table]]

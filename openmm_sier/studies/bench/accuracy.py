@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import pairwise
@@ -80,7 +80,7 @@ def compare_accuracy(settings: BenchSettings, report: Report) -> list[Point]:
     return points
 
 
-def _peers(system, start, report: Report):
+def _peers(system: openmm.System, start: openmm.State, report: Report) -> Iterator[tuple[peers.Peer, peers.Liquid]]:
     """The programs that are installed, each with the liquid."""
     found = peers.installed()
     if not found:
@@ -98,7 +98,14 @@ def _every(step: float) -> int:
     return max(1, round(scheme_comparison.INTERVAL / step))
 
 
-def _of_openmm(method, dt: float, system, bodies, start, settings: BenchSettings) -> Point:
+def _of_openmm(
+    method: sampling.Method,
+    dt: float,
+    system: openmm.System,
+    bodies: RigidBodies,
+    start: openmm.State,
+    settings: BenchSettings,
+) -> Point:
     step = dt * method.force_evaluations
     integrator = method.make(1e-3 * step)
     integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
@@ -113,7 +120,7 @@ def _of_openmm(method, dt: float, system, bodies, start, settings: BenchSettings
     return Point(method.name, dt, energy_error(series.time, series.total, series.potential), steps * step / seconds)
 
 
-def _of_peer(peer, liquid, dt: float, settings: BenchSettings) -> Point:
+def _of_peer(peer: peers.Peer, liquid: peers.Liquid, dt: float, settings: BenchSettings) -> Point:
     steps = max(1, round(1e3 * settings.time / dt))
     with tempfile.TemporaryDirectory() as directory:
         energies, seconds = peer.simulate(liquid, dt, steps, min(steps, _every(dt)), Path(directory))
@@ -179,7 +186,7 @@ def tables(points: list[Point]) -> list[Table]:
 
 
 def notes(points: list[Point]) -> list[str]:
-    """How the other programs that took part differ."""
+    """Differences of the other programs that took part."""
     return [
         f"{name}: {difference}"
         for name, difference in peers.DIFFERENCES.items()

@@ -1,4 +1,4 @@
-"""What the layer above the forces costs by itself: time and memory against the number of bodies, and start-up."""
+"""Cost of the layer above the forces alone: time and memory against the number of bodies, and start-up."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def free_water(n: int) -> tuple[openmm.System, np.ndarray]:
     return system, (places + sites).reshape(-1, 3)
 
 
-def context_of(n: int, integrator) -> openmm.Context:
+def context_of(n: int, integrator: openmm.Integrator) -> openmm.Context:
     """Free water at 297 K on the CPU platform."""
     system, positions = free_water(n)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("CPU"))
@@ -75,7 +75,7 @@ def _nanoseconds(sizes: list[int], rounds: int) -> dict[int, tuple[float, float]
     return {n: median_and_error(values) for n, values in zip(sizes, found[1:].T, strict=True)}
 
 
-def _run(integrator, calls: int) -> None:
+def _run(integrator: openmm.Integrator, calls: int) -> None:
     for _ in range(calls):
         integrator.step(STEPS)
 

@@ -39,7 +39,7 @@ class PeerError(RuntimeError):
 
 @dataclass(frozen=True)
 class Liquid:
-    """What a peer needs to know of a System of three-site water, in OpenMM's units.
+    """A System of three-site water as peers need it, in OpenMM's units.
 
     Attributes:
         positions, velocities: (N, 3), atoms in the order O, H, H.
@@ -97,7 +97,7 @@ def _find(program: str) -> str | None:
     return shutil.which(program) or shutil.which(program, path=str(Path(sys.executable).parent))
 
 
-def liquid_of(system, start) -> Liquid | None:
+def liquid_of(system: openmm.System, start: openmm.State) -> Liquid | None:
     """The System at a State with positions and velocities; None if it is not three-site water alone."""
     force = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
     n = system.getNumParticles()

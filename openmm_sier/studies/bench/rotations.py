@@ -43,17 +43,17 @@ def time_rotations(settings: BenchSettings, report: Report) -> list[dict[str, An
     return rows
 
 
-def _rotate(rotate, A, L, repeats: int) -> None:
+def _rotate(rotate: Callable[..., Any], A: np.ndarray, L: np.ndarray, repeats: int) -> None:
     for _ in range(repeats):
         rotate(A, L, WATER_MOMENTS, STEP)
 
 
-def _by_numpy(rotate, A, L, repeats: int) -> None:
+def _by_numpy(rotate: Callable[..., Any], A: np.ndarray, L: np.ndarray, repeats: int) -> None:
     with backend.using(backend.NUMPY):
         _rotate(rotate, A, L, repeats)
 
 
-def thermal_rotors(n: int, seed: int = 1):
+def thermal_rotors(n: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Attitudes (3, 3, n) and angular momenta (3, n) of water molecules at 297 K."""
     rng = np.random.default_rng(seed)
     q, _ = np.linalg.qr(rng.normal(size=(n, 3, 3)))

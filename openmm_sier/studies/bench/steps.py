@@ -72,11 +72,11 @@ def _row(name: str, molecules: int, ratios: np.ndarray, seconds: np.ndarray) -> 
     return {"name": name, "molecules": molecules, "median": median, "spread": spread, "milliseconds": cost}
 
 
-def _bare_force(system, start, settings: BenchSettings) -> Callable[[], None]:
+def _bare_force(system: openmm.System, start: openmm.State, settings: BenchSettings) -> Callable[[], None]:
     frames = cycle(_frames(system, start, settings))
     context = _context_at(system, openmm.VerletIntegrator(STEP), start, settings)
 
-    def action():
+    def action() -> None:
         for _ in range(EVALUATIONS):
             context.setPositions(next(frames))
             context.getState(forces=True)
@@ -84,7 +84,7 @@ def _bare_force(system, start, settings: BenchSettings) -> Callable[[], None]:
     return action
 
 
-def _contexts(system, start, settings: BenchSettings) -> dict[str, openmm.Context]:
+def _contexts(system: openmm.System, start: openmm.State, settings: BenchSettings) -> dict[str, openmm.Context]:
     integrators = {
         "SIER2": SIERIntegrator(STEP, SIER2),
         "SIER4": SIERIntegrator(4 * STEP, SIER4),
@@ -96,20 +96,20 @@ def _contexts(system, start, settings: BenchSettings) -> dict[str, openmm.Contex
     return {name: _context_at(system, integrator, start, settings) for name, integrator in integrators.items()}
 
 
-def _steps(name: str, context) -> None:
+def _steps(name: str, context: openmm.Context) -> None:
     """A turn: as many steps as take `EVALUATIONS` forces."""
     with backend.using(backend.NUMPY) if name == NUMPY else nullcontext():
         context.getIntegrator().step(EVALUATIONS // 4 if name == "SIER4" else EVALUATIONS)
 
 
-def _over_own_force(name: str, context, turns: int) -> tuple[np.ndarray, np.ndarray]:
+def _over_own_force(name: str, context: openmm.Context, turns: int) -> tuple[np.ndarray, np.ndarray]:
     """Time of turns over that of the calls of OpenMM in them for positions and forces, and the former in seconds."""
     clock = ForceClock(context)
     outside, inside = np.array([apart(clock, partial(_steps, name, context)) for _ in range(turns)]).T
     return 1 + outside / inside, outside + inside
 
 
-def repeated_box(settings: BenchSettings, copies: int):
+def repeated_box(settings: BenchSettings, copies: int) -> tuple[app.Topology, np.ndarray, openmm.System]:
     """Topology, positions (N, 3) and System of a box repeated along each edge."""
     box = read_box(settings.box, settings.forcefield)
     lengths = np.array(box.positions.value_in_unit(unit.nanometer))
@@ -125,7 +125,7 @@ def repeated_box(settings: BenchSettings, copies: int):
     return model.topology, positions, pme_system(model.topology, load(box.choice.files, settings.box.parent))
 
 
-def _start(system, positions, settings: BenchSettings):
+def _start(system: openmm.System, positions: np.ndarray, settings: BenchSettings) -> openmm.State:
     context = make_context(system, openmm.VerletIntegrator(STEP), settings.platform)
     context.setPositions(positions)
     context.applyConstraints(1e-6)
@@ -133,13 +133,15 @@ def _start(system, positions, settings: BenchSettings):
     return context.getState(positions=True, velocities=True)
 
 
-def _context_at(system, integrator, start, settings: BenchSettings):
+def _context_at(
+    system: openmm.System, integrator: openmm.Integrator, start: openmm.State, settings: BenchSettings
+) -> openmm.Context:
     context = make_context(system, integrator, settings.platform)
     context.setState(start)
     return context
 
 
-def _frames(system, start, settings: BenchSettings) -> list[np.ndarray]:
+def _frames(system: openmm.System, start: openmm.State, settings: BenchSettings) -> list[np.ndarray]:
     """Positions of consecutive steps: forces at positions that do not move would be cheaper than in a simulation."""
     integrator = openmm.VerletIntegrator(STEP)
     context = _context_at(system, integrator, start, settings)

@@ -1,4 +1,4 @@
-"""Timings that a machine's changing speed does not spoil, and what they depend on."""
+"""Timings that allow for a machine's changing speed, with the machine and versions that they depend on."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from openmm_sier.version import __version__
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """What is measured.
+    """Settings of the benchmark.
 
     Attributes:
         box: PDB file of the unit that larger boxes repeat.
@@ -49,7 +49,7 @@ class BenchSettings:
 
 
 def machine() -> dict:
-    """What the timings depend on."""
+    """The machine and the versions that timings depend on."""
     model = platform.processor() or platform.machine()
     for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
         if line.startswith("model name"):

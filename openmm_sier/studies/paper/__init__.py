@@ -25,7 +25,7 @@ EXPECTED_MINUTES = {"free-rotation": (0.3, 6), "dipole": (0.1, 1), "water": (1, 
 
 
 class Finding(NamedTuple):
-    """What an experiment gave: the result, its tables, and the rows of its CSV file."""
+    """The result of an experiment, its tables, and the rows of its CSV file."""
 
     result: Any
     tables: list[Table]
@@ -102,7 +102,7 @@ def _water(quick: bool, seed: int, show: Progress) -> Finding:
 
 
 class _Experiment(NamedTuple):
-    """What finds the numbers (quick, seed, progress), and what draws the figure (result, path)."""
+    """Functions that find the numbers (quick, seed, progress) and draw the figure (result, path)."""
 
     find: Callable[[bool, int, Progress], Finding]
     draw: Callable[[Any, Path], None]

@@ -87,7 +87,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Dipole:
-    """What the experiment gave."""
+    """Results of the experiment."""
 
     settings: DipoleSettings
     entries: tuple[Entry, ...]
@@ -117,15 +117,15 @@ class Field:
         """
         self._body_vector = dipole_energy * direction
 
-    def _lab_vector(self, A):
+    def _lab_vector(self, A: np.ndarray) -> np.ndarray:
         x, y, z = self._body_vector
         return x * A[0] + y * A[1] + z * A[2]
 
-    def potential(self, A) -> np.ndarray:
+    def potential(self, A: np.ndarray) -> np.ndarray:
         """-mu . E, (n,), kJ/mol."""
         return -(Z @ self._lab_vector(A))
 
-    def forces(self, q, A):
+    def forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """No force, and the torque mu x E, kJ/mol."""
         x, y, z = self._lab_vector(A)
         return np.zeros_like(q), np.stack([y * Z[2] - z * Z[1], z * Z[0] - x * Z[2], x * Z[1] - y * Z[0]])
@@ -137,21 +137,21 @@ class Spread:
     Sums are over deviations from the first value, so that they do not lose digits of a quantity that hardly changes.
     """
 
-    def __init__(self, first):
+    def __init__(self, first: np.ndarray) -> None:
         self._first, self._sum, self._squares, self._count = first, 0 * first, 0 * first, 0
 
-    def add(self, value) -> None:
+    def add(self, value: np.ndarray) -> None:
         change = value - self._first
         self._sum = self._sum + change
         self._squares = self._squares + change * change
         self._count += 1
 
     @property
-    def mean(self):
+    def mean(self) -> np.ndarray:
         return self._first + self._sum / self._count
 
     @property
-    def rms(self):
+    def rms(self) -> np.ndarray:
         mean = self._sum / self._count
         return np.sqrt(np.maximum(self._squares / self._count - mean * mean, 0.0))
 
@@ -164,7 +164,7 @@ def _entry(method: Method, force_step_fs: float, settings: DipoleSettings) -> En
     flows = operators.body_operators(bodies, operators.CachedForces(field.forces), method.rotation)
     step = operators.stepper(method.scheme, flows, h)
 
-    def observe(state: BodyState):
+    def observe(state: BodyState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         potential = field.potential(state.A)
         rotation = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
         return rotation + potential, potential, Z @ state.L
@@ -177,7 +177,7 @@ def _entry(method: Method, force_step_fs: float, settings: DipoleSettings) -> En
     return _average(method.name, force_step_fs, *spreads)
 
 
-def _average(name, force_step_fs, energy: Spread, potential: Spread, momentum: Spread) -> Entry:
+def _average(name: str, force_step_fs: float, energy: Spread, potential: Spread, momentum: Spread) -> Entry:
     n = energy.rms.size
     ratio = energy.rms / potential.rms
     size = np.abs(momentum.mean)

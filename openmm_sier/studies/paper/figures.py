@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from openmm_sier.studies import style
 from openmm_sier.studies.paper import published
 from openmm_sier.studies.paper.dipole import Dipole
-from openmm_sier.studies.paper.free_rotation import MODERATE, FreeRotation
+from openmm_sier.studies.paper.free_rotation import MODERATE, Curve, FreeRotation
 from openmm_sier.studies.paper.liquids import PME
 from openmm_sier.studies.paper.methods import METHODS
 from openmm_sier.studies.paper.tables import picoseconds
 from openmm_sier.studies.paper.water import Crossing, Water
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.container import ErrorbarContainer
 
 NAMES = [method.name for method in METHODS]
 
@@ -42,7 +48,7 @@ def free_rotation(result: FreeRotation, path: Path) -> None:
         figure.savefig(path)
 
 
-def _time_ticks(axes) -> None:
+def _time_ticks(axes: Axes) -> None:
     """From fs to s."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
@@ -52,7 +58,7 @@ def _time_ticks(axes) -> None:
     axes.yaxis.set_major_locator(LogLocator(numticks=9))
 
 
-def _error_curve(axes, curve) -> None:
+def _error_curve(axes: Axes, curve: Curve) -> None:
     look = style.of_method(curve.method)
     colour, marker = look["color"], look["marker"]
     times, delta = np.array(curve.times), np.array(curve.delta)
@@ -65,7 +71,7 @@ def _error_curve(axes, curve) -> None:
         axes.plot(tau, MODERATE, marker, mfc="white", mew=1.8, color=colour, ms=9, zorder=4, clip_on=False)
 
 
-def _tau_label(curve) -> str:
+def _tau_label(curve: Curve) -> str:
     tau = published.TAU.get((curve.method, curve.step_fs))
     paper = "" if tau is None else f" (paper: {picoseconds(tau, like=curve.tau)})"
     return rf"{curve.method}: $\tau$ = {picoseconds(curve.tau)}{paper}"
@@ -124,12 +130,14 @@ def water(result: Water, path: Path) -> None:
             round_steps = [t for t in (0.1, 0.2, 0.5, 1, 2, 3, 5, 7) if steps[0] <= t <= steps[-1]]
             style.plain_ticks(axes.xaxis, steps if len(steps) < 6 else round_steps)
             handles, labels = axes.get_legend_handles_labels()
-            axes.legend([handle[0] for handle in handles], labels, loc="upper left", fontsize=10)
+            axes.legend(
+                [bar[0] for bar in cast("list[ErrorbarContainer]", handles)], labels, loc="upper left", fontsize=10
+            )
         panels[0].set_ylabel("rms(H) / rms(V)  (%)")
         figure.savefig(path)
 
 
-def _water_curve(axes, points, name: str, slope: float | None) -> None:
+def _water_curve(axes: Axes, points: Sequence[Any], name: str, slope: float | None) -> None:
     if not points:
         return
     x, y, error = np.array([(p.force_step_fs, 100 * p.energy, 100 * p.energy_error) for p in points]).T
@@ -140,7 +148,7 @@ def _water_curve(axes, points, name: str, slope: float | None) -> None:
     axes.errorbar(x, y, error, capsize=2, label=label, **(style.of_method(name) | special))
 
 
-def _mark_crossing(axes, crossing: Crossing) -> None:
+def _mark_crossing(axes: Axes, crossing: Crossing) -> None:
     axes.axvline(published.CROSSING, color=style.GREY, lw=1, ls=":")
     text = f"dotted: the paper's crossing, {published.CROSSING:g} fs"
     if np.isfinite(crossing.force_step_fs):

@@ -15,14 +15,16 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from openmm_sier.dynamics import backend, operators, rotation
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.schemes import DRIFT, KICK
+from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.measure.statistics import jackknife
 from openmm_sier.studies.paper import reference, tip4p
 from openmm_sier.studies.paper.methods import FS, METHODS, Method, Progress
@@ -109,7 +111,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class FreeRotation:
-    """What the experiment gave."""
+    """Results of the experiment."""
 
     settings: FreeRotationSettings
     moments: tuple[float, ...]
@@ -126,7 +128,7 @@ def rotate_freely(settings: FreeRotationSettings, progress: Progress = lambda wh
     for (method, step), begin, end in zip(runs, done[:-1], done[1:], strict=True):
         what = f"free rotation: {method.name}, {step:g} fs"
 
-        def report(fraction, what=what, begin=begin, end=end):
+        def report(fraction: float, what: str = what, begin: float = begin, end: float = end) -> None:
             progress(what, begin + fraction * (end - begin))
 
         curves.append(_curve(method, step, settings, report))
@@ -146,7 +148,7 @@ def _start(n: int, settings: FreeRotationSettings) -> tuple[RigidBodies, BodySta
     return bodies, BodyState(state.q, state.p, axes, body_frame(state.A, state.L))
 
 
-def _curve(method: Method, step_fs: float, settings: FreeRotationSettings, report) -> Curve:
+def _curve(method: Method, step_fs: float, settings: FreeRotationSettings, report: Callable[[float], None]) -> Curve:
     exact = method.rotation is rotation.exact
     bodies, start = _start(settings.exact_bodies if exact else settings.bodies, settings)
     h = step_fs * FS
@@ -171,21 +173,23 @@ def _marks(last: int, per_decade: int) -> list[int]:
     return sorted({round(x) for x in np.geomspace(10, last, number)})
 
 
-def _squares(state, start, moments, h, count):
+def _squares(state: BodyState, start: BodyState, moments: np.ndarray, h: float, count: int) -> np.ndarray:
     """The paper's squared deviation of each body, (n,)."""
     A, _ = rotation.exact(start.A, start.L, moments, h * count)
     return ((state.A - A) ** 2).sum(axis=(0, 1)) / 6
 
 
-def _squares_beyond_double(state, start, moments, h, count):
+def _squares_beyond_double(state: BodyState, start: BodyState, moments: np.ndarray, h: float, count: int) -> np.ndarray:
     return reference.squared_deviations(state.A, start.L, moments, h, count)
 
 
-def _energies(state, bodies):
+def _energies(state: BodyState, bodies: RigidBodies) -> np.ndarray:
     return 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
 
 
-def _summarize(name, step_fs, times, squares, energies) -> Curve:
+def _summarize(
+    name: str, step_fs: float, times: np.ndarray, squares: np.ndarray, energies: Sequence[np.ndarray]
+) -> Curve:
     n = squares.shape[1]
     delta, error = np.array([jackknife(_root_mean(row), n) for row in squares]).T
     moderate = np.flatnonzero(delta <= MODERATE)
@@ -209,7 +213,7 @@ def _summarize(name, step_fs, times, squares, energies) -> Curve:
     )
 
 
-def _root_mean(squares):
+def _root_mean(squares: np.ndarray) -> Callable[[np.ndarray], float]:
     return lambda kept: math.sqrt(squares[kept].mean())
 
 
@@ -233,7 +237,7 @@ def _costs(settings: FreeRotationSettings) -> tuple[Cost, ...]:
     return tuple(costs)
 
 
-def _seconds(rotation, start, bodies, h) -> float:
+def _seconds(rotation: Callable[..., Any], start: BodyState, bodies: RigidBodies, h: float) -> float:
     begin = time.perf_counter()
     rotation(start.A, start.L, bodies.species[0].moments, h)
     return time.perf_counter() - begin

@@ -16,7 +16,7 @@ from openmm_sier.studies.paper.molecular_cutoff import SITES, MolecularCutoff
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """How the interactions of a liquid end.
+    """Cut-offs of the interactions of a liquid.
 
     Attributes:
         molecular_on, molecular_off: distances of the oxygens, nm, between which the interaction of two molecules is
@@ -37,7 +37,7 @@ class Cutoffs:
 MOLECULAR, PME = "molecular cut-off", "PME"
 
 
-def build(kind: str, n: int, edge: float, cutoffs: Cutoffs):
+def build(kind: str, n: int, edge: float, cutoffs: Cutoffs) -> openmm.System:
     """A System of n TIP4P molecules (sites O, H, H, M) in a cube.
 
     Args:
@@ -58,7 +58,7 @@ def build(kind: str, n: int, edge: float, cutoffs: Cutoffs):
     return system
 
 
-def _empty_system(n, edge):
+def _empty_system(n: int, edge: float) -> openmm.System:
     system = openmm.System()
     system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
     h_h = 2 * tip4p.R_OH * math.sin(tip4p.ANGLE / 2)
@@ -73,7 +73,7 @@ def _empty_system(n, edge):
     return system
 
 
-def molecular_force(n: int, edge: float, cutoffs: Cutoffs):
+def molecular_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.Force:
     """The interaction with a smooth molecular cut-off, see `MolecularCutoff`."""
     if not hasattr(openmm, "PythonForce"):
         raise ImportError(
@@ -87,7 +87,7 @@ def molecular_force(n: int, edge: float, cutoffs: Cutoffs):
     return force
 
 
-def pme_force(n: int, edge: float, cutoffs: Cutoffs):
+def pme_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.NonbondedForce:
     """Particle-mesh Ewald electrostatics and a switched Lennard-Jones interaction."""
     force = openmm.NonbondedForce()
     force.setNonbondedMethod(openmm.NonbondedForce.PME)
@@ -105,7 +105,7 @@ def pme_force(n: int, edge: float, cutoffs: Cutoffs):
     return force
 
 
-def context(system, integrator, kind: str):
+def context(system: openmm.System, integrator: openmm.Integrator, kind: str) -> openmm.Context:
     """A Context for a liquid: double precision where the energy has no floor of its own to hide in.
 
     The PME system runs on the CPU platform, whose nonbonded forces are single precision, as its users run it.
@@ -116,7 +116,7 @@ def context(system, integrator, kind: str):
     return openmm.Context(system, integrator, platform, {"DeterministicForces": "true"})
 
 
-def energies(context_) -> tuple[float, float]:
+def energies(context_: openmm.Context) -> tuple[float, float]:
     """Kinetic and potential energy of a Context, kJ/mol."""
     state = context_.getState(energy=True)
     kinetic, potential = state.getKineticEnergy(), state.getPotentialEnergy()

@@ -15,9 +15,11 @@ Numba where it is installed.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import openmm
 
 from openmm_sier.studies.paper.pairs import compiled_sum, lennard_jones, switch
 
@@ -46,17 +48,17 @@ class MolecularCutoff:
     on: float
     off: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 0 < self.on < self.off:
             raise ValueError(f"the cut-off needs 0 < on < off, got on = {self.on} nm and off = {self.off} nm")
 
-    def __call__(self, state):
-        """What an `openmm.PythonForce` calls: a State with positions and box to energy and forces."""
+    def __call__(self, state: openmm.State) -> tuple[float, np.ndarray]:
+        """Energy and forces of a State with positions and box, as `openmm.PythonForce` asks for them."""
         positions = state.getPositions(asNumpy=True)._value
         box = np.diag(state.getPeriodicBoxVectors(asNumpy=True)._value)
         return self.energy_and_forces(positions, box)
 
-    def energy_and_forces(self, positions, box):
+    def energy_and_forces(self, positions: np.ndarray, box: np.ndarray) -> tuple[float, np.ndarray]:
         """Potential energy and forces.
 
         Args:
@@ -79,7 +81,7 @@ class MolecularCutoff:
             return energy, forces.reshape(-1, 3)
         return self._by_numpy(positions, box)
 
-    def _by_numpy(self, positions, box):
+    def _by_numpy(self, positions: np.ndarray, box: np.ndarray) -> tuple[float, np.ndarray]:
         sites = np.ascontiguousarray(np.reshape(positions, (-1, SITES, 3)).transpose(2, 1, 0))
         n = sites.shape[2]
         forces = np.zeros((3, SITES, n))
@@ -90,7 +92,7 @@ class MolecularCutoff:
                 energy += self._add_block(sites, i, j, box, forces)
         return energy, forces.transpose(2, 1, 0).reshape(-1, 3)
 
-    def check_box(self, box) -> None:
+    def check_box(self, box: np.ndarray) -> None:
         """Refuse a box, (3,) in nm, that is so small that a molecule would meet two images of another.
 
         Raises:
@@ -101,7 +103,7 @@ class MolecularCutoff:
                 f"a cut-off of {self.off} nm needs a box of at least {2 * self.off} nm, got {np.min(box):.4f}"
             )
 
-    def _add_block(self, sites, i, j, box, forces):
+    def _add_block(self, sites: np.ndarray, i: np.ndarray, j: np.ndarray, box: np.ndarray, forces: np.ndarray) -> float:
         """Energy of the pairs (i, j); their forces are added to `forces`, (3, 4, n)."""
         here, there = np.take(sites, i, axis=2), np.take(sites, j, axis=2)
         oxygens = here[:, 0] - there[:, 0]
@@ -129,15 +131,15 @@ class MolecularCutoff:
         _scatter(F_there, j, forces)
         return float(s @ pair_energy)
 
-    def _charges(self):
+    def _charges(self) -> tuple[float, float, float]:
         return self.charge, self.charge, -2 * self.charge
 
-    def _charge_pairs(self):
+    def _charge_pairs(self) -> list[tuple[int, int, float]]:
         charges = dict(enumerate(self._charges(), start=1))
         return [(a, b, COULOMB * qa * qb) for a, qa in charges.items() for b, qb in charges.items()]
 
 
-def _pairs_within(oxygens, box, cutoff):
+def _pairs_within(oxygens: np.ndarray, box: np.ndarray, cutoff: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Index arrays (i, j), i < j, of the pairs of points (3, n) nearer than the cut-off, in blocks."""
     n = oxygens.shape[1]
     rows = max(1, math.ceil(4 * BLOCK / n))
@@ -152,7 +154,7 @@ def _pairs_within(oxygens, box, cutoff):
             yield i[part] + start, j[part] + start + 1
 
 
-def _scatter(values, index, total):
+def _scatter(values: np.ndarray, index: np.ndarray, total: np.ndarray) -> None:
     """total[:, :, index] += values, with repeated indices."""
     n = total.shape[2]
     for component in range(3):

@@ -11,6 +11,7 @@ import platform
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from openmm_sier.version import __version__
 
@@ -29,7 +30,7 @@ def provenance() -> dict[str, object]:
     return {"versions": versions, "machine": platform.platform(), "processors": os.cpu_count()}
 
 
-def write_json(path: Path, result, seconds: float) -> None:
+def write_json(path: Path, result: Any, seconds: float) -> None:
     """Write a result, a dataclass that holds its settings, with versions and machine.
 
     Args:
@@ -57,8 +58,8 @@ def _lines(row: dict) -> list[dict]:
     return [row | dict(zip(many, values, strict=True)) for values in zip(*(row[name] for name in many), strict=True)]
 
 
-def _plain(value):
-    """What JSON can hold; numbers that are not finite become null."""
+def _plain(value: Any) -> Any:
+    """A value as JSON can hold it; numbers that are not finite become null."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

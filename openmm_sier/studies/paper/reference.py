@@ -7,6 +7,8 @@ of the third kind that is evaluated once over the whole span; nothing is shared 
 from __future__ import annotations
 
 from importlib import import_module
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +16,7 @@ import numpy as np
 DIGITS = 34
 
 
-def require():
+def require() -> ModuleType:
     """The module mpmath.
 
     Raises:
@@ -26,7 +28,7 @@ def require():
         raise ModuleNotFoundError("the reference of the free rotation needs mpmath: pip install mpmath") from error
 
 
-def squared_deviations(A, body_L, moments, step, count) -> np.ndarray:
+def squared_deviations(A: np.ndarray, body_L: np.ndarray, moments: np.ndarray, step: float, count: int) -> np.ndarray:
     """Tr[(A - A_ex)(A - A_ex)^T]/6 for bodies that started with their axes along the lab's.
 
     Args:
@@ -49,7 +51,7 @@ def squared_deviations(A, body_L, moments, step, count) -> np.ndarray:
     return squares
 
 
-def attitude(body_L, moments, time):
+def attitude(body_L: Any, moments: Any, time: Any) -> Any:
     """Attitude after a time of one asymmetric body that started with A = 1, an mpmath matrix of `DIGITS` or more.
 
     Args:
@@ -70,7 +72,7 @@ def attitude(body_L, moments, time):
         return _propagator(mp, l, I, mp.mpf(time))
 
 
-def _propagator(mp, l, I, time):
+def _propagator(mp: Any, l: Any, I: Any, time: Any) -> Any:
     """P(t) in a frame in which 2 E I_y > L^2: L~_x keeps its sign, L_perp never vanishes."""
     Ix, Iy, Iz = I
     square = sum(x * x for x in l)
@@ -94,7 +96,7 @@ def _propagator(mp, l, I, time):
     return _R1(mp, final, L) * mp.matrix([[c, s, 0], [-s, c, 0], [0, 0, 1]]) * _R1(mp, l, L).T
 
 
-def _jacobi(mp, u, m):
+def _jacobi(mp: Any, u: Any, m: Any) -> tuple[Any, Any, Any, Any]:
     """Amplitude, counted on through the periods, and sn, cn, dn."""
     half_period = 2 * mp.ellipk(m)
     turns = mp.nint(u / half_period)
@@ -104,7 +106,7 @@ def _jacobi(mp, u, m):
     return turns * mp.pi + mp.asin(sn), sign * sn, sign * cn, dn
 
 
-def _R1(mp, l, L):
+def _R1(mp: Any, l: Any, L: Any) -> Any:
     x, y, z = l
     perp = mp.sqrt(x * x + y * y)
     return mp.matrix(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -92,7 +93,7 @@ def make_box(n: int, cutoffs: liquids.Cutoffs, temperature: float, seed: int) ->
 
 def phase_points(
     box: Box, kind: str, cutoffs: liquids.Cutoffs, temperature: float, relax: float, count: int, seed: int
-):
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Positions and fresh velocities (N, 3) from which independent runs start, one after another.
 
     Args:
@@ -116,17 +117,17 @@ def phase_points(
         yield positions, velocities.value_in_unit(unit.nanometer / unit.picosecond)
 
 
-def _langevin(temperature, seed):
+def _langevin(temperature: float, seed: int) -> openmm.Integrator:
     integrator = openmm.LangevinMiddleIntegrator(temperature, FRICTION, STEP)
     integrator.setRandomNumberSeed(seed)
     return integrator
 
 
-def _positions(context):
+def _positions(context: openmm.Context) -> np.ndarray:
     return context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
 
 
-def _with_m(r):
+def _with_m(r: np.ndarray) -> np.ndarray:
     """Positions (n, 3 sites, 3) of O, H, H to those of O, H, H, M, (4 n, 3)."""
     w = tip4p.M_WEIGHT
     m = (1 - 2 * w) * r[:, 0] + w * (r[:, 1] + r[:, 2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from openmm_sier.measure.report import Table
 from openmm_sier.studies.paper import published
@@ -164,7 +165,7 @@ def water_table(result: Water, kind: str) -> Table:
     )
 
 
-def _percent(point) -> str:
+def _percent(point: Any) -> str:
     if point is None:
         return ""
     return "breaks" if point.runs == 0 else number(100 * point.energy, 100 * point.energy_error)

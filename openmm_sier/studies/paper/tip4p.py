@@ -50,7 +50,7 @@ def dipole_direction(bodies: RigidBodies) -> np.ndarray:
     return axis / np.linalg.norm(axis)
 
 
-def canonical_rotation(bodies: RigidBodies, temperature: float, rng) -> BodyState:
+def canonical_rotation(bodies: RigidBodies, temperature: float, rng: np.random.Generator) -> BodyState:
     """Molecules at rest at the origin that turn as in a gas: uniform attitudes, Maxwell-distributed angular momenta.
 
     Args:
@@ -64,7 +64,7 @@ def canonical_rotation(bodies: RigidBodies, temperature: float, rng) -> BodyStat
     return BodyState(np.zeros((3, bodies.n)), np.zeros((3, bodies.n)), A, L)
 
 
-def _uniform_attitudes(n, rng):
+def _uniform_attitudes(n: int, rng: np.random.Generator) -> np.ndarray:
     """Rotation matrices (3, 3, n) of unit quaternions that are uniform on the sphere."""
     q = rng.normal(size=(4, n))
     w, x, y, z = q / np.linalg.norm(q, axis=0)

@@ -7,6 +7,7 @@ mean of the latter.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -121,7 +122,7 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Water:
-    """What the experiment gave."""
+    """Results of the experiment."""
 
     settings: WaterSettings
     box: str
@@ -137,7 +138,7 @@ def simulate_water(settings: WaterSettings, progress: Progress = lambda what, fr
     points, crossings = [], []
     for i, kind in enumerate(settings.kinds):
 
-        def report(what, fraction, i=i, kind=kind):
+        def report(what: str, fraction: float, i: int = i, kind: str = kind) -> None:
             progress(f"liquid water, {kind}: {what}", (i + fraction) / len(settings.kinds))
 
         samples = _sample(box, kind, settings, report)
@@ -147,7 +148,7 @@ def simulate_water(settings: WaterSettings, progress: Progress = lambda what, fr
 
 
 def _plan(settings: WaterSettings) -> list[tuple[Method, float, int]]:
-    """What runs from each phase point: method, h/f, and how many of the phase points."""
+    """The runs from each phase point: method, h/f, and the number of phase points."""
     plan = []
     for method in METHODS:
         compared = method.name in ("MRDL", "SEJ4")
@@ -158,7 +159,9 @@ def _plan(settings: WaterSettings) -> list[tuple[Method, float, int]]:
     return plan
 
 
-def _sample(box: start.Box, kind: str, settings: WaterSettings, report) -> dict[tuple[str, float], list]:
+def _sample(
+    box: start.Box, kind: str, settings: WaterSettings, report: Callable[[str, float], None]
+) -> dict[tuple[str, float], list]:
     """For each method and h/f the list of (rms(H), rms(V), drift) of its runs."""
     plan = _plan(settings)
     total, done = sum(runs / step for _, step, runs in plan), 0.0
@@ -185,13 +188,15 @@ def _sample(box: start.Box, kind: str, settings: WaterSettings, report) -> dict[
     return samples
 
 
-def _context(box: start.Box, kind: str, method: Method, settings: WaterSettings):
+def _context(box: start.Box, kind: str, method: Method, settings: WaterSettings) -> openmm.Context:
     system = liquids.build(kind, box.molecules, box.edge, settings.cutoffs)
     integrator = SIERIntegrator(FS, scheme=method.scheme, rotation=method.rotation)
     return liquids.context(system, integrator, kind)
 
 
-def _run(context, point, h: float, settings: WaterSettings) -> tuple[float, float, float] | None:
+def _run(
+    context: openmm.Context, point: tuple[np.ndarray, np.ndarray], h: float, settings: WaterSettings
+) -> tuple[float, float, float] | None:
     """rms(H), rms(V) and drift of one run, None if it did not get to its end."""
     integrator = context.getIntegrator()
     integrator.setStepSize(h)
@@ -230,10 +235,10 @@ def _point(kind: str, method: str, step: float, samples: np.ndarray) -> Point:
     return Point(kind, method, step, energy, error, rms_H, rms_V, drift, len(samples))
 
 
-def _crossing(kind: str, samples) -> Crossing:
+def _crossing(kind: str, samples: dict[tuple[str, float], list]) -> Crossing:
     runs = max(len(values) for values in samples.values())
 
-    def crossing_of(kept):
+    def crossing_of(kept: np.ndarray) -> float:
         curves = {name: _curve(samples, name, kept) for name in ("SIER2", "SIER4")}
         return _intersection(curves["SIER2"], curves["SIER4"])
 
@@ -243,7 +248,7 @@ def _crossing(kind: str, samples) -> Crossing:
     return Crossing(kind, value, error, slopes)
 
 
-def _curve(samples, method: str, kept) -> dict[float, float]:
+def _curve(samples: dict[tuple[str, float], list], method: str, kept: np.ndarray) -> dict[float, float]:
     """h/f to rms(H)/rms(V), from some of the runs; where there are few, from all of them."""
     curve = {}
     for (name, step), values in samples.items():

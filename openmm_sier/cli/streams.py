@@ -1,0 +1,61 @@
+"""Standard output and standard error: streams that are closed or broken, warnings, and errors in one line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from typing import TextIO
+
+PROGRAM = "openmm-sier"
+
+
+def open_closed_streams() -> bool:
+    """Open the null device for each standard stream that is closed, so that no other file gets its number.
+
+    Returns:
+        Whether standard output was open.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest number that is free, which is this one.
+            os.open(os.devnull, os.O_RDWR)
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    return sys.stdout is not None
+
+
+def discard(stream: TextIO) -> None:
+    """Send unwritten text of a broken stream to the null device; otherwise Python would fail on it when it exits."""
+    with contextlib.suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())
+        os.close(null)
+
+
+def complain(message: str) -> None:
+    """Print one line on standard error, if it can be written; a closed terminal cannot."""
+    try:
+        print(f"{PROGRAM}: {message}", file=sys.stderr, flush=True)
+    except OSError:
+        discard(sys.stderr)
+
+
+def note_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """Show a warning as one line among the notes; it takes the place of `warnings.showwarning`."""
+    print(f"warning: {' '.join(str(message).split())}", flush=True)
+
+
+def described(error: Exception) -> str:
+    """An error in one line."""
+    message = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    expected = (
+        isinstance(error, (ValueError, OSError, ImportError))
+        or type(error).__module__.startswith("openmm")
+        or hasattr(error, "exit_code")
+    )
+    return message if expected else f"{type(error).__name__}: {message} (--debug shows where)"

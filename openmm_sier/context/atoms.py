@@ -1,0 +1,85 @@
+"""The atoms of one Context, where bodies are placed and whose forces are read."""
+
+from __future__ import annotations
+
+import weakref
+
+import numpy as np
+import openmm
+
+from openmm_sier.context.snapshot import Snapshot, read_vectors
+from openmm_sier.dynamics.bodies import RigidBodies
+
+#: Of `Atoms.placed` where the positions are those of no bodies.
+NOWHERE = (None, None)
+
+
+class Atoms:
+    """Positions, velocities and forces of a Context, as bodies write and read them.
+
+    Attributes:
+        positions, velocities: as they were last written, (N, 3), nm and nm/ps; those of atoms of no body are kept here.
+    """
+
+    def __init__(self, context: openmm.Context):
+        # The Context owns its integrator and so all this: a strong reference back would keep both alive.
+        self._context_ref = weakref.ref(context)
+        system = context.getSystem()
+        n = system.getNumParticles()
+        self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
+        self.positions, self.velocities, self._forces = np.zeros((3, n, 3))
+        self._placed: tuple = NOWHERE
+
+    @property
+    def context(self) -> openmm.Context:
+        """The Context.
+
+        Raises:
+            openmm.OpenMMException: it does not exist any more.
+        """
+        context = self._context_ref()
+        if context is None:
+            raise openmm.OpenMMException("The Context of this integrator no longer exists")
+        return context
+
+    def place(self, bodies: RigidBodies, q, A) -> None:
+        """Set the positions of the Context to those of bodies at (q, A), unless they are there already.
+
+        Raises:
+            NotFiniteError: a position is not finite; the Context keeps its positions.
+        """
+        if self._placed[0] is q and self._placed[1] is A:
+            return
+        context = self.context
+        context.setPositions(bodies.place(q, A, self.positions))
+        if self._has_virtual_sites:
+            context.computeVirtualSites()
+        self._placed = (q, A)
+
+    def forces(self, groups: int) -> np.ndarray:
+        """Forces of some groups where the atoms are, (N, 3), kJ/mol/nm; overwritten by the next call."""
+        found = self.context.getState(forces=True, groups=groups)
+        return read_vectors(found, openmm.State.Forces, self._forces)
+
+    def take_positions(self, now: Snapshot) -> None:
+        """Positions were changed in the Context."""
+        self.positions[:] = now.positions
+        self.forget_place()
+
+    def forget_place(self) -> None:
+        """Write positions to the Context the next time, whatever is there."""
+        self._placed = NOWHERE
+
+    def rewind(self, mark: openmm.State) -> None:
+        """Undo what was changed in a step that was not completed: the box, and atoms of no body.
+
+        Args:
+            mark: State with the positions before the step.
+        """
+        self.context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
+        # A barostat moves what belongs to no body too.
+        self.positions[:] = mark.getPositions(asNumpy=True)._value
+
+    def box(self) -> np.ndarray:
+        """Periodic box vectors as rows, nm."""
+        return self.context.getState().getPeriodicBoxVectors(asNumpy=True)._value

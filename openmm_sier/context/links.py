@@ -1,0 +1,108 @@
+"""What joins the atoms of a System to molecules: constraints and bonds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
+from openmm_sier.dynamics.constraint_graph import components
+
+#: How many atoms the terms of a Force join, and the methods that tell their number and their parameters.
+_TERMS: dict[type, tuple[int, Callable, Callable]] = {
+    openmm.HarmonicBondForce: (2, openmm.HarmonicBondForce.getNumBonds, openmm.HarmonicBondForce.getBondParameters),
+    openmm.HarmonicAngleForce: (
+        3,
+        openmm.HarmonicAngleForce.getNumAngles,
+        openmm.HarmonicAngleForce.getAngleParameters,
+    ),
+    openmm.PeriodicTorsionForce: (
+        4,
+        openmm.PeriodicTorsionForce.getNumTorsions,
+        openmm.PeriodicTorsionForce.getTorsionParameters,
+    ),
+    openmm.RBTorsionForce: (4, openmm.RBTorsionForce.getNumTorsions, openmm.RBTorsionForce.getTorsionParameters),
+}
+
+
+class Links:
+    """Constraints and bonds of a System.
+
+    Attributes:
+        pairs: constrained particles, (c, 2).
+        lengths: (c,), nm.
+        bonds: pairs of particles that a harmonic bond, an angle or a torsion joins, (b, 2).
+        custom: pairs that a CustomBondForce joins, (d, 2). It may be a restraint: molecules that it joins are one, as
+            for OpenMM, but those that are rigid stay so.
+    """
+
+    def __init__(self, system: openmm.System, lengths: Mapping[tuple[int, int], float]):
+        """
+        Args:
+            system: openmm.System.
+            lengths: of its constraints, nm, by pairs of particles.
+        """
+        self._n = system.getNumParticles()
+        self.pairs, self.lengths = _pairs(lengths), np.array(list(lengths.values()), dtype=float)
+        forces = system.getForces()
+        self.bonds = _pairs({pair for force in forces for pair in _joined(force)})
+        custom = [force for force in forces if isinstance(force, openmm.CustomBondForce)]
+        self.custom = _pairs({tuple(f.getBondParameters(i)[:2]) for f in custom for i in range(f.getNumBonds())})
+
+    def leave(self, clusters: Sequence[Sequence[int]]) -> list[bool]:
+        """For each cluster of particles whether a bond joins it to a particle outside."""
+        owner = np.full(self._n, -1)
+        for number, cluster in enumerate(clusters):
+            owner[list(cluster)] = number
+        ends = owner[self.bonds]
+        leaving = np.zeros(len(clusters) + 1, dtype=bool)
+        leaving[ends[ends[:, 0] != ends[:, 1]]] = True
+        return leaving[:-1].tolist()
+
+    def tie(self, bodies: RigidBodies) -> RigidBodies:
+        """The bodies with the constraints between them, and with their molecules.
+
+        Raises:
+            RigidityError: a constraint joins a body of several atoms, or a particle of no body, to something else.
+        """
+        ends = bodies.owners[self.pairs]
+        between = np.flatnonzero((ends[:, 0] != ends[:, 1]) | (ends[:, 0] < 0))
+        joined, held = ends[between], bodies.owners >= 0
+        extended = bodies.moments.any(axis=0)
+        for pair, body in zip(self.pairs[between].tolist(), joined.tolist(), strict=True):
+            if not held[pair].all() or extended[body].any():
+                raise joins_a_body(*pair)
+        links = joined, self.lengths[between]
+        return bodies.tied(links, self._molecules(bodies))
+
+    def _molecules(self, bodies: RigidBodies) -> np.ndarray:
+        edges = bodies.owners[np.concatenate([self.pairs, self.bonds, self.custom])]
+        edges = np.unique(edges[(edges >= 0).all(axis=1) & (edges[:, 0] != edges[:, 1])], axis=0)
+        molecules = np.arange(bodies.n)
+        for numbers in components(edges):
+            members = np.unique(edges[numbers])
+            molecules[members] = members[0]
+        return molecules
+
+
+def joins_a_body(a: int, b: int) -> RigidityError:
+    """What is said of a constraint between two particles, one of them in a rigid body that the other is not in."""
+    return RigidityError(
+        f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms that are joined "
+        "by constraints into one body; or leave them all out of `bodies`, so that constraints alone hold them; or "
+        "build the System without that constraint (constraints=None or HBonds instead of AllBonds or HAngles)"
+    )
+
+
+def _pairs(found) -> np.ndarray:
+    return np.array(list(found), dtype=np.int64).reshape(-1, 2)
+
+
+def _joined(force: openmm.Force) -> Iterator[tuple[int, int]]:
+    for kind, (size, count, parameters) in _TERMS.items():
+        if isinstance(force, kind):
+            for term in range(count(force)):
+                atoms = parameters(force, term)[:size]
+                yield from zip(atoms, atoms[1:], strict=False)

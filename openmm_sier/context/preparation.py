@@ -1,0 +1,129 @@
+"""A System made ready for long steps: fast forces in a group of their own, and PME in balance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+import openmm
+
+from openmm_sier.context.arguments import GROUPS, whole_number
+from openmm_sier.context.find_bodies import BodyPlan, tied
+from openmm_sier.context.pme import balance_pme, meshed_forces
+from openmm_sier.context.solute import TERMS, WITHOUT_FORCES
+from openmm_sier.dynamics.bodies import RigidBodies
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What `prepare_system` did; its text says so.
+
+    Attributes:
+        fastForceGroups: for the integrator; empty where nothing is fast.
+        done: a sentence for each thing that was done or left.
+    """
+
+    fastForceGroups: frozenset[int]
+    done: tuple[str, ...]
+
+    def __str__(self):
+        return "\n".join(self.done)
+
+
+def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fastForceGroup: int = 1) -> Preparation:
+    """Make a System ready for steps that are long beside the vibrations of its molecules.
+
+    Bonds, angles and torsions of molecules that are not rigid get a force group of their own, which the integrator
+    takes as `fastForceGroups`, and the sums of PME are balanced, see `balance_pme`. Forces of which a term acts on a
+    rigid body and another one stay where they are, and so do those with virtual sites, since the fast ones move points.
+
+    >>> system = openmm.System()
+    >>> print(prepare_system(system))
+    No bonded force acts on a molecule that is not rigid.
+
+    Args:
+        system: openmm.System; force groups and parameters of PME are changed. Call it before a Context is created.
+        bodies: those that the integrator will be given; None: those of the System's constraints.
+        fastForceGroup: force group for the fast forces, from 0 to 31.
+
+    Returns:
+        The fast force groups, and sentences about what was done.
+
+    Raises:
+        ValueError: the group is out of range or has other forces already, or `balance_pme` refuses. Nothing has been
+            changed then.
+        RigidityError: of `RigidBodies.from_system`; nothing has been changed either.
+    """
+    if (group := whole_number("fastForceGroup", fastForceGroup)) >= GROUPS:
+        raise ValueError(f"fastForceGroup must be from 0 to {GROUPS - 1}, got {group}")
+    acting = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES)]
+    owner, point = _owners(system, bodies)
+    fast = [force for force in acting if _is_fast(force, owner, point)]
+    for force in acting:
+        if force.getForceGroup() == group and force not in fast:
+            raise ValueError(
+                f"{force.getName()} is in force group {group}, which is to be that of the fast forces: give another "
+                "fastForceGroup"
+            )
+    done = [_balanced(system)] if meshed_forces(system) else []
+    for force in fast:
+        force.setForceGroup(group)
+    names = ", ".join(force.getName() for force in fast)
+    moved = f"Force group {group} has the fast forces now, for fastForceGroups={{{group}}}: {names}."
+    done.append(moved if fast else "No bonded force acts on a molecule that is not rigid.")
+    left = [force.getName() for force in acting if force not in fast and _kind(force) and _has_terms(force, owner)]
+    if left:
+        done.append(f"These stay in the kicks, since they act on rigid bodies or virtual sites: {', '.join(left)}.")
+    return Preparation(frozenset({group} if fast else ()), tuple(done))
+
+
+def _balanced(system) -> str:
+    balance_pme(system)
+    return "The sums of PME are balanced."
+
+
+def _owners(system, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:
+    """For each particle the number of its body, and whether that is a point."""
+    if bodies is not None:
+        found = tied(system, bodies)
+        sizes = np.bincount(found.owners[found.owners >= 0], minlength=found.n)
+        return found.owners, (found.owners >= 0) & (sizes[found.owners] == 1)
+    owner, point = np.full(system.getNumParticles(), -1), np.zeros(system.getNumParticles(), dtype=bool)
+    number = 0
+    for kind in BodyPlan(system).kinds:
+        for cluster in kind.clusters:
+            owner[cluster], point[cluster], number = number, len(cluster) == 1, number + 1
+    return owner, point
+
+
+def _kind(force) -> type | None:
+    return next((kind for kind in TERMS if isinstance(force, kind)), None)
+
+
+def _terms(force) -> np.ndarray:
+    """Particles of each term of a bonded Force, (t, k)."""
+    kind = _kind(force)
+    assert kind is not None
+    tag, attributes = TERMS[kind]
+    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
+    found = [[int(term.attrib[name]) for name in attributes] for parent in root.iter(f"{tag}s") for term in parent]
+    return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
+
+
+def _between(terms, owner) -> np.ndarray:
+    """The terms that do not lie in one body."""
+    found = owner[terms]
+    return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]
+
+
+def _has_terms(force, owner) -> bool:
+    return bool(len(_between(_terms(force), owner)))
+
+
+def _is_fast(force, owner, point) -> bool:
+    """Whether a Force is a bonded one, and all of its terms between bodies are between points."""
+    if _kind(force) is None:
+        return False
+    between = _between(_terms(force), owner)
+    return bool(len(between)) and bool(point[between].all())

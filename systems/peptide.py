@@ -1,0 +1,178 @@
+#!/usr/bin/env python3
+"""Make a solvated peptide: atoms from ideal geometry, water, minimization, equilibration at constant pressure.
+
+    python peptide.py                                                  the file that is shipped
+    python peptide.py --sequence ALA SER PHE VAL --torsions -65 -40    another one, as a helix
+
+The chain is capped by ACE and NME. Bond lengths and angles are those of Engh and Huber, Acta Cryst. A 47, 392 (1991),
+rounded; hydrogens and water come from OpenMM's Modeller. The PDB file names its force field.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from openmm_sier import SIERLangevinIntegrator, balance_pme
+
+HERE = Path(__file__).parent
+FORCE_FIELD = ("amber14-all.xml", "amber14/tip3p.xml")
+
+SHIPPED = "peptide.pdb"
+SEQUENCE = ("ALA", "SER", "PHE", "GLY", "VAL", "THR")
+TORSIONS = (-75.0, 145.0)  #: phi and psi in degrees: polyproline II, extended in water
+PADDING = 0.75  #: nm of water around the chain
+TEMPERATURE = 297.0  #: K
+
+#: Atoms of a side chain: each name with the three atoms before it, and bond (nm), angle and torsion (degrees).
+#: CB stands beside the backbone's N and C as in L-amino acids.
+CB = ("CB", ("C", "N", "CA"), 0.153, 110.5, -122.5)
+SIDE_CHAINS = {
+    "GLY": [],
+    "ALA": [CB],
+    "SER": [CB, ("OG", ("N", "CA", "CB"), 0.142, 110.8, 60.0)],
+    "VAL": [CB, ("CG1", ("N", "CA", "CB"), 0.152, 110.5, 175.0), ("CG2", ("N", "CA", "CB"), 0.152, 110.5, -62.0)],
+    "THR": [CB, ("OG1", ("N", "CA", "CB"), 0.143, 109.6, 60.0), ("CG2", ("N", "CA", "CB"), 0.152, 110.5, -60.0)],
+    "LEU": [
+        CB,
+        ("CG", ("N", "CA", "CB"), 0.153, 116.3, -65.0),
+        ("CD1", ("CA", "CB", "CG"), 0.152, 110.7, 175.0),
+        ("CD2", ("CA", "CB", "CG"), 0.152, 110.7, -60.0),
+    ],
+    "PHE": [
+        CB,
+        ("CG", ("N", "CA", "CB"), 0.150, 113.8, -65.0),
+        ("CD1", ("CA", "CB", "CG"), 0.139, 120.7, 90.0),
+        ("CD2", ("CA", "CB", "CG"), 0.139, 120.7, -90.0),
+        ("CE1", ("CB", "CG", "CD1"), 0.139, 120.7, 180.0),
+        ("CE2", ("CB", "CG", "CD2"), 0.139, 120.7, 180.0),
+        ("CZ", ("CG", "CD1", "CE1"), 0.139, 120.0, 0.0),
+    ],
+}
+RINGS = {"PHE": [("CE2", "CZ")]}
+
+
+def placed(a, b, c, length: float, angle: float, torsion: float) -> np.ndarray:
+    """The atom at a distance from c, with the angle at c to b, and the torsion about b-c to a, in degrees."""
+    angle, torsion = np.radians([angle, torsion])
+    along = (c - b) / np.linalg.norm(c - b)
+    normal = np.cross(b - a, along)
+    normal /= np.linalg.norm(normal)
+    out = np.cross(normal, along)
+    return c + length * (
+        -np.cos(angle) * along + np.sin(angle) * (np.cos(torsion) * out + np.sin(torsion) * normal)
+    )
+
+
+def chain(sequence, phi: float, psi: float):
+    """Topology and positions (N, 3) in nm of the heavy atoms of ACE-sequence-NME.
+
+    Raises:
+        ValueError: a residue is none of `SIDE_CHAINS`.
+    """
+    if unknown := [name for name in sequence if name not in SIDE_CHAINS]:
+        raise ValueError(f"there is no geometry of residue {unknown[0]}, only of {', '.join(SIDE_CHAINS)}")
+    topology, positions = app.Topology(), []
+    strand = topology.addChain()
+
+    def grow(name: str, atoms, bonds):
+        residue = topology.addResidue(name, strand)
+        found = {atom: topology.addAtom(atom, app.Element.getBySymbol(atom[0]), residue) for atom, _ in atoms}
+        positions.extend(place for _, place in atoms)
+        for first, second in bonds:
+            topology.addBond(found[first], found[second])
+        return found
+
+    methyl, carbonyl = np.zeros(3), np.array([0.152, 0.0, 0.0])
+    oxygen = placed(np.array([0.0, 1.0, 0.0]), methyl, carbonyl, 0.123, 120.5, 0.0)
+    cap = [("CH3", methyl), ("C", carbonyl), ("O", oxygen)]
+    last = grow("ACE", cap, [("CH3", "C"), ("C", "O")])
+    before, carbon = methyl, carbonyl
+    turn = psi
+    for number, name in enumerate(sequence):
+        # The plane of the first peptide bond is that of the cap's oxygen.
+        nitrogen = placed(oxygen, before, carbon, 0.133, 116.5, 180.0) if not number else placed(
+            backbone, before, carbon, 0.133, 116.5, turn
+        )
+        alpha = placed(before, carbon, nitrogen, 0.146, 121.7, 180.0)
+        own = placed(carbon, nitrogen, alpha, 0.1525, 111.0, phi)
+        at = {"N": nitrogen, "CA": alpha, "C": own}
+        at["O"] = placed(nitrogen, alpha, own, 0.123, 120.5, psi + 180.0)
+        for atom, parents, *geometry in SIDE_CHAINS[name]:
+            at[atom] = placed(*(at[parent] for parent in parents), *geometry)
+        bonds = [("N", "CA"), ("CA", "C"), ("C", "O")]
+        bonds += [(parents[-1], atom) for atom, parents, *_ in SIDE_CHAINS[name]] + RINGS.get(name, [])
+        found = grow(name, list(at.items()), bonds)
+        topology.addBond(last["C"], found["N"])
+        last, before, carbon, backbone = found, alpha, own, nitrogen
+    nitrogen = placed(backbone, before, carbon, 0.133, 116.5, turn)
+    methyl = placed(before, carbon, nitrogen, 0.146, 121.7, 180.0)
+    found = grow("NME", [("N", nitrogen), ("C", methyl)], [("N", "C")])
+    topology.addBond(last["C"], found["N"])
+    return topology, np.array(positions)
+
+
+def solvated(sequence, phi: float, psi: float, padding: float) -> app.Modeller:
+    """The chain with hydrogens in a box of water, and ions where it has a charge."""
+    topology, positions = chain(sequence, phi, psi)
+    forcefield = app.ForceField(*FORCE_FIELD)
+    # The longest axis lies along a diagonal of the box, which is cubic and so the smaller.
+    modeller = app.Modeller(topology, positions * unit.nanometer)
+    modeller.addHydrogens(forcefield)
+    modeller.addSolvent(forcefield, padding=padding * unit.nanometer, neutralize=True)
+    return modeller
+
+
+def equilibrated(modeller: app.Modeller, temperature: float, time: float, seed: int) -> openmm.State:
+    """State after minimization and a time in ps at 1 bar, with hydrogens held by constraints."""
+    system = app.ForceField(*FORCE_FIELD).createSystem(
+        modeller.topology,
+        nonbondedMethod=app.PME,
+        nonbondedCutoff=0.9 * unit.nanometer,
+        constraints=app.HBonds,
+        switchDistance=0.75 * unit.nanometer,
+        ewaldErrorTolerance=1e-4,
+    )
+    balance_pme(system)
+    integrator = SIERLangevinIntegrator(temperature, 5.0, 0.004, pressure=1.0, barostatInterval=10)
+    integrator.setRandomNumberSeed(seed)
+    simulation = app.Simulation(modeller.topology, system, integrator)
+    simulation.context.setPositions(modeller.positions)
+    simulation.minimizeEnergy(maxIterations=500)
+    simulation.context.setVelocitiesToTemperature(temperature, seed)
+    simulation.step(round(time / 0.004))
+    return simulation.context.getState(positions=True)
+
+
+def write(path: Path, topology, state: openmm.State) -> None:
+    """Write a PDB file that names its force field, molecules whole."""
+    topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
+    with path.open("w") as file:
+        for name in FORCE_FIELD:
+            file.write(f"REMARK  99 FORCEFIELD {name}\n")
+        app.PDBFile.writeFile(topology, state.getPositions(), file, keepIds=True)
+
+
+def main(arguments=None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sequence", nargs="+", default=SEQUENCE, help=f"of {', '.join(SIDE_CHAINS)}")
+    parser.add_argument("--torsions", nargs=2, type=float, default=TORSIONS, metavar=("PHI", "PSI"), help="degrees")
+    parser.add_argument("--padding", type=float, default=PADDING, help="nm of water around the chain")
+    parser.add_argument("--temperature", type=float, default=TEMPERATURE, help="K")
+    parser.add_argument("--time", type=float, default=40.0, help="of the equilibration, ps")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=HERE / SHIPPED)
+    options = parser.parse_args(arguments)
+    modeller = solvated(options.sequence, *options.torsions, options.padding)
+    print(f"{modeller.topology.getNumAtoms()} atoms, {modeller.topology.getNumResidues()} residues")
+    state = equilibrated(modeller, options.temperature, options.time, options.seed)
+    write(options.out, modeller.topology, state)
+    print(f"wrote {options.out}, a box of {state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3):.2f} nm^3")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
