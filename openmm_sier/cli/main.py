@@ -18,6 +18,9 @@ from openmm_sier.version import __version__
 PROGRAM = "openmm-sier"
 SCHEMES = tuple(CATALOGUE)
 
+#: The keys of `measure.forcefields.CONSTRAINTS`, which are here without OpenMM.
+CONSTRAINTS = ("none", "hbonds", "allbonds", "hangles")
+
 #: Exit codes; further ones are an error's own `exit_code`, and 128 + n after signal n.
 FAILED, MISUSED, SIGNALLED = 1, 2, 128
 
@@ -32,6 +35,11 @@ EXIT_CODES = """exit codes:
 """
 
 RIGID_HELP = "names of residues that are rigid bodies of the geometry that they have in the PDB file, besides water"
+
+CONSTRAINTS_HELP = (
+    "constraints besides those of water: of bonds of hydrogen, of all bonds, or of bonds and angles of hydrogens "
+    "(default: none)"
+)
 
 FORCEFIELD_HELP = (
     "force-field files, OpenMM's or your own. Without it the file named in a record 'REMARK  99 FORCEFIELD file.xml' "
@@ -144,6 +152,7 @@ def _add_run(commands) -> argparse.ArgumentParser:
     )
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
     parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
+    parser.add_argument("--constraints", choices=CONSTRAINTS, help=CONSTRAINTS_HELP)
     parser.add_argument("--scheme", choices=("auto", *SCHEMES), help="default: sier4; auto takes the recommended one")
     parser.add_argument("--dt", metavar="FS", type=_positive, help="step in fs (default: 1 per force evaluation)")
     parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
@@ -215,6 +224,7 @@ def _add_info(commands) -> argparse.ArgumentParser:
     parser.add_argument("box", metavar="BOX.pdb", type=Path)
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
     parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
+    parser.add_argument("--constraints", choices=CONSTRAINTS, help=CONSTRAINTS_HELP)
     parser.set_defaults(execute=_info)
     return parser
 
@@ -222,7 +232,7 @@ def _add_info(commands) -> argparse.ArgumentParser:
 def _info(options) -> None:
     from openmm_sier.cli import info
 
-    info.info(options.box, options.forcefield, options.rigid)
+    info.info(options.box, options.forcefield, options.rigid, options.constraints)
 
 
 # --- paper ---

@@ -13,7 +13,6 @@ from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import Scheme
 
-
 #: Longest step over the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
 

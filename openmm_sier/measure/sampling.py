@@ -223,6 +223,6 @@ def steepness(context, bodies: RigidBodies, samples: int, every: int) -> tuple[f
         F, tau = bodies.forces_and_torques(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer), A)
         sums += (F * F / bodies.masses).sum(), (body_frame(A, tau) ** 2 * bodies.inverse_moments).sum()
     # Forces do not know whether the total momentum is conserved.
-    dof = np.array(degrees_of_freedom(bodies, conserved=False))
+    dof = np.array(degrees_of_freedom(bodies, conserved=False)[:2])
     translation, rotation = np.divide(sums / (samples * GAS_CONSTANT), dof, out=np.zeros(2), where=dof > 0)
     return float(translation), float(rotation)

@@ -428,5 +428,4 @@ def test_solutes_with_constrained_hydrogens_run():
     assert np.abs(spread).max() < 0.05
     assert integrator.computeSystemTemperature()._value > 50
     assert np.isnan(integrator.computeTemperatures().rotation)
-    with pytest.raises(RigidityError, match="constrained but not rigid"):
-        integrator.getBodyState()
+    assert integrator.getBodyState().q.shape == (3, 8)
