@@ -196,11 +196,13 @@ def _body_state(context, bodies: RigidBodies) -> BodyState:
     velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
     p, L = bodies.momenta(velocities, A)
     if leapfrog:
-        # Constraint forces have no net force and torque on a body, so that they need not be known.
+        # Constraint forces have no net force and torque on a body, and between bodies the projection stands for them,
+        # so that they need not be known.
         forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
         F, tau = bodies.forces_and_torques(forces, A)
         half = 0.5 * integrator.getStepSize().value_in_unit(unit.picosecond)
         p, L = p + half * F, L + half * tau
+    p = bodies.constraints.project(q, p)
     return BodyState(q, p, A, L)
 
 

@@ -123,15 +123,17 @@ def prepare(
 
 
 def _strongest_force(context) -> float:
-    """Largest net force on a body, kJ/mol/nm; infinite where one is not finite."""
+    """Largest net force on a molecule, kJ/mol/nm; infinite where one is not finite."""
     integrator = context.getIntegrator()
     forces = context.getState(forces=True).getForces(asNumpy=True)
     forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+    bodies = integrator.bodies
     try:
-        F, _ = integrator.bodies.forces_and_torques(forces, integrator.getBodyState().A)
+        F, _ = bodies.forces_and_torques(forces, integrator.getBodyState().A)
     except NotFiniteError:
         return math.inf
-    return float(np.linalg.norm(F, axis=0).max())
+    # Bonds pull at the bodies of a molecule much more than its surroundings do.
+    return float(np.linalg.norm([np.bincount(bodies.molecules, row) for row in F], axis=0).max())
 
 
 @dataclass(frozen=True)
