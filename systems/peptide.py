@@ -62,9 +62,7 @@ def placed(a, b, c, length: float, angle: float, torsion: float) -> np.ndarray:
     normal = np.cross(b - a, along)
     normal /= np.linalg.norm(normal)
     out = np.cross(normal, along)
-    return c + length * (
-        -np.cos(angle) * along + np.sin(angle) * (np.cos(torsion) * out + np.sin(torsion) * normal)
-    )
+    return c + length * (-np.cos(angle) * along + np.sin(angle) * (np.cos(torsion) * out + np.sin(torsion) * normal))
 
 
 def chain(sequence, phi: float, psi: float):
@@ -90,13 +88,10 @@ def chain(sequence, phi: float, psi: float):
     oxygen = placed(np.array([0.0, 1.0, 0.0]), methyl, carbonyl, 0.123, 120.5, 0.0)
     cap = [("CH3", methyl), ("C", carbonyl), ("O", oxygen)]
     last = grow("ACE", cap, [("CH3", "C"), ("C", "O")])
-    before, carbon = methyl, carbonyl
-    turn = psi
-    for number, name in enumerate(sequence):
-        # The plane of the first peptide bond is that of the cap's oxygen.
-        nitrogen = placed(oxygen, before, carbon, 0.133, 116.5, 180.0) if not number else placed(
-            backbone, before, carbon, 0.133, 116.5, turn
-        )
+    # The first peptide bond lies opposite to the cap's oxygen.
+    beyond, before, carbon, turn = oxygen, methyl, carbonyl, 180.0
+    for name in sequence:
+        nitrogen = placed(beyond, before, carbon, 0.133, 116.5, turn)
         alpha = placed(before, carbon, nitrogen, 0.146, 121.7, 180.0)
         own = placed(carbon, nitrogen, alpha, 0.1525, 111.0, phi)
         at = {"N": nitrogen, "CA": alpha, "C": own}
@@ -107,8 +102,8 @@ def chain(sequence, phi: float, psi: float):
         bonds += [(parents[-1], atom) for atom, parents, *_ in SIDE_CHAINS[name]] + RINGS.get(name, [])
         found = grow(name, list(at.items()), bonds)
         topology.addBond(last["C"], found["N"])
-        last, before, carbon, backbone = found, alpha, own, nitrogen
-    nitrogen = placed(backbone, before, carbon, 0.133, 116.5, turn)
+        last, beyond, before, carbon, turn = found, nitrogen, alpha, own, psi
+    nitrogen = placed(beyond, before, carbon, 0.133, 116.5, turn)
     methyl = placed(before, carbon, nitrogen, 0.146, 121.7, 180.0)
     found = grow("NME", [("N", nitrogen), ("C", methyl)], [("N", "C")])
     topology.addBond(last["C"], found["N"])
@@ -119,7 +114,6 @@ def solvated(sequence, phi: float, psi: float, padding: float) -> app.Modeller:
     """The chain with hydrogens in a box of water, and ions where it has a charge."""
     topology, positions = chain(sequence, phi, psi)
     forcefield = app.ForceField(*FORCE_FIELD)
-    # The longest axis lies along a diagonal of the box, which is cubic and so the smaller.
     modeller = app.Modeller(topology, positions * unit.nanometer)
     modeller.addHydrogens(forcefield)
     modeller.addSolvent(forcefield, padding=padding * unit.nanometer, neutralize=True)

@@ -37,24 +37,32 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
     return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
 
-def info(path: Path, files: Sequence[str] | None = None, rigid: Sequence[str] | None = None) -> None:
+def info(
+    path: Path,
+    files: Sequence[str] | None = None,
+    rigid: Sequence[str] | None = None,
+    constraints: str | None = None,
+) -> None:
     """Print the kinds of body of a PDB file, masses in dalton and moments in dalton nm^2.
 
     Args:
         path: the PDB file.
         files: force-field files; None picks one, see `forcefields.pick`.
         rigid: see `rigid_bodies`.
+        constraints: besides those of water, see `forcefields.CONSTRAINTS`.
 
     Raises:
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
-    box = read_box(path, files)
+    box = read_box(path, files, constraints)
     bodies = rigid_bodies(box, rigid)
     atoms = list(box.topology.atoms())
     riders = _riders(box.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
     table(f"{path}, {' '.join(box.choice.files)} ({box.choice.reason})", COLUMNS, rows)
     counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
+    if count := len(bodies.constraints.pairs):
+        counts += f", {count} constraints between bodies"
     note(counts + _extent(box))
 
 

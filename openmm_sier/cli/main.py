@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 SCHEMES = tuple(CATALOGUE)
 
+#: The keys of `measure.forcefields.CONSTRAINTS`, which are here without OpenMM.
+CONSTRAINTS = ("none", "hbonds", "allbonds", "hangles")
+
 #: Exit codes; further ones are an error's own `exit_code`, and 128 + n after signal n.
 FAILED, MISUSED, SIGNALLED = 1, 2, 128
 
@@ -39,6 +42,11 @@ EXIT_CODES = """exit codes:
 """
 
 RIGID_HELP = "names of residues, besides water, to be held rigid in the geometry that they have in the PDB file"
+
+CONSTRAINTS_HELP = (
+    "constraints besides those of water: of bonds of hydrogen, of all bonds, or of bonds and angles of hydrogens "
+    "(default: none)"
+)
 
 FORCEFIELD_HELP = (
     "force-field files, OpenMM's or your own. Without it the file named in a record 'REMARK  99 FORCEFIELD file.xml' "
@@ -110,6 +118,7 @@ def _add_run(commands: Commands) -> argparse.ArgumentParser:
     )
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
     parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
+    parser.add_argument("--constraints", choices=CONSTRAINTS, help=CONSTRAINTS_HELP)
     parser.add_argument("--scheme", choices=SCHEMES, help=f"default: {RECOMMENDED}")
     parser.add_argument("--dt", metavar="FS", type=positive, help=STEP_HELP)
     parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
@@ -180,6 +189,7 @@ def _add_info(commands: Commands) -> argparse.ArgumentParser:
     parser.add_argument("box", metavar="BOX.pdb", type=Path)
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
     parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
+    parser.add_argument("--constraints", choices=CONSTRAINTS, help=CONSTRAINTS_HELP)
     parser.set_defaults(execute=_info)
     return parser
 
@@ -187,7 +197,7 @@ def _add_info(commands: Commands) -> argparse.ArgumentParser:
 def _info(options: argparse.Namespace) -> None:
     from openmm_sier.cli import info
 
-    info.info(options.box, options.forcefield, options.rigid)
+    info.info(options.box, options.forcefield, options.rigid, options.constraints)
 
 
 # --- paper ---

@@ -27,6 +27,7 @@ CONTINUED = (
     "seed",
     "forcefield",
     "rigid",
+    "constraints",
     "scheme",
     "dt",
     "every",
@@ -54,6 +55,7 @@ class Options:
     box: Path
     forcefield: list[str] | None = None
     rigid: list[str] | None = None
+    constraints: str | None = None
     scheme: str | None = None
     dt: float | None = None
     steps: int | None = None
@@ -103,6 +105,7 @@ class Plan:
     out: str
     report: str
     rigid: list[str] | None = None
+    constraints: str | None = None
     bodies: str | None = None
     bodies_every: float = 0.1
     unwrapped: bool = False
@@ -157,6 +160,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
         seed=_first(options.seed, 1),
         forcefield=_first(options.forcefield, origin.get("forcefield")),
         rigid=_first(options.rigid, origin.get("rigid")),
+        constraints=_first(options.constraints, origin.get("constraints")),
         scheme=scheme,
         dt=dt,
         steps=_length(options, dt) or round(10_000 / dt),

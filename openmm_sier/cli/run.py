@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.context import conservation
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
+from openmm_sier.context.preparation import prepare_system
 from openmm_sier.context.temperature import degrees_of_freedom
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
 from openmm_sier.dynamics.schemes import CATALOGUE
@@ -65,13 +66,14 @@ def _run(options: Options, requests: StopRequests) -> None:
     paths = output_paths(plan, checkpoint)
     existing = "continue" if options.restart else "replace" if options.overwrite else "refuse"
     check_outputs(paths, _inputs(options), existing)
-    box = read_box(options.box, plan.forcefield)
+    box = read_box(options.box, plan.forcefield, plan.constraints)
     check_outputs(paths, _inputs(options, box), existing)
     note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
     bodies = rigid_bodies(box, plan.rigid)
+    prepared = prepare_system(box.system, bodies)
     if plan.ensemble == "npt" and not box.system.usesPeriodicBoundaryConditions():
         raise RunError("--ensemble npt needs a periodic box, which the PDB file does not have")
-    context = make_context(box.system, _integrator(plan, bodies), options.platform)
+    context = make_context(box.system, _integrator(plan, bodies, prepared.fastForceGroups), options.platform)
     if options.restart:
         _restore(context, state, notes, options, plan, paths.values())
     else:
@@ -106,12 +108,14 @@ def _check_platform(name: str | None) -> None:
         raise RunError(f"there is no registered Platform {name}, expected one of {', '.join(known)}")
 
 
-def _integrator(plan: Plan, bodies: RigidBodies) -> SIERIntegrator:
+def _integrator(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERIntegrator:
     step, scheme = plan.dt / 1000, CATALOGUE[plan.scheme]
     if plan.ensemble == "nve":
-        return SIERIntegrator(step, scheme, bodies)
+        return SIERIntegrator(step, scheme, bodies, fastForceGroups=fast)
     pressure = plan.pressure if plan.ensemble == "npt" else None
-    integrator = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure)
+    integrator = SIERLangevinIntegrator(
+        plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure, fastForceGroups=fast
+    )
     integrator.setRandomNumberSeed(plan.seed)
     return integrator
 

@@ -45,6 +45,14 @@ LARGEST_FLUCTUATION = {2: 0.03, 4: 0.01}
 FEWEST_ROWS = 10
 
 
+#: Columns of the log by the names of the temperatures.
+TEMPERATURES = {
+    "T_trans": "Translational Temperature (K)",
+    "T_rot": "Rotational Temperature (K)",
+    "T_flexible": "Flexible Temperature (K)",
+}
+
+
 class Runaway(RuntimeError):
     """Energy or temperature has run away."""
 
@@ -78,7 +86,7 @@ class Guard:
             Runaway: one of them is passed.
         """
         time, energy = values["Time (ps)"], values["Conserved Energy (kJ/mole)"]
-        self.look_at_temperatures(values["Translational Temperature (K)"], values["Rotational Temperature (K)"])
+        self.look_at_temperatures(*(values.get(name, math.nan) for name in TEMPERATURES.values()))
         if not math.isfinite(energy):
             raise Runaway("the energy is not finite")
         self._kinetic_sum, self._looks = self._kinetic_sum + values["Kinetic Energy (kJ/mole)"], self._looks + 1
@@ -95,13 +103,13 @@ class Guard:
         if self._plan.ensemble == "nve":
             self._judge(energy - self.start, LARGEST * typical, "since the start")
 
-    def look_at_temperatures(self, translation: float, rotation: float) -> None:
-        """Compare temperatures in K with the bounds; NaN stands for no degrees of freedom.
+    def look_at_temperatures(self, *temperatures: float) -> None:
+        """Compare temperatures in K, in the order of `TEMPERATURES`, with the bounds; NaN: no degrees of freedom.
 
         Raises:
             Runaway: one of them is passed.
         """
-        for name, value, bound in zip(("T_trans", "T_rot"), (translation, rotation), self._bounds, strict=True):
+        for name, value, bound in zip(TEMPERATURES, temperatures, self._bounds, strict=True):
             if value > bound:
                 raise Runaway(f"{name} is {value:.3g} K, above {bound:.4g} K")
 
@@ -114,7 +122,7 @@ class Guard:
             )
 
 
-def _by_chance(temperature: float, freedoms: int) -> float:
+def _by_chance(temperature: float, freedoms: float) -> float:
     """A temperature in K that this many degrees of freedom practically never exceed in equilibrium.
 
     Laurent and Massart, Ann. Statist. 28, 1302 (2000), Lemma 1, for the chi-squared distribution.

@@ -60,8 +60,16 @@ def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
         ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), math.nan, "%")),
         ("T_trans", _value(*mean_and_error(log["Translational Temperature (K)"]), "K", ".1f", ".1f")),
         ("T_rot", _value(*mean_and_error(log["Rotational Temperature (K)"]), "K", ".1f", ".1f")),
+        *_flexible_rows(log),
         ("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"),
     ]
+
+
+def _flexible_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    values = log["Flexible Temperature (K)"]
+    if np.isnan(values).all():
+        return []
+    return [("T of flexible molecules", _value(*mean_and_error(values), "K", ".1f", ".1f"))]
 
 
 def density_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:

@@ -69,10 +69,10 @@ def group_mask(name: str, groups: Iterable[int] | int | None) -> int:
     """
     if groups is None:
         return 0
-    if isinstance(groups, numbers.Integral):
+    if isinstance(groups, int):
         if not 0 <= groups < 2**GROUPS:
             raise ValueError(f"{name} must be a set of force groups or a bit mask below 2^{GROUPS}, got {groups}")
-        return int(groups)
+        return groups
     try:
         found = {operator.index(group) for group in groups}
     except TypeError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 import openmm
@@ -107,6 +108,29 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
                 f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
                 "strength)"
             )
+
+
+def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:
+    """Refuse rigid bodies of three or more atoms in a row that constraints hold.
+
+    OpenMM's own solvers of constraints divide by zero there: minimization, `applyConstraints` and
+    `setVelocitiesToTemperature` give NaN.
+
+    Raises:
+        RigidityError: naming the first one.
+    """
+    lines = [s for s in bodies.species if s.atoms.shape[1] > 2 and s.moments[0] == 0]
+    if not lines:
+        return
+    pairs = {tuple(sorted(system.getConstraintParameters(i)[:2])) for i in range(system.getNumConstraints())}
+    for species in lines:
+        for row in species.atoms.tolist():
+            if all(pair in pairs for pair in combinations(sorted(row), 2)):
+                raise RigidityError(
+                    f"{bodies.describe_atoms(row)}: atoms in a row are held by constraints between all of them, of "
+                    "which OpenMM makes NaN. Give the mass to the two outer atoms and make the others virtual sites; "
+                    "or leave out these constraints and name the atoms in `bodies`"
+                )
 
 
 def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:

@@ -23,6 +23,7 @@ COLUMNS = (
     "Temperature (K)",
     "Translational Temperature (K)",
     "Rotational Temperature (K)",
+    "Flexible Temperature (K)",
     *(f"Momentum {axis} (dalton nm/ps)" for axis in "xyz"),
     *(f"Angular Momentum {axis} (dalton nm^2/ps)" for axis in "xyz"),
     "Box Volume (nm^3)",

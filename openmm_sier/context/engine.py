@@ -82,7 +82,7 @@ class Engine:
 
     @property
     def bodies(self) -> RigidBodies:
-        """The rigid bodies of the Context's System."""
+        """The bodies of the Context's System."""
         return self._bodies or self._settle_by(Snapshot(self._context).positions)
 
     @property
@@ -108,6 +108,7 @@ class Engine:
         integrator, context = self._integrator, self._context
         vibrations = Vibrations(context.getSystem(), bodies)
         self._check_step(vibrations)
+        checks.refuse_constrained_lines(context.getSystem(), bodies)
         checks.refuse_deforming_barostats(context.getSystem(), context.getMolecules(), bodies)
         if integrator._piston is not None:
             self._volume_moves = VolumeMoves(integrator._piston, bodies, self._atoms)

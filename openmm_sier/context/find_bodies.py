@@ -215,7 +215,11 @@ def _named(topology, rigid: Rigid, lengths: Lengths, links: Links) -> Iterable[I
         raise ValueError(f'rigid must be lists of particles, a mapping or "{HYDROGEN_GROUPS}", got "{rigid}"')
     if topology is None:
         raise ValueError("bodies by name need the topology: RigidBodies.from_system(system, topology, rigid)")
-    return _hydrogen_groups(topology, _rigid_molecules(lengths, links)) if isinstance(rigid, str) else _residues_named(topology, rigid)
+    return (
+        _hydrogen_groups(topology, _rigid_molecules(lengths, links))
+        if isinstance(rigid, str)
+        else _residues_named(topology, rigid)
+    )
 
 
 def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:

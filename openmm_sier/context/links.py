@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 import openmm
@@ -25,6 +27,9 @@ _TERMS: dict[type, tuple[int, Callable, Callable]] = {
     ),
     openmm.RBTorsionForce: (4, openmm.RBTorsionForce.getNumTorsions, openmm.RBTorsionForce.getTorsionParameters),
 }
+
+
+Bodies = TypeVar("Bodies", bound=RigidBodies)
 
 
 class Links:
@@ -61,7 +66,7 @@ class Links:
         leaving[ends[ends[:, 0] != ends[:, 1]]] = True
         return leaving[:-1].tolist()
 
-    def tie(self, bodies: RigidBodies) -> RigidBodies:
+    def tie(self, bodies: Bodies) -> Bodies:
         """The bodies with the constraints between them, and with their molecules.
 
         Raises:
@@ -69,10 +74,10 @@ class Links:
         """
         ends = bodies.owners[self.pairs]
         between = np.flatnonzero((ends[:, 0] != ends[:, 1]) | (ends[:, 0] < 0))
-        joined, held = ends[between], bodies.owners >= 0
-        extended = bodies.moments.any(axis=0)
+        joined = ends[between]
+        extended = (bodies.moments > 0).max(axis=0, initial=False)
         for pair, body in zip(self.pairs[between].tolist(), joined.tolist(), strict=True):
-            if not held[pair].all() or extended[body].any():
+            if min(body) < 0 or extended[body].any():
                 raise joins_a_body(*pair)
         links = joined, self.lengths[between]
         return bodies.tied(links, self._molecules(bodies))
@@ -105,4 +110,4 @@ def _joined(force: openmm.Force) -> Iterator[tuple[int, int]]:
         if isinstance(force, kind):
             for term in range(count(force)):
                 atoms = parameters(force, term)[:size]
-                yield from zip(atoms, atoms[1:], strict=False)
+                yield from pairwise(atoms)

@@ -8,7 +8,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.context.host import Host
-from openmm_sier.context.solute import SoluteForces
+from openmm_sier.context.solute import SoluteForces, solute_system
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constrained import (
@@ -108,7 +108,12 @@ def _fast_forces(context: openmm.Context, bodies: RigidBodies, members, integrat
     if not wanted:
         return None
     atoms = [int(bodies.atoms_of(body)[0]) for body in members.tolist()]
-    fast = _Fast(context, atoms, wanted, np.where(_in_point(bodies), -1, bodies.owners))
+    rigid = np.where(_in_point(bodies), -1, bodies.owners)
+    if not atoms:
+        # Nothing to compute, but forces that cannot be fast are refused here too.
+        solute_system(context.getSystem(), atoms, wanted, rigid)
+        return None
+    fast = _Fast(context, atoms, wanted, rigid)
     return None if fast.is_empty else fast
 
 

@@ -16,7 +16,13 @@ from openmm_sier.context.host import Host
 from openmm_sier.context.native_program import WORK
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.context.stored_state import HEAT
-from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperature, temperatures, thermal_energies
+from openmm_sier.context.temperature import (
+    MomentumConservation,
+    Temperatures,
+    temperature,
+    temperatures,
+    thermal_energies,
+)
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
 

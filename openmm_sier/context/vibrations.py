@@ -13,7 +13,6 @@ from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import Scheme
 
-
 #: Longest step over the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
 
@@ -52,7 +51,7 @@ class Vibrations:
         """
         Args:
             system: openmm.System.
-            bodies: its bodies. Bonds inside them do not count.
+            bodies: its bodies. Bonds inside them do not count, nor do those that constraints hold.
         """
         self._bodies = bodies
         forces = [force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
@@ -60,7 +59,8 @@ class Vibrations:
         self._bonds: list[Bond] = []
         if forces:
             owner, mobility = bodies.owners, _mobilities(bodies)
-            found = [_fastest(force, owner, mobility) for force in forces]
+            held = {(int(a), int(b)) for a, b in np.sort(bodies.constraints.pairs, axis=1)}
+            found = [_fastest(force, owner, mobility, held) for force in forces]
             self._bonds = sorted(bond for bond in found if bond is not None)
         self._warned = False
 
@@ -141,14 +141,15 @@ def _fs(time: float) -> str:
     return f"{1000 * time:.3g} fs"
 
 
-def _fastest(force, owner, mobility) -> Bond | None:
-    """The bond of the shortest period between two bodies, if there is one."""
+def _fastest(force, owner, mobility, held: set[tuple[int, int]]) -> Bond | None:
+    """The bond of the shortest period between two bodies that are not among the pairs held apart, if there is one."""
     count = force.getNumBonds()
     ends, strength = np.empty((count, 2), dtype=np.int64), np.empty(count)
     for i in range(count):
         a, b, _, k = force.getBondParameters(i)
         ends[i], strength[i] = (a, b), k._value
     apart = (owner[ends[:, 0]] != owner[ends[:, 1]]) | (owner[ends[:, 0]] < 0)
+    apart &= np.array([pair not in held for pair in map(tuple, np.sort(owner[ends], axis=1).tolist())])
     squares = apart * strength * mobility[ends].sum(axis=1)
     fastest = int(squares.argmax())
     if not squares[fastest] > 0:

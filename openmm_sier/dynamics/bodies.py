@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -150,6 +151,9 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
     return numbers
 
 
+Bodies = TypeVar("Bodies", bound="RigidBodies")
+
+
 class RigidBodies:
     """The rigid and point bodies of a system, and what holds them together.
 
@@ -169,7 +173,7 @@ class RigidBodies:
         species: Sequence[Species],
         n_particles: int,
         labels: Sequence[str] | None = None,
-        links: tuple[Sequence, Sequence] = ((), ()),
+        links: tuple = ((), ()),
         molecules=None,
     ):
         """
@@ -237,7 +241,7 @@ class RigidBodies:
             owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
         return owners
 
-    def tied(self, links: tuple[Sequence, Sequence], molecules) -> RigidBodies:
+    def tied(self: Bodies, links: tuple, molecules) -> Bodies:
         """The same bodies with other links and molecules, see `RigidBodies`."""
         return type(self)(self.species, self.n_particles, self.labels, links, molecules)
 

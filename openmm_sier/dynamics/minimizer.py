@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.constraints import Constraints
 
 #: FIRE's own parameters (Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006)).
 SLOWEST_MIXING, MIXING_DECAY = 0.1, 0.99
@@ -43,21 +44,26 @@ def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -
     """Bodies on their way to a minimum of the potential energy, the start first, for as long as one asks.
 
     FIRE: a motion under the forces, of unit masses, that is turned towards the force and stopped whenever it goes
-    uphill. Rotations are measured in nm, as angles times radii of gyration.
+    uphill. Rotations are measured in nm, as angles times radii of gyration. Constraints between bodies are kept: the
+    force is the one along them.
 
     Args:
         bodies: what moves.
         forces: forces in kJ/mol/nm and torques in kJ/mol on them, each (3, n).
         q: centres, (3, n), nm.
         A: attitudes, (3, 3, n).
+
+    Raises:
+        ConstraintError: constraints cannot be kept.
     """
+    held = Constraints(*bodies.links, np.ones(bodies.n), bodies.describe)
     radii = np.sqrt(bodies.moments.sum(axis=0) / (2 * bodies.masses))
     inverse = np.divide(1.0, radii, out=np.zeros_like(radii), where=radii > 0)
     freedoms = max(bodies.dof, 1)
     v, step, mixing, downhill = np.zeros((6, bodies.n)), 0.0, SLOWEST_MIXING, 0
     while True:
         F, tau = forces(q, A)
-        f = np.concatenate([F, tau * inverse])
+        f = np.concatenate([held.project(q, F), tau * inverse])
         length = np.sqrt((f**2).sum())
         yield Point(q, A, float(length / np.sqrt(freedoms)))
         if length == 0:
@@ -74,7 +80,8 @@ def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -
         # Each body alone, so that two that overlap do not hold up all others.
         size = np.maximum(np.linalg.norm(v[:3], axis=0), np.linalg.norm(v[3:], axis=0))
         v *= np.minimum(1.0, LARGEST_DISPLACEMENT / np.maximum(step * size, 1e-300))
-        q, A = q + step * v[:3], _turned(A, step * v[3:] * inverse)
+        v[:3] = held.project(q, v[:3])
+        q, A = held.displaced(q, v[:3], step), _turned(A, step * v[3:] * inverse)
 
 
 def _turned(A: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -31,6 +31,10 @@ SWITCH = 0.75
 #: From it follow the mesh and, with more to spare, the Ewald parameter.
 EWALD_TOLERANCE = 1e-5
 
+#: What may be constrained besides water, as in OpenMM's createSystem: bonds of hydrogen, all bonds, these and the
+#: angles of hydrogens.
+CONSTRAINTS = {"none": None, "hbonds": app.HBonds, "allbonds": app.AllBonds, "hangles": app.HAngles}
+
 #: The cut-off as a fraction of the narrowest box width where the box is too small for `CUTOFF`. OpenMM refuses 0.5, and
 #: a barostat may shrink the box.
 LARGEST_CUTOFF = 0.45
@@ -131,12 +135,17 @@ def add_virtual_sites(
     return modeller.topology, modeller.positions
 
 
-def pme_system(topology: app.Topology, forcefield: app.ForceField) -> openmm.System:
+def pme_system(topology: app.Topology, forcefield: app.ForceField, constraints: str | None = None) -> openmm.System:
     """The System: rigid water, PME in a periodic box, no cut-off without one.
 
     The cut-off is 0.9 nm, less in a box too small for it, with the sums of PME balanced (`openmm_sier.balance_pme`);
     Lennard-Jones is switched off over the last sixth of it, with the usual correction for its tail. Nothing removes the
     motion of the centre of mass.
+
+    Args:
+        topology: openmm.app.Topology.
+        forcefield: openmm.app.ForceField.
+        constraints: besides those of water, one of `CONSTRAINTS`; None: none.
 
     Raises:
         ForceFieldError: the force field has no template for a residue.
@@ -152,7 +161,9 @@ def pme_system(topology: app.Topology, forcefield: app.ForceField) -> openmm.Sys
             "ewaldErrorTolerance": EWALD_TOLERANCE,
         }
     try:
-        system = forcefield.createSystem(topology, rigidWater=True, constraints=None, removeCMMotion=False, **settings)
+        system = forcefield.createSystem(
+            topology, rigidWater=True, constraints=CONSTRAINTS[constraints or "none"], removeCMMotion=False, **settings
+        )
     except Exception as error:
         raise ForceFieldError(first_line(error)) from error
     if meshed_forces(system):
@@ -179,12 +190,13 @@ class Box:
     listed: np.ndarray
 
 
-def read_box(path: str | Path, files: Sequence[str] | None = None) -> Box:
+def read_box(path: str | Path, files: Sequence[str] | None = None, constraints: str | None = None) -> Box:
     """Read a PDB file and build its System.
 
     Args:
         path: the PDB file.
         files: force-field files; None picks one, see `pick`.
+        constraints: see `pme_system`.
 
     Raises:
         ForceFieldError: the file is no PDB file, or no force field fits it.
@@ -204,7 +216,7 @@ def read_box(path: str | Path, files: Sequence[str] | None = None) -> Box:
     listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
     if len(listed) != pdb.topology.getNumAtoms():
         listed = np.arange(topology.getNumAtoms())
-    return Box(topology, positions, pme_system(topology, forcefield), choice, listed)
+    return Box(topology, positions, pme_system(topology, forcefield, constraints), choice, listed)
 
 
 def shipped_box(name: str = DEFAULT_BOX) -> Path:

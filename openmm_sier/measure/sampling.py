@@ -196,11 +196,13 @@ def _body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
     velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
     p, L = bodies.momenta(velocities, A)
     if leapfrog:
-        # Constraint forces have no net force and torque on a body, so that they need not be known.
+        # Constraint forces have no net force and torque on a body, and between bodies the projection stands for them,
+        # so that they need not be known.
         forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
         F, tau = bodies.forces_and_torques(forces, A)
         half = 0.5 * integrator.getStepSize().value_in_unit(unit.picosecond)
         p, L = p + half * F, L + half * tau
+    p = bodies.constraints.project(q, p)
     return BodyState(q, p, A, L)
 
 
@@ -223,6 +225,6 @@ def steepness(context: openmm.Context, bodies: RigidBodies, samples: int, every:
         F, tau = bodies.forces_and_torques(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer), A)
         sums += (F * F / bodies.masses).sum(), (body_frame(A, tau) ** 2 * bodies.inverse_moments).sum()
     # Forces do not know whether the total momentum is conserved.
-    dof = np.array(degrees_of_freedom(bodies, conserved=False))
+    dof = np.array(degrees_of_freedom(bodies, conserved=False)[:2])
     translation, rotation = np.divide(sums / (samples * GAS_CONSTANT), dof, out=np.zeros(2), where=dof > 0)
     return float(translation), float(rotation)

@@ -126,15 +126,17 @@ def prepare(
 
 
 def _strongest_force(context: openmm.Context) -> float:
-    """Largest net force on a body, kJ/mol/nm; infinite where one is not finite."""
+    """Largest net force on a molecule, kJ/mol/nm; infinite where one is not finite."""
     integrator = context.getIntegrator()
     forces = context.getState(forces=True).getForces(asNumpy=True)
     forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+    bodies = integrator.bodies
     try:
-        F, _ = integrator.bodies.forces_and_torques(forces, integrator.getBodyState().A)
+        F, _ = bodies.forces_and_torques(forces, integrator.getBodyState().A)
     except NotFiniteError:
         return math.inf
-    return float(np.linalg.norm(F, axis=0).max())
+    # Bonds pull at the bodies of a molecule much more than its surroundings do.
+    return float(np.linalg.norm([np.bincount(bodies.molecules, row) for row in F], axis=0).max())
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,8 @@ class Equilibration:
     Attributes:
         state: positions, velocities and box.
         time: that it took, ps.
-        translation, rotation: mean temperatures in K over the last two windows; NaN where nothing moves so.
+        translation, rotation, flexible: mean temperatures in K over the last two windows, see
+            `openmm_sier.context.temperature`; NaN where nothing moves so.
         potential: mean potential energy over the same time, kJ/mol.
         settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
     """
@@ -153,6 +156,7 @@ class Equilibration:
     time: float
     translation: float
     rotation: float
+    flexible: float
     potential: float
     settled: bool
 
@@ -164,9 +168,9 @@ def equilibrate(
 
     It has settled when, over the last two windows of 1 ps,
 
-    - T_trans and T_rot are each within one canonical standard deviation T sqrt(2/dof) of a snapshot of them (or 1 K if
-      that is more) of the temperature. With a friction of 5/ps the mean over 2 ps scatters by a third of that, so that
-      one in a hundred windows is taken for unsettled by chance;
+    - T_trans, T_rot and that of flexible molecules are each within one canonical standard deviation T sqrt(2/dof) of
+      a snapshot of them (or 1 K if that is more) of the temperature. With a friction of 5/ps the mean over 2 ps
+      scatters by a third of that, so that one in a hundred windows is taken for unsettled by chance;
     - the mean potential energy of the second differs from that of the first by less than 2 kT sqrt(dof/2), two
       canonical standard deviations of the kinetic energy. What a start from a lattice still gives up is many times
       that, while the bath may already hold the temperature.
@@ -197,7 +201,7 @@ def equilibrate(
             windows.append(_window(bath, length, advance, done))
             done += length
             settled = _has_settled(windows, temperature, dof)
-    last = _Window(*np.mean(windows[-2:], axis=0)) if windows else _Window(math.nan, math.nan, math.nan)
+    last = _Window(*np.mean(windows[-2:], axis=0)) if windows else _Window(*4 * [math.nan])
     state = bath.getState(positions=True, velocities=True)
     found = Equilibration(state, done * STEP, *last, settled=settled)
     _tell(found, temperature, dof, time, report)
@@ -208,7 +212,15 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     """A copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
     pressure = integrator.getPressure() if isinstance(integrator, SIERLangevinIntegrator) else None
-    langevin = SIERLangevinIntegrator(temperature, FRICTION, STEP, SCHEME, integrator.bodies, pressure=pressure)
+    langevin = SIERLangevinIntegrator(
+        temperature,
+        FRICTION,
+        STEP,
+        SCHEME,
+        integrator.bodies,
+        pressure=pressure,
+        fastForceGroups=integrator.fastForceGroups,
+    )
     langevin.setRandomNumberSeed(seed)
     names = set(KEPT_PROPERTIES) & set(platform.getPropertyNames())
     properties = {name: platform.getPropertyValue(context, name) for name in names}
@@ -223,6 +235,7 @@ class _Window(NamedTuple):
 
     translation: float
     rotation: float
+    flexible: float
     potential: float
 
 
@@ -248,7 +261,7 @@ def _has_settled(windows: list[_Window], temperature: float, dof: DegreesOfFreed
     return abs(later - earlier) <= 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(sum(dof) / 2)
 
 
-def bound(temperature: float, dof: int) -> float:
+def bound(temperature: float, dof: float) -> float:
     """Largest deviation of a mean temperature, K: one canonical standard deviation of a snapshot, at least 1 K."""
     return max(temperature * math.sqrt(2 / dof), TIGHTEST)
 
@@ -256,8 +269,10 @@ def bound(temperature: float, dof: int) -> float:
 def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time: float | None, report: Report) -> None:
     if not found.time:
         return
-    pairs = [("T_trans", found.translation, dof[0]), ("T_rot", found.rotation, dof[1])]
-    shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in pairs if n]
+    means = zip(
+        ("T_trans", "T_rot", "T_flexible"), (found.translation, found.rotation, found.flexible), dof, strict=True
+    )
+    shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in means if n]
     averaged = min(2 * WINDOW, found.time)
     message = f"{found.time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {averaged:.2g} ps"
     if time is None and not found.settled:

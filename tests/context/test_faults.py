@@ -598,13 +598,13 @@ def test_reinitialization_with_a_system_that_cannot_be_used(cluster):
     integrator = SIER2Integrator(0.001)
     context = context_at(system, integrator, point)
     integrator.step(1)
-    removed = system.getConstraintParameters(0)
-    system.removeConstraint(0)
-    with pytest.raises(RigidityError, match="constrained but not rigid"):
+    first, second, length = system.getConstraintParameters(0)
+    contradiction = system.addConstraint(first, second, 1.1 * length)
+    with pytest.raises(RigidityError, match="contradict each other"):
         context.reinitialize(preserveState=True)
     with pytest.raises(openmm.OpenMMException, match="not bound to a Context"):
         integrator.step(1)
-    system.addConstraint(*removed)
+    system.removeConstraint(contradiction)
     context.reinitialize(preserveState=True)
     integrator.step(1)
     assert context.getStepCount() == 2

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER4G, RigidBodies, RigidityError, SIER2Integrator, SIERIntegrator
 from tests.support import methanols
-from tests.support.waters import cluster_system, context_at, energies, platform
+from tests.support.waters import cluster_system, context_at, energies
 
 OH, HH = 0.09572, 0.15139
 WATER = ((15.999, 1.008, 1.008), {(0, 1): OH, (0, 2): OH, (1, 2): HH})
@@ -136,6 +136,40 @@ def test_ions_unconstrained_atoms_and_fixed_particles():
     assert all(not species.moments.any() for species in bodies.species if len(species.masses) == 1)
 
 
+def test_constrained_atoms_of_molecules_that_are_not_rigid_are_points():
+    """As with constraints=HBonds: hydrogens on one heavy atom, a pair bonded to another atom, and a free pair."""
+    methyl = ((12.011, 1.008, 1.008, 1.008), {(0, 1): 0.109, (0, 2): 0.109, (0, 3): 0.109})
+    pair = ((16.0, 1.008), {(0, 1): 0.096})
+    system = system_of(WATER, methyl, pair, pair)
+    bond = openmm.HarmonicBondForce()
+    bond.addBond(3, 7, 0.14, 3e5)
+    system.addForce(bond)
+    bodies = RigidBodies.from_system(system)
+    assert sorted(lists(bodies)) == [[0, 1, 2], [3], [4], [5], [6], [7], [8], [9, 10]]
+    joined = sorted(sorted(int(bodies.atoms_of(i)[0]) for i in pair) for pair in bodies.constraints.pairs)
+    assert joined == [[3, 4], [3, 5], [3, 6], [7, 8]]
+    assert bodies.dof == 6 + (6 * 3 - 4) + 5
+    # The methyl group and the pair are one molecule.
+    assert sorted(int(bodies.atoms_of(i)[0]) for i in np.flatnonzero(bodies.flexible)) == [3, 4, 5, 6, 7, 8]
+
+
+def test_a_constraint_between_two_molecules_makes_points_of_both():
+    system = system_of(WATER, WATER)
+    system.addConstraint(0, 3, 0.3)
+    bodies = RigidBodies.from_system(system)
+    assert lists(bodies) == [[0], [3], [1], [2], [4], [5]]
+    assert bodies.dof == 18 - 7
+    assert len(set(bodies.molecules)) == 1
+
+
+def test_restraints_leave_rigid_molecules_rigid():
+    system = system_of(WATER, WATER)
+    restraint = openmm.CustomBondForce("100*(r-0.3)^2")
+    restraint.addBond(0, 3)
+    system.addForce(restraint)
+    assert lists(RigidBodies.from_system(system)) == [[0, 1, 2], [3, 4, 5]]
+
+
 def test_virtual_sites_outside_bodies():
     system = system_of(((12.0, 1.0, 0.0), {}))
     system.setVirtualSite(2, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
@@ -196,26 +230,11 @@ def test_an_empty_system():
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 
-def test_constrained_but_not_rigid():
-    """As with constraints=HBonds: hydrogens on one heavy atom."""
-    methyl = ((12.011, 1.008, 1.008, 1.008), {(0, 1): 0.109, (0, 2): 0.109, (0, 3): 0.109})
-    with pytest.raises(RigidityError) as error:
-        RigidBodies.from_system(system_of(WATER, methyl), topology_of(("HOH", 3), ("CH3", 4)))
-    message = str(error.value)
-    assert message.startswith("residue CH3 2 (atoms 3, 4, 5, 6) is constrained but not rigid")
-    assert "3 of its 6 distances are free, the first between atoms 4 and 5" in message
-    assert "rigidWater=True and constraints=None" in message
-
-
-def test_a_constraint_between_two_molecules():
+def test_a_constraint_between_a_named_body_and_another_atom():
     system = system_of(WATER, WATER)
     system.addConstraint(0, 3, 0.3)
-    with pytest.raises(RigidityError) as error:
-        RigidBodies.from_system(system, topology_of(("HOH", 3), ("HOH", 3)))
-    message = str(error.value)
-    assert message.startswith("residue HOH 1 and HOH 2 (atoms 0, 1, 2, 3, 4, 5) is constrained but not rigid")
-    assert "8 of its 15 distances are free" in message
-    assert "none to other atoms" in message
+    with pytest.raises(RigidityError, match=r"between atoms 0 and 3 joins a rigid body .* leave them all out of `bod"):
+        RigidBodies.from_system(system, rigid=[[0, 1, 2]])
 
 
 def test_a_massless_particle_that_is_constrained():
@@ -238,11 +257,6 @@ def test_lengths_that_need_a_fourth_dimension():
     pairs = {(0, 1): 0.1, (0, 2): 0.1, (1, 2): 0.1, (0, 3): 0.055, (1, 3): 0.055, (2, 3): 0.055}
     with pytest.raises(RigidityError, match="contradict each other"):
         RigidBodies.from_system(system_of((4 * (12.0,), pairs)))
-
-
-def test_without_a_topology_atoms_are_named():
-    with pytest.raises(RigidityError, match="atoms 3, 4, 5, 6"):
-        RigidBodies.from_system(system_of(WATER, (4 * (1.0,), {(0, 1): 0.1, (1, 2): 0.1, (2, 3): 0.1})))
 
 
 def test_a_topology_of_another_system():
@@ -406,20 +420,15 @@ def test_groups_that_cannot_be_found():
         RigidBodies.from_system(system, topology_of(("MOH", 6)), GROUPS, positions)
 
 
-def test_the_remedies_that_a_refusal_names_work():
-    """A molecule with constraints=HBonds: groups at 6 fs, no constraints at 3 fs with SIER4G and 0.8 fs with SIER2."""
+def test_ways_to_treat_hydrogens():
+    """Constrained bonds and rigid groups at 6 fs, no constraints at 3 fs with SIER4G and 0.8 fs with SIER2."""
     positions, topology = methanols.positions_of(8), methanols.topology_of(8)
     held, free = methanols.system_of(8, X_H, positions), methanols.system_of(8)
-    with pytest.raises(RigidityError) as caught:
-        openmm.Context(held, SIERIntegrator(0.006, SIER4G), platform())
-    message = str(caught.value)
-    assert f'rigid="{GROUPS}"' in message
-    assert "fixes H-X-H angles" in message
-    assert "steps of 3 fs with a fourth-order scheme and of 0.8 fs with SIER2" in message
     with pytest.warns(UserWarning, match="share one geometry"):
         groups = RigidBodies.from_system(held, topology, GROUPS, positions)
-    runs = [(held, SIERIntegrator(0.006, SIER4G, bodies=groups)), (free, SIERIntegrator(0.003, SIER4G))]
-    for system, integrator in [*runs, (free, SIER2Integrator(0.0008))]:
+    runs = [(held, SIERIntegrator(0.006, SIER4G)), (held, SIERIntegrator(0.006, SIER4G, bodies=groups))]
+    runs += [(free, SIERIntegrator(0.003, SIER4G)), (free, SIER2Integrator(0.0008))]
+    for system, integrator in runs:
         with warnings.catch_warnings():
             # Neither the step nor the positions call for a remark.
             warnings.simplefilter("error")

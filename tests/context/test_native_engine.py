@@ -170,7 +170,7 @@ def test_degrees_of_freedom_and_body_states_agree_with_the_exact_engine(box):
     for engine in ("exact", "native"):
         integrator = SIERIntegrator(0.002, engine=engine)
         _context = context_at(system, integrator, point)
-        found[engine] = integrator.computeTemperatures(), integrator.getBodyState()
+        found[engine] = integrator.computeTemperatures()[:3], integrator.getBodyState()
     # Both fit the same atoms.
     assert found["native"][0] == pytest.approx(found["exact"][0], rel=1e-9)
     assert np.abs(found["native"][1].L - found["exact"][1].L).max() < 1e-9
@@ -431,5 +431,4 @@ def test_solutes_with_constrained_hydrogens_run():
     assert np.abs(spread).max() < 0.05
     assert integrator.computeSystemTemperature()._value > 50
     assert np.isnan(integrator.computeTemperatures().rotation)
-    with pytest.raises(RigidityError, match="constrained but not rigid"):
-        integrator.getBodyState()
+    assert integrator.getBodyState().q.shape == (3, 8)

@@ -1,0 +1,46 @@
+"""The command with molecules that are not rigid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from openmm import app, unit
+
+from openmm_sier.cli.main import CONSTRAINTS, main
+from openmm_sier.measure import forcefields
+from tests.support.commands import log
+from tests.support.peptides import capped_alanine_box
+
+
+def test_choices_are_those_of_the_force_fields():
+    assert tuple(forcefields.CONSTRAINTS) == CONSTRAINTS
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    path = tmp_path_factory.mktemp("peptide") / "alanine.pdb"
+    topology, positions = capped_alanine_box(waters=20)
+    with path.open("w") as file:
+        app.PDBFile.writeFile(topology, positions * unit.nanometer, file)
+    return path
+
+
+FIELDS = ["--forcefield", "amber14-all.xml", "amber14/tip3p.xml", "--constraints", "hbonds"]
+
+
+def test_run_and_restart(box, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    settings = ["--scheme", "sier4g", "--dt", "3", "--platform", "Reference", "--report-every", "0.003"]
+    settings += ["--equilibrate", "0.006", "--minimize"]
+    assert main(["run", str(box), *FIELDS, *settings, "--steps", "4"]) == 0
+    assert main(["run", str(box), "--restart", "alanine.chk", "--steps", "8"]) == 0
+    rows = log("alanine.csv")
+    assert rows["Step"].tolist() == list(range(9))
+    assert np.isfinite(rows["Flexible Temperature (K)"]).all()
+    assert "T of flexible molecules" in capsys.readouterr().out
+
+
+def test_info(box, capsys):
+    assert main(["info", str(box), *FIELDS]) == 0
+    # Twelve hydrogens of the peptide; three degrees of freedom of its atoms but these, and six of each water.
+    assert f"{22 * 3 - 12 + 20 * 6} degrees of freedom, 12 constraints between bodies" in capsys.readouterr().out

@@ -1,0 +1,105 @@
+"""The points of `flexible` as OpenMM Systems, alone and beside rigid water, and what their runs are compared by."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+
+from tests.support.flexible import Points
+from tests.support.waters import platform
+
+#: TIP3P.
+WATER = np.array([[0.0, 0.0, 0.0], [0.09572, 0.0, 0.0], [-0.0239872, 0.0926627, 0.0]])
+WATER_MASSES = (15.999, 1.008, 1.008)
+
+FAST = 1
+
+
+def system_of(points: Points, waters=0, ions=0, box=None):
+    """A System, and positions (N, 3) in nm, of points, then rigid waters and ions of one soft repulsion.
+
+    Springs are in the force group `FAST`. With a box, its edge in nm, interactions are periodic.
+    """
+    system = openmm.System()
+    for mass in points.masses:
+        system.addParticle(mass)
+    for (i, j), length in zip(points.pairs.tolist(), points.lengths.tolist(), strict=True):
+        system.addConstraint(i, j, length)
+    n = len(points.masses)
+    positions = [*points.x.T]
+    for number in range(waters):
+        start = system.getNumParticles()
+        positions += list(WATER + np.array([0.45 * (number % 3) - 0.4, -0.45, 0.45 * (number // 3)]))
+        for mass in WATER_MASSES:
+            system.addParticle(mass)
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            system.addConstraint(start + i, start + j, np.linalg.norm(WATER[i] - WATER[j]))
+    for number in range(ions):
+        system.addParticle(22.99)
+        positions.append(np.array([0.3 * number, 0.9, 0.1]))
+    system.addForce(_springs(points))
+    system.addForce(_field(points))
+    system.addForce(_charges(points, system.getNumParticles() - n, waters, box))
+    if box:
+        system.setDefaultPeriodicBoxVectors(*(box * np.eye(3)))
+    return system, np.array(positions)
+
+
+def _springs(points):
+    force = openmm.HarmonicBondForce()
+    for i, j, length, constant in zip(*points.springs, strict=True):
+        force.addBond(int(i), int(j), length, constant)
+    force.setForceGroup(FAST)
+    return force
+
+
+def _field(points):
+    force = openmm.CustomExternalForce("charge*sin(kx*x + ky*y + kz*z + phase)")
+    for name in ("charge", "kx", "ky", "kz", "phase"):
+        force.addPerParticleParameter(name)
+    if points.field:
+        for i, (charge, wave) in enumerate(zip(points.charges, points.waves.T, strict=True)):
+            force.addParticle(i, [charge * points.field, *wave, i])
+    return force
+
+
+def _charges(points, others, waters, box):
+    """Soft charges between molecules; those of water are -0.8 and 0.4, of ions 0.5 and -0.5 by turns."""
+    force = openmm.CustomNonbondedForce(f"{points.COULOMB}*c1*c2/sqrt(r^2 + {points.SOFTENING}^2)")
+    force.addPerParticleParameter("c")
+    ions = others - 3 * waters
+    for charge in (*points.charges, *(waters * (-0.8, 0.4, 0.4)), *(0.5 * (-1.0) ** np.arange(ions))):
+        force.addParticle([charge])
+    n = len(points.masses)
+    for i in range(n):
+        for j in range(i):
+            if points.molecules[i] == points.molecules[j]:
+                force.addExclusion(i, j)
+    for start in range(n, n + 3 * waters, 3):
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            force.addExclusion(start + i, start + j)
+    if box:
+        force.setNonbondedMethod(openmm.CustomNonbondedForce.CutoffPeriodic)
+        force.setCutoffDistance(0.35 * box)
+        force.setUseSwitchingFunction(True)
+        force.setSwitchingDistance(0.25 * box)
+    return force
+
+
+def started(system, integrator, positions, temperature=300.0, seed=3, name="Reference"):
+    """A Context at positions, with velocities of a temperature that satisfy the constraints."""
+    context = openmm.Context(system, integrator, platform(name))
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(temperature, seed)
+    return context
+
+
+def total_energy(context):
+    state = context.getState(energy=True)
+    return state.getPotentialEnergy()._value + state.getKineticEnergy()._value
+
+
+def farthest(one, other):
+    """Largest difference of two body states: of positions in pm, and of momenta in 1/100 dalton nm/ps."""
+    moved = [np.abs(getattr(one, name) - getattr(other, name)).max() for name in ("q", "p", "L")]
+    return max(1000 * moved[0], 100 * moved[1], 100 * moved[2])
