@@ -15,6 +15,7 @@ from openmm_sier.context.arguments import whole_number
 from openmm_sier.context.constant_temperature import ConstantTemperatureIntegrator, checked_friction
 from openmm_sier.context.engine import BlownUp, Engine
 from openmm_sier.context.host import Bodies
+from openmm_sier.context.notices import tell
 from openmm_sier.context.stored_state import STATE_VARIABLES
 from openmm_sier.dynamics import metropolis, operators
 from openmm_sier.dynamics.bodies import BodyState
@@ -292,6 +293,21 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         values = np.stack([np.array(self.getPerDofVariableByName(name)) for name in START_VARIABLES])
         start = stored_state.unpack(self.bodies, values)
         return Trial(replace(start, heat=heat), energy, thermal, h, int(left))
+
+
+def tell_of_samples(integrator: openmm.Integrator, interval: int, what: str) -> None:
+    """Warn where reports at an interval show what is no sample of hybrid Monte Carlo.
+
+    Args:
+        integrator: of any kind.
+        interval: steps from one report to the next.
+        what: name of what reports.
+    """
+    if isinstance(integrator, SIERHMCIntegrator) and interval % (steps := integrator.getStepsPerTrial()):
+        tell(
+            f"{what} reports every {interval} steps, and trials of hybrid Monte Carlo have {steps}: reports at other "
+            f"steps than multiples of {steps} are on trajectories that may be rejected, and no samples"
+        )
 
 
 def _friction(value: Any) -> float:

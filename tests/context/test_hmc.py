@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import copy
 import math
+import warnings
 
 import numpy as np
 import openmm
 import pytest
-from openmm import unit
+from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator
+from openmm_sier.context.reporters import ConservationReporter
 from tests.support.methanols import positions_of, system_of
 from tests.support.restarts import assert_same, everything
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
@@ -204,7 +206,7 @@ def test_forces_that_are_not_finite_reject_a_trial():
 def test_constrained_molecules():
     integrator = sampler(0.004, 3, SIER4G)
     positions = positions_of(2)
-    context = context_at(system_of(2), integrator, (positions, np.zeros_like(positions)))
+    _context = context_at(system_of(2), integrator, (positions, np.zeros_like(positions)))
     integrator.step(9)
     assert integrator.trials == 3
     # Constraints are solved to rounding, and so trajectories reverse to it.
@@ -240,6 +242,20 @@ CROOKED = Scheme("Euler", (("kick", 1.0), ("drift", 1.0)))
 def test_arguments_that_make_no_sense(options, message):
     with pytest.raises(ValueError, match=message):
         SIERHMCIntegrator(**{"temperature": 300, "stepSize": 0.002, **options})
+
+
+def test_reports_of_what_is_no_sample_are_warned_about_once(cluster, tmp_path):
+    topology = cluster_system(4)[0]
+    simulation = app.Simulation(topology, cluster[0], sampler(n=4), platform())
+    simulation.context.setPositions(cluster[1][0])
+    simulation.reporters.append(ConservationReporter(tmp_path / "samples.csv", 8))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        simulation.step(8)
+    simulation.reporters.append(ConservationReporter(tmp_path / "others.csv", 6))
+    with pytest.warns(UserWarning, match="every 6 steps, and trials of hybrid Monte Carlo have 4") as told:
+        simulation.step(12)
+    assert len(told) == 1
 
 
 @pytest.mark.parametrize(
