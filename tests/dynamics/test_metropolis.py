@@ -150,17 +150,23 @@ def within_three_errors(series, expected):
 
 
 @pytest.mark.slow
-# With friction momenta keep a factor of 0.5 in a trial of 0.06 ps.
-@pytest.mark.parametrize("friction", [math.inf, math.log(2) / 0.06], ids=["drawn anew", "kept in part"])
-def test_wells_are_sampled_exactly(friction):
-    chain = Chain(Wells(), SIER2, 0.02, friction=friction)
+@pytest.mark.parametrize(
+    ("h", "steps", "kept"), [(0.02, (2, 3, 4), 0.0), (0.016, (1,), 0.9)], ids=["drawn anew", "kept in part"]
+)
+def test_wells_are_sampled_exactly(h, steps, kept):
+    """Where a trial keeps 0.9 of the momenta, those of a rejected one must be reversed, or they know of places."""
+    friction = -math.log(kept) / h if kept else math.inf
+    chain = Chain(Wells(), SIER2, h, steps, friction=friction)
     states = list(chain.samples(2000))
     energies = np.array([chain.model.observed(state) for state in states])
-    assert 0.25 < states[-1].accepted / states[-1].trials < 0.65
     # Moments of the square of a normal variable.
     assert within_three_errors(energies, 1)
     assert within_three_errors(energies**2, 3)
     assert within_three_errors([state.p**2 / KT for state in states], 1)
+    products = [np.sqrt(chain.model.springs) * state.q * state.p / KT for state in states]
+    # Without the reversal it is 0.05.
+    assert within_three_errors(1 + np.array(products), 1)
+    assert 0.25 < states[-1].accepted / states[-1].trials < 0.65
 
 
 @pytest.mark.slow
