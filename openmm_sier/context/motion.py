@@ -57,7 +57,7 @@ class Motion:
     def _outer(self, forces: CachedForces, integrator: Host) -> dict[str, Operator]:
         bodies, constraints = self._bodies, self._bodies.constraints
         extra = integrator._extra_operators(bodies)
-        if not len(constraints.pairs) and self.fast is None:
+        if not len(self._members):
             return operators.body_operators(bodies, forces, integrator.rotation) | extra
         if BATH in extra:
             extra[BATH] = constrained_bath(extra[BATH], constraints)
