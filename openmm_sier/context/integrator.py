@@ -29,9 +29,6 @@ EXACT_PLATFORMS = ("CPU", "Reference")
 
 ENGINES = ("auto", "exact", "native")
 
-#: Steps of RATTLE in each drift of a native program, see docs/native.md.
-SUBSTEPS = 3
-
 
 class SIERIntegrator(openmm.CustomIntegrator):
     """Symplectic integrator for rigid bodies that uses the exact solution of free rotation.
@@ -55,7 +52,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         bodies: Bodies = None,
         rotation=exact,
         engine: str = "auto",
-        substeps: int = SUBSTEPS,
+        substeps: int | None = None,
     ):
         """
         Args:
@@ -65,7 +62,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
             rotation: free-rotation map, as `rotation.exact`.
             engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
-            substeps: of the native engine, the steps of RATTLE in each drift; 3 and 5 make it of fourth order.
+            substeps: of the native engine, the steps of RATTLE in each drift; 3 and 5 make it of fourth order. None
+                takes 3, or 5 with SIER4, SIER4V and other schemes of long drifts.
 
         Raises:
             ValueError: the step is negative or not finite, the engine is none of these, or there are no substeps. A
@@ -76,6 +74,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {scheme!r}")
         if engine not in ENGINES:
             raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
+        if substeps is None:
+            substeps = native_program.usual_substeps(scheme)
         if (substeps := whole_number("substeps", substeps)) == 0:
             raise ValueError("substeps must be at least 1, got 0")
         super().__init__(_step_size(stepSize))

@@ -8,7 +8,7 @@ from openmm import unit
 
 from openmm_sier.context import stored_settings
 from openmm_sier.context.engine import SEED
-from openmm_sier.context.integrator import SUBSTEPS, Bodies, SIERIntegrator, quantity_to_float, whole_number
+from openmm_sier.context.integrator import Bodies, SIERIntegrator, quantity_to_float, whole_number
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
@@ -44,7 +44,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
         pressure=None,
         barostatInterval=25,
         engine: str = "auto",
-        substeps: int = SUBSTEPS,
+        substeps: int | None = None,
     ):
         """
         Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from openmm_sier.context.integrator import SUBSTEPS, Bodies, SIERIntegrator
+from openmm_sier.context.integrator import Bodies, SIERIntegrator
 from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, Scheme
 
 
@@ -13,7 +13,7 @@ class IntegratorOfOneScheme(SIERIntegrator):
 
     SCHEME: ClassVar[Scheme]
 
-    def __init__(self, stepSize, bodies: Bodies = None, engine: str = "auto", substeps: int = SUBSTEPS):
+    def __init__(self, stepSize, bodies: Bodies = None, engine: str = "auto", substeps: int | None = None):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.

@@ -17,8 +17,8 @@ class FastForceError(ValueError):
 def refuse(system: openmm.System, groups: Collection[int], integration_groups: int) -> None:
     """Refuse fast forces that a native program cannot have in its drifts.
 
-    Virtual sites do not move within a native step, and the atoms do. So a fast force must not act on virtual sites; in a
-    System without them any force can be fast.
+    Within a native step atoms move and virtual sites do not. So a fast force must not act on virtual sites; in a System
+    without them any force can be fast.
 
     Args:
         system: openmm.System.

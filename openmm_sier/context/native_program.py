@@ -155,7 +155,31 @@ class Program:
         return "\n".join(lines)
 
 
-def write(scheme: Scheme, substeps: int, fast_groups: Collection[int] = (), inner: Scheme = SIER4G) -> Program:
+#: A drift of so many times the simulated time per force, at the least, takes five steps of RATTLE.
+LONG_DRIFT = 2.0
+
+
+def usual_substeps(scheme: Scheme, nested: bool = False) -> int:
+    """The least number of substeps whose errors are below those of a scheme where it is used, see docs/native.md.
+
+    SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, of which three steps of RATTLE
+    do. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces an inner step is as long as a drift
+    of SIER4G, 3 fs, at most.
+
+    Args:
+        scheme: the scheme.
+        nested: whether there are fast forces.
+    """
+    longest = max((abs(stage.fraction) for stage in scheme.stages if stage.operator == DRIFT), default=0.0)
+    is_long = longest * scheme.force_evaluations > LONG_DRIFT
+    if nested:
+        return 2 if is_long else 1
+    return 5 if is_long else 3
+
+
+def write(
+    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), inner: Scheme = SIER4G
+) -> Program:
     """The program of a scheme.
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
@@ -170,7 +194,7 @@ def write(scheme: Scheme, substeps: int, fast_groups: Collection[int] = (), inne
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
         substeps: without fast groups, steps of RATTLE in each drift: 3 and 5 make it of fourth order
             (`COMPOSITIONS`), other numbers are equal steps. With fast groups, equal steps of the inner scheme in each
-            drift.
+            drift. None: `usual_substeps`.
         fast_groups: force groups of the fast forces, from 0 to 31. OpenMM's integration force groups must have them.
         inner: scheme of the drift with fast forces, of kicks, gradient kicks and drifts. SIER2 is velocity Verlet.
 
@@ -179,6 +203,8 @@ def write(scheme: Scheme, substeps: int, fast_groups: Collection[int] = (), inne
             `MOST_PARTS` native steps.
     """
     fast = _checked_groups(fast_groups)
+    if substeps is None:
+        substeps = usual_substeps(scheme, bool(fast))
     slow_force = (("", "f"), *(("-", name) for name in fast))
     within = _inner_step(inner, tuple(("", name) for name in fast)) if fast else ()
     lines = [Line("every step", (Statement(UPDATE),))]

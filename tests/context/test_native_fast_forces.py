@@ -132,8 +132,8 @@ def spread(points: Points, program, h: float, steps: int) -> float:
 def test_inner_steps_of_fourth_order_follow_fast_motion():
     points = chains(field=False)
     points.products *= 0
-    # Without slow forces a step is a drift. `constrained.nested_drift` has 0.0013 kJ/mol for one step of SIER4G in 3 fs,
-    # which takes three fast forces, 0.11 for two of velocity Verlet and 0.027 for four.
+    # Without slow forces a step is a drift. `constrained.nested_drift` has 0.0013 kJ/mol for one step of SIER4G in
+    # 3 fs, which takes three fast forces, 0.11 for two of velocity Verlet and 0.027 for four.
     assert spread(points, native_program.write(SIER2, 1, {FAST}), 0.003, 200) < 0.003
     assert 0.01 < spread(points, native_program.write(SIER2, 4, {FAST}, SIER2), 0.003, 200) < 0.06
 
