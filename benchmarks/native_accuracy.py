@@ -95,8 +95,8 @@ def small_box(path: str, molecules: int) -> tuple[openmm.System, unit.Quantity]:
     return forcefields.pme_system(modeller.topology, field), modeller.positions
 
 
-def start(path: str, molecules: int | None) -> tuple[openmm.System, openmm.State]:
-    """System and State of a box, with PME that is exact enough to see the schemes' errors."""
+def start(path: str, molecules: int | None, tolerance: float = 1e-5) -> tuple[openmm.System, openmm.State]:
+    """System and State of a box; with the usual tolerance PME is exact enough to see the schemes' errors."""
     if path == "co2":
         system, positions = carbon_dioxide()
     elif molecules is not None:
@@ -106,7 +106,7 @@ def start(path: str, molecules: int | None) -> tuple[openmm.System, openmm.State
         system, positions = box.system, box.positions
     for force in system.getForces():
         if isinstance(force, openmm.NonbondedForce):
-            force.setEwaldErrorTolerance(1e-5)
+            force.setEwaldErrorTolerance(tolerance)
     balance_pme(system)
     bath = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
     bath.setRandomNumberSeed(SEED)

@@ -111,7 +111,11 @@ def _integrator(plan: Plan, bodies: RigidBodies) -> SIERIntegrator:
     if plan.ensemble == "nve":
         return SIERIntegrator(step, scheme, bodies)
     pressure = plan.pressure if plan.ensemble == "npt" else None
-    integrator = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure)
+    # On a GPU too: OpenMM's barostats, which the native engine has, count no heat, and restarts with them are not exact.
+    engine = "auto" if pressure is None else "exact"
+    integrator = SIERLangevinIntegrator(
+        plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure, engine=engine
+    )
     integrator.setRandomNumberSeed(plan.seed)
     return integrator
 
