@@ -108,11 +108,12 @@ def _check_platform(name: str | None) -> None:
 
 def _integrator(plan: Plan, bodies: RigidBodies) -> SIERIntegrator:
     step, scheme = plan.dt / 1000, CATALOGUE[plan.scheme]
+    # What the native engine has not, the exact one does on GPUs too: bodies that no constraints hold, and a pressure
+    # whose work is counted and with which restarts are exact, as they are not with OpenMM's barostats.
+    engine = "exact" if plan.rigid or plan.ensemble == "npt" else "auto"
     if plan.ensemble == "nve":
-        return SIERIntegrator(step, scheme, bodies)
+        return SIERIntegrator(step, scheme, bodies, engine=engine)
     pressure = plan.pressure if plan.ensemble == "npt" else None
-    # On a GPU too: OpenMM's barostats, which the native engine has, count no heat, and restarts with them are not exact.
-    engine = "auto" if pressure is None else "exact"
     integrator = SIERLangevinIntegrator(
         plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure, engine=engine
     )

@@ -13,6 +13,7 @@ from openmm import unit
 from openmm_sier import SIER4G, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.context import native_program
 from tests.support import opencl
+from tests.support.commands import log, run, write_lattice
 from tests.support.ethane import ethane
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
 
@@ -110,3 +111,16 @@ def test_solutes_in_mixed_precision(gpu):
     # OpenMM keeps the lengths in single precision, 2^-25 of 0.109 nm. About these they are good to 1e-9 of it.
     assert np.abs(errors).max() < 4e-9
     assert np.ptp(errors) < 2e-10
+
+
+def test_command_runs_and_restarts(gpu, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    box = write_lattice(tmp_path / "box.pdb")
+    every = ("--every", "0.01", "--report-every", "0.01")
+    run("run", box, "--platform", "Reference", "--steps", "5", "--dt", "2", "--equilibrate", "0.2", *every)
+    run("run", box, "--platform", gpu, "--steps", "15", "--restart", "box.chk")
+    assert f"on the {gpu} platform" in capsys.readouterr().out
+    rows = log(tmp_path / "box.csv")
+    assert rows["Step"].tolist() == [0, 5, 10, 15]
+    # 27 molecules have some 200 kJ/mol of kinetic energy, of which 1e-3 is lost at 2 fs with SIER4.
+    assert np.ptp(rows["Total Energy (kJ/mole)"]) < 0.5
