@@ -11,7 +11,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.context import native_program, stored_settings
-from openmm_sier.context.arguments import GROUPS, checked_bodies, group_mask, step_size, whole_number
+from openmm_sier.context.arguments import checked_bodies, group_mask, groups_of, step_size, whole_number
 from openmm_sier.context.engine import Engine
 from openmm_sier.context.find_bodies import BodyPlan, tied
 from openmm_sier.context.host import Bodies
@@ -28,9 +28,6 @@ from openmm_sier.dynamics.schemes import SIER4G, Scheme
 EXACT_PLATFORMS = ("CPU", "Reference")
 
 ENGINES = ("auto", "exact", "native")
-
-#: Steps of RATTLE in each drift of a native program, see docs/native.md.
-SUBSTEPS = 3
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
@@ -66,10 +63,11 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
             rotation: free-rotation map, as `rotation.exact`.
             engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
-            substeps: into how many steps a drift is divided. With the native engine these are the steps of RATTLE in
-                each drift, 3 if not given; 3 and 5 make it of fourth order. With the exact engine they are the inner
-                steps of the fast forces in the longest drift, if not given the least number that makes them no longer
-                than 3 fs; without fast forces its drifts are not divided.
+            substeps: into how many steps a drift is divided. Without fast forces these are the native engine's steps of
+                RATTLE: 3 and 5 make the drift of fourth order, and None takes 3, or 5 with SIER4, SIER4V and other
+                schemes of long drifts; the exact engine's drifts are not divided. With fast forces they are inner steps
+                of SIER4G. None takes the least number for which the exact engine's are no longer than 3 fs, and with
+                the native engine 1, or 2 with schemes of long drifts.
             fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
                 of molecules that are not rigid, see `prepare_system`. The exact engine computes them from a Context of
                 those molecules alone.
@@ -96,7 +94,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             self.addPerDofVariable(name, 0)
         for name in (HEAT, DRAWS, SEED):
             self.addGlobalVariable(name, 0)
-        self._program = _written(scheme, substeps)
+        self._program = _written(scheme, substeps, self._fast_groups)
         native_program.install(self._program if isinstance(self._program, Program) else None, self)
         self.setConstraintTolerance(TOLERANCE)
         self.setStepSize(stepSize)
@@ -125,8 +123,6 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """What the native engine cannot do of what this integrator was made for, and the remedy."""
         if isinstance(self._program, str):
             return f"does not know this scheme, since {self._program}: take another scheme"
-        if self._fast_groups:
-            return "has no fast forces within its drifts: leave out `fastForceGroups`"
         if self._rotation is not exact:
             return "has no other free-rotation maps: leave out `rotation`"
         return None
@@ -148,7 +144,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._given_bodies = stored_settings.stored_bodies(self)
         self._wanted_engine, (substeps, groups) = stored_settings.required(self, "engine")
         self._substeps, self._fast_groups = int(substeps) or None, int(groups)
-        self._program = _written(self._scheme, self._substeps)
+        self._program = _written(self._scheme, self._substeps, self._fast_groups)
         (self._step,) = stored_settings.required(self, "step")[1].tolist()
         step = super().getStepSize()._value * self._native_steps
         if not math.isclose(step, self._step, rel_tol=1e-12):
@@ -170,7 +166,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     @property
     def fastForceGroups(self) -> set[int]:
         """The force groups that act within drifts."""
-        return {group for group in range(GROUPS) if self._fast_groups >> group & 1}
+        return set(groups_of(self._fast_groups))
 
     @property
     def program(self) -> Program:
@@ -390,9 +386,9 @@ def _unpickled(xml: str, cls, attributes: dict):
     return _restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
 
 
-def _written(scheme: Scheme, substeps: int | None) -> Program | str:
+def _written(scheme: Scheme, substeps: int | None, fast_groups: int) -> Program | str:
     """The program of a scheme, or why there is none."""
     try:
-        return native_program.write(scheme, substeps or SUBSTEPS)
+        return native_program.write(scheme, substeps, groups_of(fast_groups))
     except ValueError as error:
         return str(error)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import TypeVar
 
@@ -101,7 +101,7 @@ def joins_a_body(a: int, b: int) -> RigidityError:
     )
 
 
-def _pairs(found) -> np.ndarray:
+def _pairs(found: Iterable[tuple[int, int]]) -> np.ndarray:
     return np.array(list(found), dtype=np.int64).reshape(-1, 2)
 
 

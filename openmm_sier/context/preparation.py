@@ -27,7 +27,7 @@ class Preparation:
     fastForceGroups: frozenset[int]
     done: tuple[str, ...]
 
-    def __str__(self):
+    def __str__(self) -> str:
         return "\n".join(self.done)
 
 
@@ -78,12 +78,12 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     return Preparation(frozenset({group} if fast else ()), tuple(done))
 
 
-def _balanced(system) -> str:
+def _balanced(system: openmm.System) -> str:
     balance_pme(system)
     return "The sums of PME are balanced."
 
 
-def _owners(system, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:
+def _owners(system: openmm.System, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:
     """For each particle the number of its body, and whether that is a point."""
     if bodies is not None:
         found = tied(system, bodies)
@@ -97,11 +97,11 @@ def _owners(system, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]
     return owner, point
 
 
-def _kind(force) -> type | None:
+def _kind(force: openmm.Force) -> type | None:
     return next((kind for kind in TERMS if isinstance(force, kind)), None)
 
 
-def _terms(force) -> np.ndarray:
+def _terms(force: openmm.Force) -> np.ndarray:
     """Particles of each term of a bonded Force, (t, k)."""
     kind = _kind(force)
     assert kind is not None
@@ -111,17 +111,17 @@ def _terms(force) -> np.ndarray:
     return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
 
 
-def _between(terms, owner) -> np.ndarray:
+def _between(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
     """The terms that do not lie in one body."""
     found = owner[terms]
     return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]
 
 
-def _has_terms(force, owner) -> bool:
+def _has_terms(force: openmm.Force, owner: np.ndarray) -> bool:
     return bool(len(_between(_terms(force), owner)))
 
 
-def _is_fast(force, owner, point) -> bool:
+def _is_fast(force: openmm.Force, owner: np.ndarray, point: np.ndarray) -> bool:
     """Whether a Force is a bonded one, and all of its terms between bodies are between points."""
     if _kind(force) is None:
         return False
