@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterable
+from typing import Any
 
+import openmm
 from openmm import unit
 
 from openmm_sier.context import stored_settings
@@ -14,6 +17,7 @@ from openmm_sier.context.stored_state import SEED
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
+from openmm_sier.dynamics.operators import Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
@@ -30,24 +34,24 @@ class SIERLangevinIntegrator(SIERIntegrator):
     that a restarted run continues the same trajectory. A State brings the number only, and never back to noise that the
     Context has used: a run restarted from it is the same if its integrator was given the same seed.
 
-    With a pressure the volume of the box changes by Monte Carlo moves, of which the same is true. Of OpenMM's barostats
-    it is not: they work with this integrator too, but what they remember of their moves is in no State.
+    With a pressure the volume of the box changes by Monte Carlo moves, which a restarted run continues in the same way.
+    OpenMM's barostats work with this integrator too, but no State holds what they remember of their moves.
     """
 
     def __init__(
         self,
-        temperature,
-        frictionCoeff,
-        stepSize,
+        temperature: Any,
+        frictionCoeff: Any,
+        stepSize: Any,
         scheme: Scheme = SIER4G,
         bodies: Bodies = None,
-        rotation=exact,
-        rotationalFriction=None,
-        pressure=None,
-        barostatInterval=25,
+        rotation: Rotation = exact,
+        rotationalFriction: Any = None,
+        pressure: Any = None,
+        barostatInterval: int = 25,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups=None,
+        fastForceGroups: Iterable[int] | int | None = None,
     ):
         """
         Args:
@@ -105,7 +109,7 @@ class SIERLangevinIntegrator(SIERIntegrator):
     #: Until the settings of the scheme are in place.
     _bath = OrnsteinUhlenbeck(0.0, 0.0, 0.0, seed=0)
 
-    def _take_settings(self, rotation=None) -> None:
+    def _take_settings(self, rotation: Rotation | None = None) -> None:
         super()._take_settings(rotation)
         temperature, friction, turning, same_friction = stored_settings.required(self, "bath")[1].tolist()
         bath, piston = OrnsteinUhlenbeck(temperature, friction, turning, seed=0), None
@@ -114,41 +118,41 @@ class SIERLangevinIntegrator(SIERIntegrator):
             piston = MonteCarloVolumeMove(pressure, int(interval), bath)
         self._surround(bath, piston, bool(same_friction))
 
-    def getTemperature(self):
+    def getTemperature(self) -> unit.Quantity:
         """Temperature of the bath, a quantity in K."""
         return self._bath.temperature * unit.kelvin
 
-    def setTemperature(self, temp) -> None:
+    def setTemperature(self, temp: Any) -> None:
         """Set the temperature of the bath, a quantity or a number in K."""
         self._bath.temperature = _temperature(temp)
         self._store_surroundings()
 
-    def getFriction(self):
+    def getFriction(self) -> unit.Quantity:
         """Friction of the translation, a quantity in 1/ps."""
         return self._bath.friction / unit.picosecond
 
-    def setFriction(self, coeff) -> None:
+    def setFriction(self, coeff: Any) -> None:
         """Set the friction, a quantity or a number in 1/ps; that of the rotation too unless it was given apart."""
         self._bath.friction = _friction("coeff", coeff)
         if self._same_friction:
             self._bath.rotational_friction = self._bath.friction
         self._store_surroundings()
 
-    def getRotationalFriction(self):
+    def getRotationalFriction(self) -> unit.Quantity:
         """Friction of the rotation, a quantity in 1/ps."""
         return self._bath.rotational_friction / unit.picosecond
 
-    def setRotationalFriction(self, coeff) -> None:
+    def setRotationalFriction(self, coeff: Any) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; from now on apart from the other."""
         self._bath.rotational_friction = _friction("coeff", coeff)
         self._same_friction = False
         self._store_surroundings()
 
-    def getPressure(self):
+    def getPressure(self) -> unit.Quantity | None:
         """Pressure that is kept, a quantity in bar; None where the volume is."""
         return None if self._piston is None else self._piston.pressure / BAR * unit.bar
 
-    def setPressure(self, pressure) -> None:
+    def setPressure(self, pressure: Any) -> None:
         """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
         if self._piston is None:
             raise ValueError("this integrator keeps the volume: create it with a pressure")
@@ -159,18 +163,18 @@ class SIERLangevinIntegrator(SIERIntegrator):
         """Steps from one attempt to change the volume to the next; None where the volume is kept."""
         return None if self._piston is None else self._piston.interval
 
-    def setRandomNumberSeed(self, seed) -> None:
+    def setRandomNumberSeed(self, seed: int) -> None:
         """Set the seed of the noise for the next Context; as in OpenMM, 0 takes another one for every Context."""
         super().setRandomNumberSeed(whole_number("seed", seed))
 
-    def getHeat(self):
+    def getHeat(self) -> unit.Quantity:
         """Energy that the bath, and moves of the volume, have given to the bodies, a quantity.
 
         The total energy less it is conserved. The work P dV is not in it.
         """
         return self._bound().heat() * unit.kilojoule_per_mole
 
-    def _bind(self, context) -> None:
+    def _bind(self, context: openmm.Context) -> None:
         super()._bind(context)
         # A Context that was reinitialized with its state goes on with the seed that it has.
         if self.getGlobalVariableByName(SEED) == 0:
@@ -192,22 +196,22 @@ class SIERLangevinIntegrator(SIERIntegrator):
         cold = self._bath.friction == 0 and self._bath.rotational_friction == 0
         return self._cold_scheme if cold else self._scheme
 
-    def _extra_operators(self, bodies: RigidBodies) -> dict:
+    def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:
         return {BATH: self._bath.operator(bodies)}
 
 
-def _pressure(value) -> float:
+def _pressure(value: Any) -> float:
     return BAR * quantity_to_float("pressure", value, unit.bar, "bar")
 
 
-def _temperature(value) -> float:
+def _temperature(value: Any) -> float:
     value = quantity_to_float("temperature", value, unit.kelvin, "K")
     if value < 0:
         raise ValueError(f"temperature must not be negative, got {value} K")
     return value
 
 
-def _friction(name: str, value) -> float:
+def _friction(name: str, value: Any) -> float:
     value = quantity_to_float(name, value, unit.picosecond**-1, "1/ps")
     if value < 0:
         raise ValueError(f"{name} must not be negative, got {value} 1/ps")
