@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -54,10 +55,10 @@ class NativeEngine:
         forces: the count of force evaluations.
     """
 
-    #: What `SIERIntegrator.engine` says.
+    #: The value of `SIERIntegrator.engine`.
     name = "native"
 
-    def __init__(self, integrator: Host, context):
+    def __init__(self, integrator: Host, context: openmm.Context) -> None:
         """
         Raises:
             openmm.OpenMMException: the integrator asks for what only the exact engine has, or the System has a Force
@@ -84,7 +85,7 @@ class NativeEngine:
         _loosen_for_single_precision(integrator, context)
 
     @property
-    def context(self):
+    def context(self) -> openmm.Context:
         """The Context."""
         context = self._context_ref()
         if context is None:
@@ -205,7 +206,7 @@ class NativeEngine:
         return Temperatures(2 * kinetic / (dof * GAS_CONSTANT) if dof > 0 else math.nan, math.nan, math.nan)
 
 
-def _points(system) -> RigidBodies:
+def _points(system: openmm.System) -> RigidBodies:
     """The atoms of a System, each a body of its own."""
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
     kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
@@ -214,7 +215,7 @@ def _points(system) -> RigidBodies:
     )
 
 
-def _refuse(integrator: Host, system) -> None:
+def _refuse(integrator: Host, system: openmm.System) -> None:
     """Refuse what only the exact engine can do.
 
     Raises:
@@ -237,8 +238,8 @@ def _refuse(integrator: Host, system) -> None:
             )
 
 
-def _unheld_bodies(given, system) -> str | None:
-    """What is said of a body that is named and that constraints do not keep rigid; None if there is none."""
+def _unheld_bodies(given: RigidBodies | Sequence[Sequence[int]] | None, system: openmm.System) -> str | None:
+    """Text of a refusal for a named body that constraints do not keep rigid; None if there is no such body."""
     if given is None:
         return None
     rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given
@@ -254,7 +255,7 @@ def _unheld_bodies(given, system) -> str | None:
     return None
 
 
-def _loosen_for_single_precision(integrator: Host, context) -> None:
+def _loosen_for_single_precision(integrator: Host, context: openmm.Context) -> None:
     platform = context.getPlatform()
     single = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision") == "single"
     if single and integrator.getConstraintTolerance() < SINGLE_TOLERANCE:
