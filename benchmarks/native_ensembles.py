@@ -1,7 +1,7 @@
 """Temperatures and density with the native engine beside the exact one, at 2 fs per force evaluation.
 
     python benchmarks/native_ensembles.py nvt | npt [--engines native exact] [--box systems/tip3p-512.pdb]
-        [--molecules 125] [--time 100] [--friction 50] [--on CPU]
+        [--molecules 125] [--time 100] [--friction 50] [--on CPU] [--seed 5]
 
 SIER4G with a heat bath; in npt at 1 bar, by OpenMM's MonteCarloBarostat with the native engine and by `pressure=` with
 the exact one. Prints T_trans, T_rot and the density with their standard errors from block averages.
@@ -39,7 +39,7 @@ def run(engine: str, options: argparse.Namespace) -> None:
     integrator = SIERLangevinIntegrator(
         TEMPERATURE, options.friction, STEP, SIER4G, engine=engine, pressure=pressure, barostatInterval=MOVES
     )
-    integrator.setRandomNumberSeed(5)
+    integrator.setRandomNumberSeed(options.seed)
     context = context_on(options.on, system, integrator)
     context.setState(state)
     integrator.step(round(SETTLING / STEP) * (10 if options.ensemble == "npt" else 1))
@@ -69,6 +69,7 @@ def main() -> None:
     parser.add_argument("--time", type=float, default=100.0)
     parser.add_argument("--friction", type=float, default=50.0)
     parser.add_argument("--on", default="CPU")
+    parser.add_argument("--seed", type=int, default=5)
     options = parser.parse_args()
     for engine in options.engines:
         run(engine, options)

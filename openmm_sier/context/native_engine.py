@@ -14,8 +14,7 @@ from openmm_sier.context import checks, native_fast_forces, neighbour_list
 from openmm_sier.context.arguments import groups_of
 from openmm_sier.context.constraint_errors import Constraints
 from openmm_sier.context.host import Host
-from openmm_sier.context.motion import INNER, inner_step
-from openmm_sier.context.native_program import WORK, usual_substeps
+from openmm_sier.context.native_program import INNER, WORK, longest_inner_step
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.context.stored_state import HEAT
 from openmm_sier.context.temperature import (
@@ -111,7 +110,7 @@ class NativeEngine:
         h, groups = integrator.getStepSize()._value, integrator.getIntegrationForceGroups()
         scheme, fast = integrator.scheme, groups & integrator._fast_groups
         self._vibrations.check(scheme, h, groups & ~fast)
-        inner = inner_step(scheme, h, integrator._substeps or usual_substeps(scheme, nested=True))
+        inner = h * longest_inner_step(scheme, integrator._substeps)
         self._vibrations.check_nested(INNER, inner, h, fast)
 
     # --- stepping ---

@@ -10,10 +10,6 @@ import openmm
 from openmm_sier.context.solute import TERMS, WITHOUT_FORCES
 
 
-class FastForceError(ValueError):
-    """Fast forces that a native program would compute wrongly."""
-
-
 def refuse(system: openmm.System, groups: Collection[int], integration_groups: int) -> None:
     """Refuse fast forces that a native program cannot have in its drifts.
 
@@ -26,11 +22,11 @@ def refuse(system: openmm.System, groups: Collection[int], integration_groups: i
         integration_groups: bit mask of the groups that move the atoms, as of `getIntegrationForceGroups`.
 
     Raises:
-        FastForceError: a group is not among those, or a Force in it may act on a virtual site.
+        openmm.OpenMMException: a group is not among those, or a Force in it may act on a virtual site.
     """
     for group in sorted(groups):
         if not integration_groups >> group & 1:
-            raise FastForceError(f"the fast force group {group} is not among the integration force groups")
+            raise openmm.OpenMMException(f"The fast force group {group} is not among the integration force groups")
     sites = {i for i in range(system.getNumParticles()) if system.isVirtualSite(i)}
     for force in system.getForces():
         if sites and force.getForceGroup() in groups and not isinstance(force, WITHOUT_FORCES):
@@ -42,12 +38,12 @@ def _refuse_sites(force: openmm.Force, sites: set[int]) -> None:
     remedy = "Put it into another group with setForceGroup, or take engine='exact'"
     kind = next((kind for kind in TERMS if isinstance(force, kind)), None)
     if kind is None:
-        raise FastForceError(
+        raise openmm.OpenMMException(
             f"{name} and may act on virtual sites, which stay behind within a step of the native engine. {remedy}"
         )
     for atom in _atoms(force, *TERMS[kind]):
         if atom in sites:
-            raise FastForceError(
+            raise openmm.OpenMMException(
                 f"{name} and acts on atom {atom}, a virtual site, which stays behind within a step of the native "
                 f"engine. {remedy}"
             )

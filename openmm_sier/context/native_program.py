@@ -55,8 +55,8 @@ COMPOSITIONS = {
 }
 
 
-#: Steps of RATTLE in each drift of an inner step.
-INNER_SUBSTEPS = 3
+#: The scheme of inner steps, and steps of RATTLE in each of its drifts.
+INNER, INNER_SUBSTEPS = SIER4G, 3
 
 
 class Statement(NamedTuple):
@@ -170,15 +170,23 @@ def usual_substeps(scheme: Scheme, nested: bool = False) -> int:
         scheme: the scheme.
         nested: whether there are fast forces.
     """
-    longest = max((abs(stage.fraction) for stage in scheme.stages if stage.operator == DRIFT), default=0.0)
-    is_long = longest * scheme.force_evaluations > LONG_DRIFT
+    is_long = _longest_drift(scheme) * scheme.force_evaluations > LONG_DRIFT
     if nested:
         return 2 if is_long else 1
     return 5 if is_long else 3
 
 
+def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
+    """The longest inner step of a program with fast forces, in units of h; None: of `usual_substeps`."""
+    return _longest_drift(scheme) / (substeps or usual_substeps(scheme, nested=True))
+
+
+def _longest_drift(scheme: Scheme) -> float:
+    return max((abs(stage.fraction) for stage in scheme.stages if stage.operator == DRIFT), default=0.0)
+
+
 def write(
-    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), inner: Scheme = SIER4G
+    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), inner: Scheme = INNER
 ) -> Program:
     """The program of a scheme.
 

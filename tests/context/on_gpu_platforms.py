@@ -106,8 +106,8 @@ def test_solutes_in_mixed_precision(gpu):
     integrator.step(len(program.parts))
     start = sum(energies(context))
     integrator.step(150 * len(program.parts))
-    # On Reference the energy stays within 0.002 kJ/mol; forces of mixed precision add 1e-6 of 150 steps. Forces
-    # that are twice in the program, or not at all, change it by kT.
+    # On Reference the energy stays within 0.002 kJ/mol; forces of mixed precision add 1e-6 of 150 steps. Forces that
+    # are twice in the program, or not at all, change it by kT.
     assert sum(energies(context)) == pytest.approx(start, abs=0.02)
     x = phase_point(context)[0]
     pairs = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]

@@ -79,13 +79,13 @@ def test_bad_arguments_are_named(name):
 
 @pytest.fixture(scope="module")
 def particles():
-    """Anharmonic oscillators that are coupled, and a point of their phase space."""
+    """Anharmonic oscillators that are coupled, and a point of their phase space.
+
+    The coupling is no bond: of a molecule the exact engine conserves the angular momentum in gradient kicks.
+    """
     system, rng = openmm.System(), np.random.default_rng(5)
-    # No bonds: in bonded molecules the exact engine's gradient kick also restores torques, which the program does not.
-    pairs, well = (
-        openmm.CustomNonbondedForce("20*(r-0.3)^2 + 50*(r-0.3)^3"),
-        openmm.CustomExternalForce("30*(x^2+y^2+z^4)"),
-    )
+    pairs = openmm.CustomNonbondedForce("20*(r-0.3)^2 + 50*(r-0.3)^3")
+    well = openmm.CustomExternalForce("30*(x^2+y^2+z^4)")
     for i in range(5):
         system.addParticle(1.0 + i)
         pairs.addParticle([])
@@ -125,4 +125,6 @@ def test_schemes_with_long_drifts_have_more_substeps(name, substeps, inner):
     assert native_program.write(scheme) == native_program.write(scheme, substeps)
     assert native_program.write(scheme, fast_groups={1}) == native_program.write(scheme, inner, {1})
     assert SIERIntegrator(0.002, scheme).program == native_program.write(scheme, substeps)
-    assert SIERIntegrator(0.002, scheme, substeps=2).substeps == 2
+    assert SIERIntegrator(0.002, scheme, substeps=2).program == native_program.write(scheme, 2)
+    lengths = [d for part in native_program.write(scheme, inner, {1}).parts for line in part for d in line.lengths]
+    assert native_program.longest_inner_step(scheme) == pytest.approx(max(map(abs, lengths)), rel=1e-14)

@@ -42,6 +42,8 @@ def test_platform_in_miniature(box, tmp_path, monkeypatch, capsys):
         assert row["engine"] == ("exact" if row["method"].startswith("SIER") else "")
         assert row["forces_per_second"] == pytest.approx(forces * row["steps_per_second"])
         assert row["over_forces"] > 0
+    # The errors of a method are found by its name.
+    assert {point["method"] for point in record["platform"]["points"]} == {"OpenMM Verlet", "SIER4G"}
     out = capsys.readouterr().out
     assert "over the forces" in out
     assert "Simulated fs per second at equal rms(H)/rms(V)" in out
