@@ -96,7 +96,9 @@ def _separated(system, owner, point, group: int) -> str:
     links = Links(system, constraint_lengths(system))
     edges = np.concatenate([links.pairs, links.bonds, links.custom])
     count = close_pairs.move_close_pairs(system, edges[point[edges].all(axis=1)], point, group)
-    return f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart are a force of their own now."
+    return (
+        f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart are a force of their own now."
+    )
 
 
 def _owners(system, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:
