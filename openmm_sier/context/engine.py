@@ -58,7 +58,7 @@ class Engine:
         self._groups: int
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
-        self.forces = operators.CachedForces(self._compute_forces)
+        self.forces = operators.CachedForces(_weakly(self._compute_forces))
         self._bodies: RigidBodies | None = None
         self._momentum: MomentumConservation | None = None
         self._volume_moves: VolumeMoves | None = None
@@ -114,7 +114,7 @@ class Engine:
         if integrator._piston is not None:
             self._volume_moves = VolumeMoves(integrator._piston, bodies, self._atoms)
         self._motion, self._bodies = Motion(context, bodies, self.forces, integrator), bodies
-        self._reconciliation = Reconciliation(bodies, self._atoms, self._forget_forces)
+        self._reconciliation = Reconciliation(bodies, self._atoms, _weakly(self._forget_forces))
         self._vibrations = vibrations
         return bodies
 
@@ -339,6 +339,22 @@ class Engine:
         context.setTime(time)
         context.setStepCount(steps)
         self._echo = Snapshot(context)
+
+
+def _weakly(method: Callable[..., Any]) -> Callable[..., Any]:
+    """A method that does not keep its object alive.
+
+    The engine has a Context of its own for fast forces, and so must not wait for the garbage collector, which may
+    delete that Context's System before it.
+    """
+    reference = weakref.WeakMethod(method)
+
+    def call(*arguments: Any) -> Any:
+        found = reference()
+        assert found is not None
+        return found(*arguments)
+
+    return call
 
 
 def _whatever_interrupts(action: Callable[[], None]) -> None:

@@ -88,7 +88,7 @@ class BodyPlan:
         self._n = n
         self._describe = RigidBodies([], n, self._labels).describe_atoms
         self._masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(n)])
-        lengths = _constraint_lengths(system)
+        lengths = constraint_lengths(system)
         self._links = Links(system, lengths)
         named = self._checked(_named(topology, rigid, lengths, self._links), system)
         self.kinds = self._collect(named, lengths)
@@ -314,7 +314,12 @@ def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str
 # --- constraints ------------------------------------------------------------------------------------------------------
 
 
-def _constraint_lengths(system: openmm.System) -> Lengths:
+def constraint_lengths(system: openmm.System) -> Lengths:
+    """Lengths in nm by ascending pairs of particles.
+
+    Raises:
+        RigidityError: a pair has two lengths.
+    """
     lengths: Lengths = {}
     for i in range(system.getNumConstraints()):
         a, b, distance = system.getConstraintParameters(i)
@@ -363,7 +368,7 @@ def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidB
     if bodies.n_particles != n:
         raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {n}")
     _refuse_other_masses(system, bodies)
-    return Links(system, _constraint_lengths(system)).tie(bodies)
+    return Links(system, constraint_lengths(system)).tie(bodies)
 
 
 def _refuse_other_masses(system: openmm.System, bodies: dynamics.RigidBodies) -> None:

@@ -160,6 +160,11 @@ class SoluteForces:
         self._context = openmm.Context(reduced, self._integrator, *arguments)
         self._values = np.empty((len(self.atoms), 3))
 
+    def __del__(self) -> None:
+        # Before its System and its integrator, also where the garbage collector deletes all of them.
+        if hasattr(self, "_context"):
+            del self._context
+
     def __call__(self, q: np.ndarray) -> np.ndarray:
         """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm."""
         self._context.setPositions(np.ascontiguousarray(q.T))
