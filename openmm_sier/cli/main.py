@@ -321,10 +321,15 @@ def _add_bench(commands: Commands) -> argparse.ArgumentParser:
         "measure what a step and what accuracy cost",
         "Cost of a step over that of its forces and over OpenMM's integrators, of the free rotation and of the layer "
         "above the forces alone; energy error against cost, beside LAMMPS (lmp) and GROMACS (gmx) where they are on "
-        "the PATH. Takes some 10 minutes of two cores; --parts and --copies make it shorter.",
+        "the PATH. Takes some 10 minutes of two cores; --parts and --copies make it shorter. With --platform, instead: "
+        "steps and forces per second, cost over the forces, and simulated time per second at equal energy error on "
+        "that platform, by --molecules.",
     )
     parser.add_argument("--parts", nargs="+", help="of steps, rotations, layer, accuracy (default: all)")
     parser.add_argument("--copies", type=whole, nargs="+", help="of the box along each edge (default: 1 2 4)")
+    parser.add_argument(
+        "--molecules", type=whole, nargs="+", help="with --platform: multiples of the box (default: 512 to 98304)"
+    )
     parser.add_argument("--bodies", type=whole, nargs="+", help="without forces (default: 512 4096 32768 131072)")
     parser.add_argument("--rounds", type=whole, help="default: 8")
     parser.add_argument("--time", metavar="PS", type=positive, help="of runs for the energy error (default: 1)")

@@ -110,11 +110,14 @@ def _check_platform(name: str | None) -> None:
 
 def _integrator(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERIntegrator:
     step, scheme = plan.dt / 1000, CATALOGUE[plan.scheme]
+    # What the native engine has not, the exact one does on GPUs too: bodies that no constraints hold, and a pressure
+    # whose work is counted and with which restarts are exact, as they are not with OpenMM's barostats.
+    engine = "exact" if plan.rigid or plan.ensemble == "npt" else "auto"
     if plan.ensemble == "nve":
-        return SIERIntegrator(step, scheme, bodies, fastForceGroups=fast)
+        return SIERIntegrator(step, scheme, bodies, engine=engine, fastForceGroups=fast)
     pressure = plan.pressure if plan.ensemble == "npt" else None
     integrator = SIERLangevinIntegrator(
-        plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure, fastForceGroups=fast
+        plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure, engine=engine, fastForceGroups=fast
     )
     integrator.setRandomNumberSeed(plan.seed)
     return integrator

@@ -78,7 +78,7 @@ class VolumeMoves:
         """
         context, box = self._atoms.context, self._atoms.box()
 
-        def energy(q, factor: float) -> float:
+        def energy(q: np.ndarray, factor: float) -> float:
             context.setPeriodicBoxVectors(*(factor * box))
             self._atoms.place(self._bodies, q, state.A)
             try:

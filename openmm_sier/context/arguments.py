@@ -6,6 +6,7 @@ import math
 import numbers
 import operator
 from collections.abc import Iterable
+from typing import Any
 
 from openmm import unit
 
@@ -30,14 +31,15 @@ def checked_bodies(bodies: Bodies) -> Bodies:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
 
 
-def step_size(size) -> float:
+def step_size(size: Any) -> float:
+    """A step in ps, from a quantity or a number; see `quantity_to_float`."""
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
     if size < 0:
         raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")
     return size
 
 
-def quantity_to_float(name: str, value, of, symbol: str) -> float:
+def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> float:
     """A finite number in a unit, from a quantity or a plain number."""
     if unit.is_quantity(value):
         if not value.unit.is_compatible(of):
@@ -52,7 +54,7 @@ def quantity_to_float(name: str, value, of, symbol: str) -> float:
     return value
 
 
-def whole_number(name: str, value) -> int:
+def whole_number(name: str, value: Any) -> int:
     """A nonnegative integer, from an int or a float without a fraction."""
     whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
     if not whole or value < 0:
@@ -80,3 +82,8 @@ def group_mask(name: str, groups: Iterable[int] | int | None) -> int:
     if wrong := [group for group in found if not 0 <= group < GROUPS]:
         raise ValueError(f"{name} must be from 0 to {GROUPS - 1}, got {wrong[0]}")
     return sum(1 << group for group in found)
+
+
+def groups_of(mask: int) -> list[int]:
+    """The force groups of a bit mask, ascending."""
+    return [group for group in range(GROUPS) if mask >> group & 1]

@@ -42,7 +42,7 @@ class Atoms:
             raise openmm.OpenMMException("The Context of this integrator no longer exists")
         return context
 
-    def place(self, bodies: RigidBodies, q, A) -> None:
+    def place(self, bodies: RigidBodies, q: np.ndarray, A: np.ndarray) -> None:
         """Set the positions of the Context to those of bodies at (q, A), unless they are there already.
 
         Raises:

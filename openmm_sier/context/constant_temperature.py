@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 from typing import Any
 
+import openmm
 from openmm import unit
 
 from openmm_sier.context import stored_settings
@@ -14,7 +15,7 @@ from openmm_sier.context.stored_state import SEED
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import BAR
-from openmm_sier.dynamics.operators import Operator
+from openmm_sier.dynamics.operators import Operator, Rotation
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
@@ -50,7 +51,7 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
     #: Until the settings of the scheme are in place.
     _bath = OrnsteinUhlenbeck(0.0, 0.0, 0.0, seed=0)
 
-    def _take_settings(self, rotation: Any = None) -> None:
+    def _take_settings(self, rotation: Rotation | None = None) -> None:
         super()._take_settings(rotation)
         temperature, friction, turning = stored_settings.required(self, "bath")[1].tolist()
         bath = OrnsteinUhlenbeck(temperature, friction, turning, seed=0)
@@ -59,7 +60,7 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
             pressure, interval = found[1].tolist()
             self._piston = MonteCarloVolumeMove(pressure, int(interval), bath)
 
-    def getTemperature(self) -> Any:
+    def getTemperature(self) -> unit.Quantity:
         """Temperature of the bath, a quantity in K."""
         return self._bath.temperature * unit.kelvin
 
@@ -75,11 +76,11 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
             raise ValueError(f"temperature must not be negative, got {value} K")
         return value
 
-    def getFriction(self) -> Any:
+    def getFriction(self) -> unit.Quantity:
         """Friction of the translation, a quantity in 1/ps."""
         return self._bath.friction / unit.picosecond
 
-    def getPressure(self) -> Any:
+    def getPressure(self) -> unit.Quantity | None:
         """Pressure that is kept, a quantity in bar; None where the volume is."""
         return None if self._piston is None else self._piston.pressure / BAR * unit.bar
 
@@ -98,14 +99,14 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
         """Set the seed of the noise for the next Context; as in OpenMM, 0 takes another one for every Context."""
         super().setRandomNumberSeed(whole_number("seed", seed))
 
-    def getHeat(self) -> Any:
+    def getHeat(self) -> unit.Quantity:
         """Energy that the bath, and moves of the volume, have given to the bodies, a quantity.
 
         The total energy less it is conserved. The work P dV is not in it.
         """
         return self._bound().heat() * unit.kilojoule_per_mole
 
-    def _bind(self, context: Any) -> None:
+    def _bind(self, context: openmm.Context) -> None:
         super()._bind(context)
         # A Context that was reinitialized with its state goes on with the seed that it has.
         if self.getGlobalVariableByName(SEED) == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -39,17 +40,17 @@ class _Point(NamedTuple):
 class Engine:
     """Binding of a `SIERIntegrator` to a Context in which this package moves the bodies.
 
-    Between two calls of `run` the Context agrees with `state`, and `_echo` is what it gave back then: whatever differs
-    later was changed from outside.
+    Between two calls of `run` the Context agrees with `state`. `_echo` is a snapshot taken at the end of a call: the
+    Context was changed from outside if it differs from the snapshot later.
 
     Attributes:
         forces: forces and torques on them, computed by the Context.
     """
 
-    #: What `SIERIntegrator.engine` says.
+    #: The value of `SIERIntegrator.engine`.
     name = "exact"
 
-    def __init__(self, integrator: Host, context):
+    def __init__(self, integrator: Host, context: openmm.Context):
         # The Context owns its integrator, so that a strong reference back would keep both alive.
         self._integrator_ref = weakref.ref(integrator)
         self._atoms = Atoms(context)
@@ -61,20 +62,20 @@ class Engine:
         self._groups: int
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
-        self.forces = operators.CachedForces(self._compute_forces)
+        self.forces = operators.CachedForces(_weakly(self._compute_forces))
         self._bodies: RigidBodies | None = None
         self._momentum: MomentumConservation | None = None
         self._volume_moves: VolumeMoves | None = None
         self._motion: Motion
         self._vibrations: Vibrations
         self._reconciliation: Reconciliation
-        # Where positions tell nothing of the bodies they are settled now, and the plan takes more memory than they do.
+        # Bodies that need no positions are made now. The plan is dropped, since it takes more memory than they do.
         self._plan: Any = plan if plan.needs_positions else None
         if self._plan is None:
             self._settle(plan.bodies(None))
 
     @property
-    def _context(self):
+    def _context(self) -> openmm.Context:
         return self._atoms.context
 
     @property
@@ -104,8 +105,8 @@ class Engine:
             raise openmm.OpenMMException("The Context has no positions yet")
         return self._point
 
-    def _settle_by(self, positions) -> RigidBodies:
-        """Bodies of the geometry that travels with the Context's state; the first time positions tell it."""
+    def _settle_by(self, positions: np.ndarray) -> RigidBodies:
+        """Bodies with the geometry that the Context's state carries, or with that of the positions the first time."""
         sites = np.array(self._integrator.getPerDofVariableByName(SITES))
         if self._bodies is not None and np.array_equal(stored_state.sites(self._bodies), sites):
             return self._bodies
@@ -122,7 +123,7 @@ class Engine:
         if integrator._piston is not None:
             self._volume_moves = VolumeMoves(integrator._piston, bodies, self._atoms)
         self._motion, self._bodies = Motion(context, bodies, self.forces, integrator), bodies
-        self._reconciliation = Reconciliation(bodies, self._atoms, self._forget_forces)
+        self._reconciliation = Reconciliation(bodies, self._atoms, _weakly(self._forget_forces))
         self._vibrations = vibrations
         return bodies
 
@@ -155,7 +156,7 @@ class Engine:
                     self._step_with_actors(step, h)
             self._publish()
         except BaseException:
-            # Also where `_publish` was cut short: there is no line that an interrupt could hit without coming here.
+            # An interrupt of `_publish` is caught here too, so that none leaves the Context between two steps.
             self.restore()
             raise
 
@@ -169,7 +170,7 @@ class Engine:
         self._starts_anew = False
 
     def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
-        """One step, after all that acts besides the scheme: barostats and thermostats of the System, our own piston."""
+        """Make one step, after the System's barostats and thermostats and the integrator's own piston have acted."""
         before = self._reached()
         mark = self._context.getState(positions=True)
         try:
@@ -218,7 +219,7 @@ class Engine:
         return self._reconciliation.reconcile(self.state, before, self._echo)
 
     def _update_box(self) -> BodyState:
-        """What barostats do; most often nothing, and then nothing has to be read back."""
+        """Let barostats act. Most often they change nothing, and then nothing is read back."""
         state = self.state
         self._place(state.q, state.A)
         before = self._atoms.box()
@@ -232,7 +233,7 @@ class Engine:
         return replace(state, q=q, p=self.bodies.constraints.project(q, state.p), A=A)
 
     def restore(self) -> None:
-        """Write the last completed step to the Context, whatever was cut short and even if Ctrl-C comes meanwhile."""
+        """Write the last completed step to the Context, even if Ctrl-C comes meanwhile."""
         _whatever_interrupts(self._recover)
 
     def _recover(self) -> None:
@@ -242,16 +243,16 @@ class Engine:
 
     # --- forces ---
 
-    def _compute_forces(self, q, A):
-        """Those that act in kicks."""
+    def _compute_forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forces and torques on bodies in kicks."""
         return self._forces_of(self._groups & ~self._integrator._fast_groups, q, A)
 
-    def all_forces(self, q, A):
+    def all_forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forces and torques on bodies at (q, A), each (3, n), fast ones too."""
         self.forces.evaluations += 1
         return self._forces_of(self._groups, q, A)
 
-    def _forces_of(self, groups: int, q, A):
+    def _forces_of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self._place(q, A)
         try:
             return self.bodies.forces_and_torques(self._atoms.forces(groups), A)
@@ -276,7 +277,7 @@ class Engine:
         if self._bodies is not None:
             self._motion = Motion(self._context, self._bodies, self.forces, self._integrator)
 
-    def _place(self, q, A) -> None:
+    def _place(self, q: np.ndarray, A: np.ndarray) -> None:
         try:
             self._atoms.place(self.bodies, q, A)
         except NotFiniteError as error:
@@ -308,7 +309,7 @@ class Engine:
         return self._momentum.holds(self._integrator)
 
     def temperatures(self) -> Temperatures:
-        """In K, see `openmm_sier.context.temperature`."""
+        """Temperatures in K, see `openmm_sier.context.temperature`."""
         self.adopt()
         return temperatures(self.bodies, self.state, self.conserves_momentum())
 
@@ -317,14 +318,15 @@ class Engine:
     def adopt(self) -> None:
         """Take over what was changed in the Context from outside.
 
-        The state found depends on nothing but what the Context holds, so that a checkpoint of it leads on alike.
+        The state found depends on nothing but what the Context holds, so that a restart from a checkpoint
+        is bit-identical.
 
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now = Snapshot(self._context)
         if self._point is None and not now.positions.any():
-            # All particles may be at the origin. OpenMM knows, and says so before it computes anything.
+            # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
             self._context.getState(energy=True, groups=0)
         moved = self._point is None or not now.same_positions(self._echo)
         if moved:
@@ -362,8 +364,24 @@ class Engine:
         self._echo = Snapshot(context)
 
 
-def _whatever_interrupts(action) -> None:
-    """Do what must be done as a whole: a Ctrl-C in it takes effect after it."""
+def _weakly(method: Callable[..., Any]) -> Callable[..., Any]:
+    """A method that does not keep its object alive.
+
+    The engine has a Context of its own for fast forces, and so must not wait for the garbage collector, which may
+    delete that Context's System before it.
+    """
+    reference = weakref.WeakMethod(method)
+
+    def call(*arguments: Any) -> Any:
+        found = reference()
+        assert found is not None
+        return found(*arguments)
+
+    return call
+
+
+def _whatever_interrupts(action: Callable[[], None]) -> None:
+    """Run an action to its end: after a Ctrl-C it is run once more before the interrupt is passed on."""
     try:
         action()
     except KeyboardInterrupt:

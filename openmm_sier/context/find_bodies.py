@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
+import openmm
 from openmm import unit
 
 from openmm_sier.context import geometries
 from openmm_sier.context.geometries import EMBEDDING_TOLERANCE, Cluster, Kind, KindCollector, Sharing
+from openmm_sier.context.host import Bodies
 from openmm_sier.context.links import Links, joins_a_body
 from openmm_sier.context.notices import tell
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError, Species
 
-#: Names bodies of each heavy atom with its hydrogens.
+#: The value of `rigid` by which each heavy atom with its hydrogens is a body.
 HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 
-#: What users may name as rigid bodies.
+#: Values of the argument `rigid`.
 Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
 
 #: Constraint lengths in nm by ascending pairs of particles.
@@ -30,7 +33,13 @@ class RigidBodies(dynamics.RigidBodies):
     """The rigid and point bodies of an OpenMM System."""
 
     @classmethod
-    def from_system(cls, system, topology=None, rigid: Rigid = None, positions=None) -> RigidBodies:
+    def from_system(
+        cls,
+        system: openmm.System,
+        topology: openmm.app.Topology | None = None,
+        rigid: Rigid = None,
+        positions: Any = None,
+    ) -> RigidBodies:
         """Find the bodies of a System.
 
         Particles that the user names form bodies of the geometry that they have. Of the others, molecules in which
@@ -39,7 +48,7 @@ class RigidBodies(dynamics.RigidBodies):
         Massless particles that are no virtual sites stay where they are.
 
         Molecules of one kind whose lengths or positions differ a little, as those of a PDB file do, share the average
-        geometry, which a warning says.
+        geometry, and a warning says so.
 
         Args:
             system: openmm.System.
@@ -47,7 +56,7 @@ class RigidBodies(dynamics.RigidBodies):
             rigid: rigid bodies besides those that constraints make. Lists of particle indices; or a mapping {residue
                 name: "rigid"}; or "heavy atoms with hydrogens", by which each heavy atom and the hydrogens bonded to it
                 are one body. That fixes H-X-H angles besides bonds of hydrogen, and leaves all torsions free.
-            positions: (N, 3), nm or a Quantity, where the geometry of `rigid` is to be taken from.
+            positions: (N, 3), nm or a Quantity, from which the geometry of `rigid` is taken.
 
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
@@ -67,7 +76,7 @@ class BodyPlan:
         kinds: the kinds of body.
     """
 
-    def __init__(self, system, topology=None, rigid: Rigid = None):
+    def __init__(self, system: openmm.System, topology: openmm.app.Topology | None = None, rigid: Rigid = None):
         """
         Args:
             system: openmm.System.
@@ -79,29 +88,31 @@ class BodyPlan:
         self._n = n
         self._describe = RigidBodies([], n, self._labels).describe_atoms
         self._masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(n)])
-        lengths = _constraint_lengths(system)
+        lengths = constraint_lengths(system)
         self._links = Links(system, lengths)
         named = self._checked(_named(topology, rigid, lengths, self._links), system)
         self.kinds = self._collect(named, lengths)
 
     @property
     def needs_positions(self) -> bool:
-        """Whether only positions tell the geometry of some body."""
+        """Whether the geometry of some body is known from positions only."""
         return any(kind.needs_positions for kind in self.kinds)
 
-    def bodies(self, positions=None, sites=None) -> RigidBodies:
+    def bodies(self, positions: np.ndarray | None = None, sites: np.ndarray | None = None) -> RigidBodies:
         """The bodies.
 
         Args:
             positions: (N, 3), nm.
-            sites: (N, 3), nm, the atoms in the principal frames of their bodies, which named bodies get to the bit
-                unless these are no principal frames.
+            sites: (N, 3), nm, the atoms in the principal frames of their bodies. Named bodies get exactly these sites,
+                unless the frames are not principal.
 
         Raises:
             RigidityError: positions are needed and there are none, or they contradict the constraints.
         """
-        if positions is None and self.needs_positions:
-            raise RigidityError("the geometry of these bodies is known from positions only: give positions")
+        if positions is None:
+            if self.needs_positions:
+                raise RigidityError("the geometry of these bodies is known from positions only: give positions")
+            positions = np.empty((0, 3))
         species: list[Species] = []
         shared = [kind.sharing for kind in self.kinds if kind.sharing is not None and kind.model is not None]
         for kind in self.kinds:
@@ -133,7 +144,7 @@ class BodyPlan:
 
     # --- which particles ---
 
-    def _checked(self, groups: Iterable[Iterable[int]], system) -> list[Cluster]:
+    def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
         """Named bodies without their virtual sites."""
         clusters = []
         seen: set[int] = set()
@@ -191,7 +202,7 @@ class BodyPlan:
                     "it a virtual site"
                 )
 
-    def _demand_extent(self, kind: Kind, positions) -> None:
+    def _demand_extent(self, kind: Kind, positions: np.ndarray) -> None:
         for cluster in kind.clusters:
             x = positions[cluster]
             if not np.isfinite(x).all():
@@ -203,10 +214,37 @@ class BodyPlan:
                 )
 
 
+class KnownBodies:
+    """A plan of bodies that a user gave, with the methods of `BodyPlan`."""
+
+    needs_positions = False
+
+    def __init__(self, bodies: dynamics.RigidBodies):
+        self._bodies = bodies
+
+    def bodies(self, positions: np.ndarray | None = None, sites: np.ndarray | None = None) -> dynamics.RigidBodies:
+        """The bodies, whatever the positions."""
+        return self._bodies
+
+
+def plan_bodies(system: openmm.System, given: Bodies) -> BodyPlan | KnownBodies:
+    """The plan of a System's bodies, from those that a user gave, as lists of particle indices, or None.
+
+    Raises:
+        ValueError: the System has another number of particles or other masses.
+        RigidityError: see `BodyPlan` and `tied`.
+    """
+    if isinstance(given, dynamics.RigidBodies):
+        return KnownBodies(tied(system, given))
+    return BodyPlan(system, rigid=given)
+
+
 # --- bodies that are named --------------------------------------------------------------------------------------------
 
 
-def _named(topology, rigid: Rigid, lengths: Lengths, links: Links) -> Iterable[Iterable[int]]:
+def _named(
+    topology: openmm.app.Topology | None, rigid: Rigid, lengths: Lengths, links: Links
+) -> Iterable[Iterable[int]]:
     if rigid is None:
         return []
     if not isinstance(rigid, str | Mapping):
@@ -222,7 +260,7 @@ def _named(topology, rigid: Rigid, lengths: Lengths, links: Links) -> Iterable[I
     )
 
 
-def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
+def _residues_named(topology: openmm.app.Topology, rigid: Mapping[str, str]) -> Iterable[list[int]]:
     """Particle indices of the residues in a mapping {residue name: "rigid"}."""
     wrong = [value for value in rigid.values() if value != "rigid"]
     if wrong:
@@ -234,7 +272,7 @@ def _residues_named(topology, rigid: Mapping) -> Iterable[list[int]]:
     return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
 
 
-def _hydrogen_groups(topology, rigid: Mapping[int, int]) -> list[list[int]]:
+def _hydrogen_groups(topology: openmm.app.Topology, rigid: Mapping[int, int]) -> list[list[int]]:
     """Each heavy atom with its hydrogens, but for those of molecules that constraints hold already."""
     groups: dict[int, list[int]] = {}
     grouped: set[int] = set()
@@ -256,7 +294,7 @@ def _hydrogen_groups(topology, rigid: Mapping[int, int]) -> list[list[int]]:
 def _rigid_molecules(lengths: Lengths, links: Links) -> dict[int, int]:
     """For each particle of a molecule in which every distance is constrained the number of its cluster.
 
-    A group in a larger molecule is none: fast forces move points, and so its constraints are left to hold it.
+    A rigid group in a larger molecule does not count. Fast forces move points only, so its constraints hold it.
     """
     clusters = _clusters(lengths)
     owner = {i: number for number, cluster in enumerate(clusters) for i in cluster}
@@ -266,7 +304,7 @@ def _rigid_molecules(lengths: Lengths, links: Links) -> dict[int, int]:
     return {i: n for i, n in owner.items() if counts[n] == wanted[n] and not leave[n]}
 
 
-def _residue_labels(topology, n_particles) -> list[str]:
+def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str]:
     labels = [f"{atom.residue.name} {atom.residue.id}" for atom in topology.atoms()]
     if len(labels) != n_particles:
         raise ValueError(f"the topology has {len(labels)} atoms, the System {n_particles} particles")
@@ -276,7 +314,12 @@ def _residue_labels(topology, n_particles) -> list[str]:
 # --- constraints ------------------------------------------------------------------------------------------------------
 
 
-def _constraint_lengths(system) -> Lengths:
+def constraint_lengths(system: openmm.System) -> Lengths:
+    """Lengths in nm by ascending pairs of particles.
+
+    Raises:
+        RigidityError: a pair has two lengths.
+    """
     lengths: Lengths = {}
     for i in range(system.getNumConstraints()):
         a, b, distance = system.getConstraintParameters(i)
@@ -291,7 +334,7 @@ def _constraint_lengths(system) -> Lengths:
     return lengths
 
 
-def _clusters(pairs) -> list[Cluster]:
+def _clusters(pairs: Iterable[tuple[int, int]]) -> list[Cluster]:
     """Connected components of a graph, each in ascending order, ordered by their first particle."""
     neighbours: dict[int, list[int]] = defaultdict(list)
     for a, b in pairs:
@@ -314,21 +357,21 @@ def _clusters(pairs) -> list[Cluster]:
     return clusters
 
 
-def tied(system, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
+def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
     """Bodies that a user gave, with the constraints between them and the molecules that a System has.
 
     Raises:
         ValueError: the System has another number of particles or other masses.
-        RigidityError: a constraint joins one of several atoms to something else.
+        RigidityError: a constraint joins a body of several atoms to something else.
     """
     n = system.getNumParticles()
     if bodies.n_particles != n:
         raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {n}")
     _refuse_other_masses(system, bodies)
-    return Links(system, _constraint_lengths(system)).tie(bodies)
+    return Links(system, constraint_lengths(system)).tie(bodies)
 
 
-def _refuse_other_masses(system, bodies: dynamics.RigidBodies) -> None:
+def _refuse_other_masses(system: openmm.System, bodies: dynamics.RigidBodies) -> None:
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(bodies.n_particles)])
     for species in bodies.species:
         wrong = np.argwhere(masses[species.atoms] != species.masses)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -87,7 +87,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         bodies: Bodies = None,
         rotation: operators.Rotation = exact,
         substeps: int | None = None,
-        fastForceGroups: Any = None,
+        fastForceGroups: Iterable[int] | int | None = None,
     ):
         """
         Args:
@@ -120,7 +120,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
     def _only_exact(self) -> str | None:
         return "has no Metropolis rule: take SIERLangevinIntegrator"
 
-    def _take_settings(self, rotation: Any = None) -> None:
+    def _take_settings(self, rotation: operators.Rotation | None = None) -> None:
         super()._take_settings(rotation)
         self._steps_per_trial = int(stored_settings.required(self, "trial")[1][0])
 

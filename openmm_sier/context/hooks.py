@@ -26,6 +26,7 @@ import openmm
 
 from openmm_sier.context.integrator import SIERIntegrator, revived
 from openmm_sier.context.minimization import constraints_hold, minimize_bodies
+from openmm_sier.context.native_engine import NativeEngine
 from openmm_sier.context.stored_settings import stored
 from openmm_sier.context.stored_state import DRAWS, SEED
 
@@ -138,10 +139,11 @@ def _keeping_bodies(method: Method) -> Method:
         integrator = _integrator_of(context)
         if integrator is None:
             return method(context, tolerance, maxIterations, reporter)
-        if integrator.engine == "native" or constraints_hold(context.getSystem(), integrator.bodies):
+        engine = integrator._bound()
+        if isinstance(engine, NativeEngine) or constraints_hold(context.getSystem(), engine.bodies):
             method(context, tolerance, maxIterations, reporter)
-            return integrator._bound().notice()
-        return minimize_bodies(context, integrator._bound(), tolerance, maxIterations, reporter)
+            return engine.notice()
+        return minimize_bodies(context, engine, tolerance, maxIterations, reporter)
 
     return wrapper
 

@@ -1,16 +1,19 @@
-"""What the engines ask of the integrator that they run."""
+"""The interface of integrators that the engines use."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
+import numpy as np
+import openmm
+
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Operator, Rotation, Stepper
 from openmm_sier.dynamics.schemes import Scheme
 
-#: What users may give as bodies.
+#: Values of the argument `bodies` of integrators.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
 
 
@@ -39,7 +42,7 @@ class Host(Protocol):
 
     def getPerDofVariableByName(self, name: str) -> Any: ...
 
-    def setPerDofVariableByName(self, name: str, values) -> None: ...
+    def setPerDofVariableByName(self, name: str, values: np.ndarray) -> None: ...
 
     def getConstraintTolerance(self) -> float: ...
 
@@ -49,11 +52,11 @@ class Host(Protocol):
 
     def setGlobalVariableByName(self, name: str, value: float) -> None: ...
 
-    def _plan_bodies(self, system) -> Any:
-        """What tells the bodies of a System, see `find_bodies.BodyPlan`."""
+    def _plan_bodies(self, system: openmm.System) -> Any:
+        """The plan of a System's bodies, see `find_bodies.BodyPlan`."""
 
     def _only_exact(self) -> str | None:
-        """What the native engine cannot do of what the integrator was made for, and the remedy."""
+        """Why the native engine cannot run this integrator, and the remedy; None if it can."""
 
     def _tell_program(self) -> None:
         """Give the variables of the native program the values that they must have."""

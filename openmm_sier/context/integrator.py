@@ -5,17 +5,18 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import openmm
 from openmm import unit
 
 from openmm_sier.context import native_program, stored_settings
-from openmm_sier.context.arguments import GROUPS, checked_bodies, group_mask, step_size, whole_number
+from openmm_sier.context.arguments import checked_bodies, group_mask, groups_of, step_size, whole_number
 from openmm_sier.context.engine import Engine
-from openmm_sier.context.find_bodies import BodyPlan, tied
+from openmm_sier.context.find_bodies import BodyPlan, KnownBodies, plan_bodies
 from openmm_sier.context.host import Bodies
 from openmm_sier.context.native_engine import TOLERANCE, NativeEngine
 from openmm_sier.context.native_program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
@@ -23,25 +24,22 @@ from openmm_sier.context.stored_state import DRAWS, HEAT, SEED, SITES, STATE_VAR
 from openmm_sier.context.temperature import Temperatures
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.operators import Operator, Stepper, stepper
+from openmm_sier.dynamics.operators import Operator, Rotation, Stepper, stepper
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 
-#: The platforms on which `engine="auto"` takes the exact engine: there its forces are beside the arrays of Python.
+#: The platforms on which `engine="auto"` takes the exact engine: their forces are in the memory that Python uses.
 EXACT_PLATFORMS = ("CPU", "Reference")
 
 ENGINES = ("auto", "exact", "native")
-
-#: Steps of RATTLE in each drift of a native program, see docs/native.md.
-SUBSTEPS = 3
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
     """Symplectic integrator for rigid bodies that uses the exact solution of free rotation.
 
-    A drop-in for OpenMM's integrators: give it to a `Simulation` or a `Context` and nothing else is to be called. Rigid
+    A drop-in for OpenMM's integrators: give it to a `Simulation` or a `Context`, and call nothing else. Rigid
     molecules are found in the System's constraints when the Context is created; a System with constraints that form
-    no rigid bodies is refused there. Velocities in the Context are those of the whole step.
+    no rigid bodies is refused there. Velocities in the Context are those at the end of the step.
 
     Two engines execute the scheme. The exact one is a layer of Python over the Context and has the exact rotation. The
     native one is the integrator's own program, which OpenMM executes on any platform, with steps of RATTLE for the
@@ -53,13 +51,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def __init__(
         self,
-        stepSize,
+        stepSize: Any,
         scheme: Scheme = SIER4G,
         bodies: Bodies = None,
-        rotation=exact,
+        rotation: Rotation = exact,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups=None,
+        fastForceGroups: Iterable[int] | int | None = None,
     ):
         """
         Args:
@@ -69,16 +67,17 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 bodies, of the geometry that they have at the first step, besides those that constraints make.
             rotation: free-rotation map, as `rotation.exact`.
             engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
-            substeps: into how many steps a drift is divided. With the native engine these are the steps of RATTLE in
-                each drift, 3 if not given; 3 and 5 make it of fourth order. With the exact engine they are the inner
-                steps of the fast forces in the longest drift, if not given the least number that makes them no longer
-                than 3 fs; without fast forces its drifts are not divided.
+            substeps: into how many steps a drift is divided. Without fast forces these are the native engine's steps of
+                RATTLE: 3 and 5 make the drift of fourth order, and None takes 3, or 5 with SIER4, SIER4V and other
+                schemes of long drifts; the exact engine's drifts are not divided. With fast forces they are inner steps
+                of SIER4G. None takes the least number for which the exact engine's are no longer than 3 fs, and with
+                the native engine 1, or 2 with schemes of long drifts.
             fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
                 of molecules that are not rigid, see `prepare_system`. The exact engine computes them from a Context of
                 those molecules alone.
 
         Raises:
-            ValueError: the step is negative or not finite, the engine is none of these, there are no substeps, or a
+            ValueError: the step is negative or not finite, the engine is none of these, `substeps` is below 1, or a
                 force group is not from 0 to 31. A step of 0 is for Contexts that only evaluate forces: steps are
                 counted and nothing moves.
             TypeError: the step is no time, or `scheme` is no Scheme.
@@ -99,7 +98,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             self.addPerDofVariable(name, 0)
         for name in (HEAT, DRAWS, SEED):
             self.addGlobalVariable(name, 0)
-        self._program = _written(scheme, substeps)
+        self._program = _written(scheme, substeps, self._fast_groups)
         native_program.install(self._program if isinstance(self._program, Program) else None, self)
         self.setConstraintTolerance(TOLERANCE)
         self.setStepSize(stepSize)
@@ -125,25 +124,23 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return 0.0, 0.0
 
     def _only_exact(self) -> str | None:
-        """What the native engine cannot do of what this integrator was made for, and the remedy."""
+        """Why the native engine cannot run this integrator, and the remedy; None if it can."""
         if isinstance(self._program, str):
             return f"does not know this scheme, since {self._program}: take another scheme"
-        if self._fast_groups:
-            return "has no fast forces within its drifts: leave out `fastForceGroups`"
         if self._rotation is not exact:
             return "has no other free-rotation maps: leave out `rotation`"
         return None
 
     def _store_settings(self) -> None:
-        """Put all settings that OpenMM does not know of into what it serializes."""
+        """Add all settings that OpenMM does not know of to what it serializes."""
         stored_settings.store(self, "class", text=stored_settings.place_of(type(self)))
         stored_settings.store(self, "rotation", text=stored_settings.place_of(self._rotation))
         stored_settings.store_scheme(self, self._scheme)
         stored_settings.store_bodies(self, self._given_bodies)
         stored_settings.store(self, "engine", [self._substeps or 0, self._fast_groups], self._wanted_engine)
 
-    def _take_settings(self, rotation=None) -> None:
-        """Take over all settings from what OpenMM serialized; the free-rotation map, if it is known, as it is."""
+    def _take_settings(self, rotation: Rotation | None = None) -> None:
+        """Take all settings from what OpenMM serialized, but the free-rotation map from `rotation` if it is given."""
         self._engine = None
         self._scheme = stored_settings.stored_scheme(self)
         place = stored_settings.required(self, "rotation")[0]
@@ -151,7 +148,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._given_bodies = stored_settings.stored_bodies(self)
         self._wanted_engine, (substeps, groups) = stored_settings.required(self, "engine")
         self._substeps, self._fast_groups = int(substeps) or None, int(groups)
-        self._program = _written(self._scheme, self._substeps)
+        self._program = _written(self._scheme, self._substeps, self._fast_groups)
         (self._step,) = stored_settings.required(self, "step")[1].tolist()
         step = super().getStepSize()._value * self._native_steps
         if not math.isclose(step, self._step, rel_tol=1e-12):
@@ -167,17 +164,17 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     @property
     def substeps(self) -> int | None:
-        """Into how many steps a drift is divided, as it was asked for; None where it is left to the engine."""
+        """Number of steps into which a drift is divided, as requested; None leaves it to the engine."""
         return self._substeps
 
     @property
     def fastForceGroups(self) -> set[int]:
         """The force groups that act within drifts."""
-        return {group for group in range(GROUPS) if self._fast_groups >> group & 1}
+        return set(groups_of(self._fast_groups))
 
     @property
     def program(self) -> Program:
-        """What the native engine executes, to be printed.
+        """The program that the native engine executes; it can be printed.
 
         Raises:
             ValueError: the scheme has an operator that cannot be written out.
@@ -192,7 +189,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._scheme
 
     @property
-    def rotation(self):
+    def rotation(self) -> Rotation:
         """The free-rotation map."""
         return self._rotation
 
@@ -214,11 +211,11 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         return self._bound().conserves_momentum()
 
-    def getStepSize(self):
+    def getStepSize(self) -> unit.Quantity:
         """The step of the scheme, a quantity in ps. A step of OpenMM's program is a part of it."""
         return self._step * unit.picosecond
 
-    def setStepSize(self, size) -> None:
+    def setStepSize(self, size: Any) -> None:
         """Set the step, a time quantity or a number in ps."""
         self._step = step_size(size)
         super().setStepSize(self._step / self._native_steps)
@@ -234,7 +231,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         engine.adopt()
         return engine.state
 
-    def step(self, steps) -> None:
+    def step(self, steps: int) -> None:
         """Advance by a number of steps.
 
         An interrupt leaves the Context at the last completed step. So does an error with the exact engine; with the
@@ -247,7 +244,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         self._bound().run(whole_number("steps", steps))
 
-    def computeSystemTemperature(self):
+    def computeSystemTemperature(self) -> unit.Quantity:
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
 
         OpenMM's StateDataReporter asks for it. Where the total momentum is conserved, three degrees of freedom and the
@@ -265,14 +262,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._bound().temperatures()
 
     def forcesChanged(self) -> None:
-        """Say that the potential was changed in a way that no method of the Context or of its Forces makes.
+        """Tell the integrator that the potential was changed other than by a method of the Context or of its Forces.
 
         Changes of positions, velocities, box and Context parameters, and those by `updateParametersInContext`, are
         noticed without this.
         """
         self._bound().renew_forces()
 
-    def setIntegrationForceGroups(self, groups) -> None:
+    def setIntegrationForceGroups(self, groups: Iterable[int] | int) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
         super().setIntegrationForceGroups(groups)
         if self._engine is not None:
@@ -280,23 +277,23 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     # --- copies ---
 
-    def __copy__(self):
+    def __copy__(self) -> SIERIntegrator:
         """An integrator with the same settings and variables, bound to no Context."""
         return _restored(_plain_clone(self), type(self), self._attributes())
 
-    def __deepcopy__(self, memo):
+    def __deepcopy__(self, memo: dict[int, Any]) -> SIERIntegrator:
         return self.__copy__()
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, (openmm.XmlSerializer.serialize(self), type(self), self._attributes())
 
-    def _attributes(self) -> dict:
+    def _attributes(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in ("this", "_engine")}
 
     # --- for the engine and for subclasses ---
 
-    def _prepare_for(self, system) -> None:
-        """Forget, before a Context is created, what a copy of a bound integrator has of its original's Context."""
+    def _prepare_for(self, system: openmm.System) -> None:
+        """Before a Context is created, clear what a copied integrator has kept of the Context of its original."""
         self._clear_record()
         for name in (SEED, PART):
             self.setGlobalVariableByName(name, 0)
@@ -305,7 +302,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             if len(self.getPerDofVariableByName(name)) > 1:
                 self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
 
-    def _bind(self, context) -> None:
+    def _bind(self, context: openmm.Context) -> None:
         # A System that is refused when a Context is reinitialized must not leave the bodies of the old one.
         self._engine = None
         exact = self._wanted_engine == "exact"
@@ -315,7 +312,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._tell_program()
 
     def _fold_heat(self) -> None:
-        """Bring the heat that the program counts for each degree of freedom to the sum that both engines know."""
+        """Add the heat that the program counts for each degree of freedom to the total that both engines use."""
         work = np.array(self.getPerDofVariableByName(WORK))
         if work.any():
             self.setGlobalVariableByName(HEAT, self.getGlobalVariableByName(HEAT) + float(work.sum()))
@@ -326,12 +323,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
         return self._engine
 
-    def _plan_bodies(self, system):
-        """What the engine gets its bodies from: something with `needs_positions` and `bodies(positions)`."""
-        given = self._given_bodies
-        if not isinstance(given, RigidBodies):
-            return BodyPlan(system, rigid=given)
-        return _Settled(tied(system, given))
+    def _plan_bodies(self, system: openmm.System) -> BodyPlan | KnownBodies:
+        return plan_bodies(system, self._given_bodies)
 
     def _write_record(self, state: BodyState) -> None:
         """Put what a state has besides its phase point into variables; see `host.Host` for all that the engine asks."""
@@ -364,28 +357,16 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Whether the volume is to be moved at a state, before the step after so many."""
         return self._piston is not None and (steps + 1) % self._piston.interval == 0
 
-    def _extra_operators(self, bodies: RigidBodies) -> dict:
+    def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:
         """Operators other than kick and drift."""
         return {}
 
-    #: What changes the volume between steps.
+    #: The Monte Carlo move of the volume between steps; None keeps the volume.
     _piston: MonteCarloVolumeMove | None = None
 
 
-class _Settled:
-    """A plan with bodies that are known already."""
-
-    needs_positions = False
-
-    def __init__(self, bodies: RigidBodies):
-        self._bodies = bodies
-
-    def bodies(self, positions, sites=None) -> RigidBodies:
-        return self._bodies
-
-
-def revived(integrator):
-    """The integrator itself; one that XML gave back as a plain CustomIntegrator is made the SIER integrator it was.
+def revived(integrator: openmm.Integrator) -> openmm.Integrator:
+    """Turn a plain CustomIntegrator read from XML back into the SIER integrator it was; return others unchanged.
 
     Raises:
         openmm.OpenMMException: its class or free-rotation map cannot be imported, or another version wrote the XML.
@@ -399,12 +380,12 @@ def revived(integrator):
     return integrator
 
 
-def _plain_clone(integrator):
+def _plain_clone(integrator: SIERIntegrator) -> openmm.CustomIntegrator:
     return inspect.unwrap(openmm.XmlSerializer._cloneIntegrator)(integrator)
 
 
-def _restored(plain, cls, attributes: dict):
-    """A plain CustomIntegrator made one of ours again, with those attributes that are not or not wholly in XML."""
+def _restored(plain: openmm.CustomIntegrator, cls: type[SIERIntegrator], attributes: dict[str, Any]) -> SIERIntegrator:
+    """Turn a plain CustomIntegrator back into one of ours, with the attributes that XML does not hold in full."""
     plain.__class__ = cls
     plain._take_settings(attributes["_rotation"])
     plain._given_bodies = attributes["_given_bodies"]
@@ -413,13 +394,13 @@ def _restored(plain, cls, attributes: dict):
     return plain
 
 
-def _unpickled(xml: str, cls, attributes: dict):
+def _unpickled(xml: str, cls: type[SIERIntegrator], attributes: dict[str, Any]) -> SIERIntegrator:
     return _restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
 
 
-def _written(scheme: Scheme, substeps: int | None) -> Program | str:
-    """The program of a scheme, or why there is none."""
+def _written(scheme: Scheme, substeps: int | None, fast_groups: int) -> Program | str:
+    """The program of a scheme, or the reason why it has none."""
     try:
-        return native_program.write(scheme, substeps or SUBSTEPS)
+        return native_program.write(scheme, substeps, groups_of(fast_groups))
     except ValueError as error:
         return str(error)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 from openmm import unit
 
 from openmm_sier.context import stored_settings
 from openmm_sier.context.constant_temperature import ConstantTemperatureIntegrator, checked_friction
 from openmm_sier.context.host import Bodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 
@@ -23,24 +27,24 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
     that a restarted run continues the same trajectory. A State brings the number only, and never back to noise that the
     Context has used: a run restarted from it is the same if its integrator was given the same seed.
 
-    With a pressure the volume of the box changes by Monte Carlo moves, of which the same is true. Of OpenMM's barostats
-    it is not: they work with this integrator too, but what they remember of their moves is in no State.
+    With a pressure the volume of the box changes by Monte Carlo moves, which a restarted run continues in the same way.
+    OpenMM's barostats work with this integrator too, but no State holds what they remember of their moves.
     """
 
     def __init__(
         self,
-        temperature,
-        frictionCoeff,
-        stepSize,
+        temperature: Any,
+        frictionCoeff: Any,
+        stepSize: Any,
         scheme: Scheme = SIER4G,
         bodies: Bodies = None,
-        rotation=exact,
-        rotationalFriction=None,
-        pressure=None,
-        barostatInterval=25,
+        rotation: Rotation = exact,
+        rotationalFriction: Any = None,
+        pressure: Any = None,
+        barostatInterval: int = 25,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups=None,
+        fastForceGroups: Iterable[int] | int | None = None,
     ):
         """
         Args:
@@ -83,22 +87,22 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             return "has one friction for all motion: leave out `rotationalFriction`"
         return super()._only_exact()
 
-    def _take_settings(self, rotation=None) -> None:
+    def _take_settings(self, rotation: Rotation | None = None) -> None:
         super()._take_settings(rotation)
         self._same_friction = bool(stored_settings.required(self, "friction")[1][0])
 
-    def setFriction(self, coeff) -> None:
+    def setFriction(self, coeff: Any) -> None:
         """Set the friction, a quantity or a number in 1/ps; that of the rotation too unless it was given apart."""
         self._bath.friction = checked_friction("coeff", coeff)
         if self._same_friction:
             self._bath.rotational_friction = self._bath.friction
         self._store_surroundings()
 
-    def getRotationalFriction(self):
+    def getRotationalFriction(self) -> unit.Quantity:
         """Friction of the rotation, a quantity in 1/ps."""
         return self._bath.rotational_friction / unit.picosecond
 
-    def setRotationalFriction(self, coeff) -> None:
+    def setRotationalFriction(self, coeff: Any) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; from now on apart from the other."""
         self._bath.rotational_friction = checked_friction("coeff", coeff)
         self._same_friction = False

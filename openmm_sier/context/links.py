@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import TypeVar
 
@@ -38,7 +38,8 @@ class Links:
     Attributes:
         pairs: constrained particles, (c, 2).
         lengths: (c,), nm.
-        bonds: pairs of particles that a harmonic bond, an angle or a torsion joins, (b, 2).
+        bonds: pairs of particles that a harmonic bond joins, (b, 2).
+        terms: pairs that an angle or a torsion joins, (t, 2); those of an improper torsion need be no bond.
         custom: pairs that a CustomBondForce joins, (d, 2). It may be a restraint: molecules that it joins are one, as
             for OpenMM, but those that are rigid stay so.
     """
@@ -52,7 +53,9 @@ class Links:
         self._n = system.getNumParticles()
         self.pairs, self.lengths = _pairs(lengths), np.array(list(lengths.values()), dtype=float)
         forces = system.getForces()
-        self.bonds = _pairs({pair for force in forces for pair in _joined(force)})
+        harmonic = [force for force in forces if isinstance(force, openmm.HarmonicBondForce)]
+        self.bonds = _pairs({pair for force in harmonic for pair in _joined(force)})
+        self.terms = _pairs({pair for force in forces if force not in harmonic for pair in _joined(force)})
         custom = [force for force in forces if isinstance(force, openmm.CustomBondForce)]
         self.custom = _pairs({tuple(f.getBondParameters(i)[:2]) for f in custom for i in range(f.getNumBonds())})
 
@@ -61,7 +64,7 @@ class Links:
         owner = np.full(self._n, -1)
         for number, cluster in enumerate(clusters):
             owner[list(cluster)] = number
-        ends = owner[self.bonds]
+        ends = owner[np.concatenate([self.bonds, self.terms])]
         leaving = np.zeros(len(clusters) + 1, dtype=bool)
         leaving[ends[ends[:, 0] != ends[:, 1]]] = True
         return leaving[:-1].tolist()
@@ -83,7 +86,7 @@ class Links:
         return bodies.tied(links, self._molecules(bodies))
 
     def _molecules(self, bodies: RigidBodies) -> np.ndarray:
-        edges = bodies.owners[np.concatenate([self.pairs, self.bonds, self.custom])]
+        edges = bodies.owners[np.concatenate([self.pairs, self.bonds, self.terms, self.custom])]
         edges = np.unique(edges[(edges >= 0).all(axis=1) & (edges[:, 0] != edges[:, 1])], axis=0)
         molecules = np.arange(bodies.n)
         for numbers in components(edges):
@@ -101,7 +104,7 @@ def joins_a_body(a: int, b: int) -> RigidityError:
     )
 
 
-def _pairs(found) -> np.ndarray:
+def _pairs(found: Iterable[tuple[int, int]]) -> np.ndarray:
     return np.array(list(found), dtype=np.int64).reshape(-1, 2)
 
 

@@ -1,21 +1,24 @@
-"""Minimization that leaves rigid bodies whole which no constraint holds.
+"""Energy minimization that keeps bodies rigid without constraints.
 
-OpenMM's LocalEnergyMinimizer moves atoms and keeps the System's constraints, no more: it would tear bodies that are
-rigid only because they were named.
+OpenMM's LocalEnergyMinimizer moves atoms and keeps only the System's constraints. It would tear bodies that are rigid
+only because they were named.
 """
 
 from __future__ import annotations
 
 from itertools import islice
+from typing import Any
 
 import numpy as np
+import openmm
 from openmm import unit
 
+from openmm_sier.context.engine import Engine
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.minimizer import descent
 
 
-def constraints_hold(system, bodies: RigidBodies) -> bool:
+def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
     """Whether every distance inside every body is constrained."""
     ends = np.array([system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())], dtype=np.int64)
     pairs = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0)
@@ -26,10 +29,16 @@ def constraints_hold(system, bodies: RigidBodies) -> bool:
     return bool((found == sizes * (sizes - 1) // 2).all())
 
 
-def minimize_bodies(context, engine, tolerance, iterations: int, reporter=None) -> None:
+def minimize_bodies(
+    context: openmm.Context,
+    engine: Engine,
+    tolerance: Any,
+    iterations: int,
+    reporter: openmm.MinimizationReporter | None = None,
+) -> None:
     """Minimize the energy of a Context's rigid bodies, as `openmm.LocalEnergyMinimizer.minimize` does that of atoms.
 
-    Positions change, and nothing else.
+    Only positions change.
 
     Args:
         context: openmm.Context.
@@ -41,7 +50,7 @@ def minimize_bodies(context, engine, tolerance, iterations: int, reporter=None) 
 
     Raises:
         RigidityError: the Context's positions do not form the bodies. Nothing has been changed then.
-        openmm.OpenMMException: a force is not finite. The bodies are where they were then.
+        openmm.OpenMMException: a force is not finite. The bodies are left where they were before.
     """
     if unit.is_quantity(tolerance):
         tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
@@ -57,7 +66,7 @@ def minimize_bodies(context, engine, tolerance, iterations: int, reporter=None) 
         raise
 
 
-def _report(context, reporter, number: int) -> bool:
+def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, number: int) -> bool:
     """Tell a MinimizationReporter of the positions that the Context has, and ask it whether to stop."""
     groups = context.getIntegrator().getIntegrationForceGroups()
     state = context.getState(positions=True, forces=True, energy=True, groups=groups)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import openmm
 
+from openmm_sier.context.arguments import groups_of
 from openmm_sier.context.host import Host
 from openmm_sier.context.solute import SoluteForces, solute_system
 from openmm_sier.dynamics import operators
@@ -57,7 +58,7 @@ class Motion:
     def _outer(self, forces: CachedForces, integrator: Host) -> dict[str, Operator]:
         bodies, constraints = self._bodies, self._bodies.constraints
         extra = integrator._extra_operators(bodies)
-        if not len(constraints.pairs) and self.fast is None:
+        if not len(self._members):
             return operators.body_operators(bodies, forces, integrator.rotation) | extra
         if BATH in extra:
             extra[BATH] = constrained_bath(extra[BATH], constraints)
@@ -88,7 +89,7 @@ class _Fast:
         forces: a function of their positions.
     """
 
-    def __init__(self, context: openmm.Context, atoms, groups, rigid):
+    def __init__(self, context: openmm.Context, atoms: list[int], groups: list[int], rigid: np.ndarray):
         platform = context.getPlatform()
         kept = set(platform.getPropertyNames()) & {"Threads", "DeterministicForces", "Precision", "DeviceIndex"}
         properties = {name: platform.getPropertyValue(context, name) for name in kept}
@@ -102,9 +103,9 @@ class _Fast:
         self.forces.invalidate()
 
 
-def _fast_forces(context: openmm.Context, bodies: RigidBodies, members, integrator: Host) -> _Fast | None:
+def _fast_forces(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, integrator: Host) -> _Fast | None:
     groups = integrator.getIntegrationForceGroups() & integrator._fast_groups
-    wanted = [group for group in range(32) if groups >> group & 1]
+    wanted = groups_of(groups)
     if not wanted:
         return None
     atoms = [int(bodies.atoms_of(body)[0]) for body in members.tolist()]

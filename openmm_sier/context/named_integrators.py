@@ -1,8 +1,9 @@
-"""Integrators of one scheme each, which take a step and no scheme."""
+"""Integrators with a fixed scheme."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Iterable
+from typing import Any, ClassVar
 
 from openmm_sier.context.host import Bodies
 from openmm_sier.context.integrator import SIERIntegrator
@@ -16,25 +17,25 @@ class IntegratorOfOneScheme(SIERIntegrator):
 
     def __init__(
         self,
-        stepSize,
+        stepSize: Any,
         bodies: Bodies = None,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups=None,
+        fastForceGroups: Iterable[int] | int | None = None,
     ):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
             bodies, engine, substeps, fastForceGroups: see `SIERIntegrator`.
         """
-        chosen = {"engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
+        chosen: dict[str, Any] = {"engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
         super().__init__(stepSize, self.SCHEME, bodies, **chosen)
 
 
 class SIER2Integrator(IntegratorOfOneScheme):
-    """Second order, one force evaluation a step: for rigid molecules what Verlet is for atoms.
+    """Second order, one force evaluation a step: the counterpart of Verlet for rigid molecules.
 
-    It bears steps up to 2/w for a mode of angular frequency w. Usual in water: 2 fs.
+    It is stable for steps up to 2/w for a mode of angular frequency w. Usual in water: 2 fs.
 
     Source: van Zon and Schofield (2007), Eq. Verlet.
     """
@@ -45,7 +46,7 @@ class SIER2Integrator(IntegratorOfOneScheme):
 class SIER4Integrator(IntegratorOfOneScheme):
     """Fourth order, four force evaluations a step: the paper's scheme.
 
-    It bears steps up to 3.0/w for a mode of angular frequency w. Usual in water: 4 fs.
+    It is stable for steps up to 3.0/w for a mode of angular frequency w. Usual in water: 4 fs.
 
     Source: van Zon and Schofield (2007), Eq. EFRL.
     """
@@ -54,10 +55,10 @@ class SIER4Integrator(IntegratorOfOneScheme):
 
 
 class SIER4GIntegrator(IntegratorOfOneScheme):
-    """Fourth order with a force gradient, three force evaluations a step: the one to take for most work.
+    """Fourth order with a force gradient, three force evaluations a step: the choice for most work.
 
-    It bears steps up to 3.46/w for a mode of angular frequency w, the longest per force of fourth order. Usual in
-    water: 6 fs, that is 2 fs per force evaluation.
+    It is stable for steps up to 3.46/w for a mode of angular frequency w, the longest per force of fourth order. Usual
+    in water: 6 fs, that is 2 fs per force evaluation.
 
     Source: Chin, Phys. Lett. A 226, 344 (1997), algorithm A.
     """
@@ -68,7 +69,7 @@ class SIER4GIntegrator(IntegratorOfOneScheme):
 class SIER4PIntegrator(IntegratorOfOneScheme):
     """Fourth order with a force gradient, four force evaluations a step: the most accurate below 2 fs per force.
 
-    It bears steps up to 3.1/w for a mode of angular frequency w. Usual in water: 6 fs, that is 1.5 fs per force
+    It is stable for steps up to 3.1/w for a mode of angular frequency w. Usual in water: 6 fs, that is 1.5 fs per force
     evaluation.
 
     Source: Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44.

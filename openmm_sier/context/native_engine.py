@@ -10,10 +10,11 @@ from itertools import combinations
 import numpy as np
 import openmm
 
-from openmm_sier.context import checks, neighbour_list
+from openmm_sier.context import checks, native_fast_forces, neighbour_list
+from openmm_sier.context.arguments import groups_of
 from openmm_sier.context.constraint_errors import Constraints
 from openmm_sier.context.host import Host
-from openmm_sier.context.native_program import WORK
+from openmm_sier.context.native_program import INNER, WORK, longest_inner_step
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.context.stored_state import HEAT
 from openmm_sier.context.temperature import (
@@ -107,7 +108,10 @@ class NativeEngine:
     def _check_step(self) -> None:
         integrator = self._integrator
         h, groups = integrator.getStepSize()._value, integrator.getIntegrationForceGroups()
-        self._vibrations.check(integrator.scheme, h, groups)
+        scheme, fast = integrator.scheme, groups & integrator._fast_groups
+        self._vibrations.check(scheme, h, groups & ~fast)
+        inner = h * longest_inner_step(scheme, integrator._substeps)
+        self._vibrations.check_nested(INNER, inner, h, fast)
 
     # --- stepping ---
 
@@ -233,6 +237,8 @@ def _refuse(integrator: Host, system: openmm.System) -> None:
     reason = integrator._only_exact() or _unheld_bodies(integrator._given_bodies, system)
     if reason is not None:
         raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
+    groups = integrator.getIntegrationForceGroups()
+    native_fast_forces.refuse(system, groups_of(groups & integrator._fast_groups), groups)
     for force in system.getForces():
         if isinstance(force, openmm.AndersenThermostat):
             raise openmm.OpenMMException(

@@ -11,12 +11,13 @@ so that OpenMM's clock is right after every n of them.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import openmm
 
-from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
 
 #: Targets of statements that assign no expression: each is a computation of OpenMM's.
@@ -54,13 +55,17 @@ COMPOSITIONS = {
 }
 
 
+#: The scheme of inner steps, and steps of RATTLE in each of its drifts.
+INNER, INNER_SUBSTEPS = SIER4G, 3
+
+
 class Statement(NamedTuple):
     """One computation.
 
     Attributes:
         target: the per-atom variable that it sets, or one of `CONSTRAIN_X`, `CONSTRAIN_V`, `UPDATE`.
-        expression: of the new value, in OpenMM's syntax; `h` is the step of the scheme, `d` a length that its line
-            names.
+        expression: of the new value, in OpenMM's syntax; `h` is the step of the scheme, `e` an inner step, `d` a
+            step of RATTLE.
     """
 
     target: str
@@ -73,10 +78,15 @@ class Statement(NamedTuple):
 
     @property
     def needs_force(self) -> bool:
+        """Whether it takes forces that may act on virtual sites; those of single groups do not."""
         return "f/m" in self.expression
 
     def __str__(self) -> str:
         return f"{self.target} = {self.expression}".replace(PREFIX, "") if self.expression else self.target
+
+
+#: A force as the sum of OpenMM's, each with its sign, "" or "-".
+Force = tuple[tuple[str, str], ...]
 
 
 class Line(NamedTuple):
@@ -85,16 +95,41 @@ class Line(NamedTuple):
     Attributes:
         title: of what they do.
         statements: executed one after the other, all of them for each of `lengths`.
-        lengths: values of `d` in their expressions, in units of h.
+        lengths: values of `unit` in their expressions: `d` in units of the step that the line is of, or `e` in units
+            of h.
+        unit: the name.
+        inner: lines in place of statements: an inner step of length e.
     """
 
     title: str
-    statements: tuple[Statement, ...]
+    statements: tuple[Statement, ...] = ()
     lengths: tuple[float, ...] = ()
+    unit: str = "d/h"
+    inner: tuple[Line, ...] = ()
+
+    @property
+    def needs_force(self) -> bool:
+        return any(statement.needs_force for statement in self.statements)
+
+    @property
+    def moves(self) -> bool:
+        return any(statement.moves for statement in self.statements) or any(line.moves for line in self.inner)
+
+    def executed(self, e: float = 1.0) -> Iterator[tuple[Statement, str]]:
+        """The statements in the order of execution, each with the definitions of d and e, if it has them.
+
+        Args:
+            e: length of the inner step that the line is of, in units of h.
+        """
+        for length in self.lengths or (0.0,):
+            for line in self.inner:
+                yield from line.executed(length)
+            for statement in self.statements:
+                yield statement, f"; d = {length * e!r}*h; e = {e!r}*h"
 
     def __str__(self) -> str:
-        text = f"{self.title}: {'; '.join(map(str, self.statements))}"
-        return f"{text}  for d/h = {', '.join(f'{d:.6g}' for d in self.lengths)}" if self.lengths else text
+        text = f"{self.title}: {'; '.join(map(str, self.statements))}".removesuffix(": ")
+        return f"{text}  for {self.unit} = {', '.join(f'{d:.6g}' for d in self.lengths)}" if self.lengths else text
 
 
 @dataclass(frozen=True)
@@ -114,29 +149,91 @@ class Program:
         lines = [f"{self.name}: one step h = {n} native steps dt"]
         for k, part in enumerate(self.parts, 1):
             lines += [f"{k if i == 0 else '':>2} {line}" for i, line in enumerate(part)]
+        nested = next((line for part in self.parts for line in part if line.inner), None)
+        if nested is not None:
+            lines += ["an inner step e:", *(f"   {line}" for line in nested.inner)]
         return "\n".join(lines)
 
 
-def write(scheme: Scheme, substeps: int) -> Program:
+#: A drift of so many times the simulated time per force, at the least, takes five steps of RATTLE.
+LONG_DRIFT = 2.0
+
+
+def usual_substeps(scheme: Scheme, nested: bool = False) -> int:
+    """The least number of substeps whose errors are below those of a scheme where it is used, see docs/native.md.
+
+    SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, of which three steps of RATTLE
+    do. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces an inner step is as long as a drift
+    of SIER4G, 3 fs, at most.
+
+    Args:
+        scheme: the scheme.
+        nested: whether there are fast forces.
+    """
+    is_long = _longest_drift(scheme) * scheme.force_evaluations > LONG_DRIFT
+    if nested:
+        return 2 if is_long else 1
+    return 5 if is_long else 3
+
+
+def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
+    """The longest inner step of a program with fast forces, in units of h; None: of `usual_substeps`."""
+    return _longest_drift(scheme) / (substeps or usual_substeps(scheme, nested=True))
+
+
+def _longest_drift(scheme: Scheme) -> float:
+    return max((abs(stage.fraction) for stage in scheme.stages if stage.operator == DRIFT), default=0.0)
+
+
+def write(
+    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), inner: Scheme = INNER
+) -> Program:
     """The program of a scheme.
+
+    Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
+    are taken out of the kicks and put into the drift, which becomes `substeps` steps of an inner scheme: its kicks are
+    those of the fast forces, and each of its drifts is three steps of RATTLE that are of fourth order. One step of
+    SIER4G in a drift of 3 fs follows springs of 1100/cm as well as twenty of velocity Verlet (docs/native.md).
+
+    Within a drift virtual sites stay where they are. So fast forces are right where they act on atoms alone:
+    `fast_forces.refuse` says whether they do.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
-        substeps: steps of RATTLE in each drift: 3 and 5 make it of fourth order (`COMPOSITIONS`), other numbers are
-            equal steps.
+        substeps: without fast groups, steps of RATTLE in each drift: 3 and 5 make it of fourth order
+            (`COMPOSITIONS`), other numbers are equal steps. With fast groups, equal steps of the inner scheme in each
+            drift. None: `usual_substeps`.
+        fast_groups: force groups of the fast forces, from 0 to 31. OpenMM's integration force groups must have them.
+        inner: scheme of the drift with fast forces, of kicks, gradient kicks and drifts. SIER2 is velocity Verlet.
 
     Raises:
-        ValueError: the scheme has another operator, or needs more than `MOST_PARTS` native steps.
+        ValueError: a scheme has another operator, a group is no force group, or the scheme needs more than
+            `MOST_PARTS` native steps.
     """
+    fast = _checked_groups(fast_groups)
+    if substeps is None:
+        substeps = usual_substeps(scheme, bool(fast))
+    slow_force = (("", "f"), *(("-", name) for name in fast))
+    within = _inner_step(inner, tuple(("", name) for name in fast)) if fast else ()
     lines = [Line("every step", (Statement(UPDATE),))]
     for stage in scheme.stages:
-        if stage.operator not in _LINES:
-            raise ValueError(f"the operator '{stage.operator}' of the scheme {scheme.name} cannot be written out")
-        lines += _LINES[stage.operator](stage, substeps)
+        if stage.operator == DRIFT:
+            equal = (stage.fraction / substeps,) * substeps
+            lines.append(Line(_of(inner), (), equal, "e/h", within) if fast else _drift(stage.fraction, substeps))
+        else:
+            lines += _maker(scheme, stage, _OUTER)(stage.times(1.0), "h", slow_force)
     parts = _divided(lines)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     return Program(scheme.name, parts)
+
+
+def _checked_groups(groups: Collection[int]) -> list[str]:
+    """OpenMM's names of the forces of some groups."""
+    for group in groups:
+        if not isinstance(group, int) or not 0 <= group < 32:
+            raise ValueError(f"fast force groups must be whole numbers from 0 to 31, got {group!r}")
+    return [f"f{group}" for group in sorted(set(groups))]
 
 
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
@@ -144,20 +241,36 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     parts: list[list[Line]] = [[]]
     moved = False
     for line in lines:
-        if moved and any(statement.needs_force for statement in line.statements):
+        if moved and line.needs_force:
             parts.append([])
             moved = False
         parts[-1].append(line)
-        moved = moved or any(statement.moves for statement in line.statements)
+        moved = moved or line.moves
     return tuple(map(tuple, parts))
 
 
-def _kick(stage: Stage, substeps: int) -> list[Line]:
-    (t,) = _in_steps(stage)
-    return [Line("kick", (Statement("v", f"v + {t}*f/m"), Statement(CONSTRAIN_V)))]
+def _of(inner: Scheme) -> str:
+    return f"inner steps of {inner.name}"
 
 
-def _drift(stage: Stage, substeps: int) -> list[Line]:
+def _inner_step(inner: Scheme, fast: Force) -> tuple[Line, ...]:
+    """A step of length e of a scheme with the fast forces alone."""
+    lines: list[Line] = []
+    for stage in inner.stages:
+        if stage.operator == DRIFT:
+            lines.append(_drift(stage.fraction, INNER_SUBSTEPS, "d/e"))
+        else:
+            lines += _maker(inner, stage, _INNER)(stage.times(1.0), "e", fast)
+    return tuple(lines)
+
+
+def _maker(scheme: Scheme, stage: Stage, known: Mapping[str, Maker]) -> Maker:
+    if stage.operator not in known:
+        raise ValueError(f"the operator '{stage.operator}' of the scheme {scheme.name} cannot be written out")
+    return known[stage.operator]
+
+
+def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
     """Free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
 
     The forces of the constraints move positions; the velocities change by what they moved them, and are constrained.
@@ -170,10 +283,24 @@ def _drift(stage: Stage, substeps: int) -> list[Line]:
         Statement("v", f"v + (x - {KEPT})/d"),
         Statement(CONSTRAIN_V),
     )
-    return [Line("drift", statements, tuple(stage.fraction * weight for weight in weights))]
+    return Line("drift", statements, tuple(fraction * weight for weight in weights), unit)
 
 
-def _gradient_kick(stage: Stage, substeps: int) -> list[Line]:
+def _kick(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
+    return [Line("kick", (*_kicked("v", f"{times[0]!r}*{h}*", force), Statement(CONSTRAIN_V)))]
+
+
+def _kicked(start: str, time: str, force: Force) -> list[Statement]:
+    """`v = start + time*f/m`, one statement for each group: OpenMM takes no more than one in an expression."""
+    statements = []
+    for sign, name in force:
+        expression = f"{start} {sign or '+'} {time}{name}/m" if start else f"{sign}{time}{name}/m"
+        statements.append(Statement("v", expression))
+        start = "v"
+    return statements
+
+
+def _gradient_kick(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
     """A kick by the forces at positions displaced by the constrained accelerations.
 
     Constraints of OpenMM act along the directions of the last positions that satisfied them. So positions are
@@ -181,32 +308,32 @@ def _gradient_kick(stage: Stage, substeps: int) -> list[Line]:
     rather than the positions, since GPU platforms may carry a molecule to the other side of the box between two native
     steps.
     """
-    t, shift = _in_steps(stage)
+    time, shift = times
     displace = (
         Statement(MOVED, "x"),
         Statement(V0, "v"),
-        Statement("v", "f/m"),
+        *_kicked("", "", force),
         Statement(CONSTRAIN_V),
-        Statement("x", f"x + {shift}*v"),
+        Statement("x", f"x + {shift!r}*{h}*{h}*v"),
         Statement(CONSTRAIN_X),
         Statement(MOVED, f"x - {MOVED}"),
     )
     kick = (
-        Statement("v", "f/m"),
+        *_kicked("", "", force),
         Statement(CONSTRAIN_V),
         Statement(KEPT, "v"),
         Statement("x", f"x - {MOVED}"),
         Statement(CONSTRAIN_X),
         Statement("v", KEPT),
         Statement(CONSTRAIN_V),
-        Statement("v", f"{V0} + {t}*v"),
+        Statement("v", f"{V0} + {time!r}*{h}*v"),
     )
     return [Line("displace", displace), Line("kick from there", kick)]
 
 
-def _bath(stage: Stage, substeps: int) -> list[Line]:
+def _bath(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
     """The exact Ornstein-Uhlenbeck process of the constrained velocities: constraining projects the noise too."""
-    (t,) = _in_steps(stage)
+    t = f"{times[0]!r}*{h}"
     spread = f"sqrt((1 - exp(-2*{FRICTION}*{t}))*{THERMAL}/m)"
     statements = (
         Statement(V0, "v"),
@@ -217,12 +344,11 @@ def _bath(stage: Stage, substeps: int) -> list[Line]:
     return [Line("bath", statements)]
 
 
-_LINES = {KICK: _kick, DRIFT: _drift, GRADIENT_KICK: _gradient_kick, BATH: _bath}
+#: What writes an operator: (its times for a step of 1, name of the step, force) -> lines.
+Maker = Callable[[tuple[float, ...], str, Force], list[Line]]
 
-
-def _in_steps(stage: Stage) -> list[str]:
-    """The times of a stage as expressions in h."""
-    return [f"{factor!r}*{unit}" for factor, unit in zip(stage.times(1.0), ("h", "h*h"), strict=False)]
+_INNER: dict[str, Maker] = {KICK: _kick, GRADIENT_KICK: _gradient_kick}
+_OUTER: dict[str, Maker] = {**_INNER, BATH: _bath}
 
 
 def install(program: Program | None, integrator: openmm.CustomIntegrator) -> None:
@@ -249,9 +375,8 @@ def install(program: Program | None, integrator: openmm.CustomIntegrator) -> Non
     for k, part in enumerate(program.parts):
         integrator.beginIfBlock(f"{PART} = {k}")
         for line in part:
-            for d in line.lengths or (0.0,):
-                for statement in line.statements:
-                    _add_statement(statement, integrator, f"; d = {d!r}*h; h = {n}*dt")
+            for statement, lengths in line.executed():
+                _add_statement(statement, integrator, f"{lengths}; h = {n}*dt")
         integrator.endBlock()
     integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
 

@@ -8,8 +8,10 @@ from xml.etree import ElementTree
 import numpy as np
 import openmm
 
+from openmm_sier.context import close_pairs
 from openmm_sier.context.arguments import GROUPS, whole_number
-from openmm_sier.context.find_bodies import BodyPlan, tied
+from openmm_sier.context.find_bodies import BodyPlan, constraint_lengths, tied
+from openmm_sier.context.links import Links
 from openmm_sier.context.pme import balance_pme, meshed_forces
 from openmm_sier.context.solute import TERMS, WITHOUT_FORCES
 from openmm_sier.dynamics.bodies import RigidBodies
@@ -27,7 +29,7 @@ class Preparation:
     fastForceGroups: frozenset[int]
     done: tuple[str, ...]
 
-    def __str__(self):
+    def __str__(self) -> str:
         return "\n".join(self.done)
 
 
@@ -35,15 +37,18 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     """Make a System ready for steps that are long beside the vibrations of its molecules.
 
     Bonds, angles and torsions of molecules that are not rigid get a force group of their own, which the integrator
-    takes as `fastForceGroups`, and the sums of PME are balanced, see `balance_pme`. Forces of which a term acts on a
-    rigid body and another one stay where they are, and so do those with virtual sites, since the fast ones move points.
+    takes as `fastForceGroups`. Nonbonded interactions between atoms of these molecules up to four bonds apart become a
+    CustomBondForce in that group, where the NonbondedForce allows it; the potential energy stays what it is. The sums
+    of PME are balanced, see `balance_pme`. Forces of which a term acts on a rigid body and another one stay where they
+    are, and so do those with virtual sites, since the fast ones move points.
 
     >>> system = openmm.System()
     >>> print(prepare_system(system))
     No bonded force acts on a molecule that is not rigid.
 
     Args:
-        system: openmm.System; force groups and parameters of PME are changed. Call it before a Context is created.
+        system: openmm.System; force groups, parameters of PME and exceptions are changed. Call it before a Context is
+            created.
         bodies: those that the integrator will be given; None: those of the System's constraints.
         fastForceGroup: force group for the fast forces, from 0 to 31.
 
@@ -70,6 +75,8 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     for force in fast:
         force.setForceGroup(group)
     names = ", ".join(force.getName() for force in fast)
+    if fast:
+        done.append(_separated(system, owner, point, group))
     moved = f"Force group {group} has the fast forces now, for fastForceGroups={{{group}}}: {names}."
     done.append(moved if fast else "No bonded force acts on a molecule that is not rigid.")
     left = [force.getName() for force in acting if force not in fast and _kind(force) and _has_terms(force, owner)]
@@ -78,12 +85,23 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     return Preparation(frozenset({group} if fast else ()), tuple(done))
 
 
-def _balanced(system) -> str:
+def _balanced(system: openmm.System) -> str:
     balance_pme(system)
     return "The sums of PME are balanced."
 
 
-def _owners(system, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:
+def _separated(system: openmm.System, owner: np.ndarray, point: np.ndarray, group: int) -> str:
+    if (reason := close_pairs.why_not(system)) is not None:
+        return f"Nonbonded interactions of atoms a few bonds apart stay in the kicks, since {reason}."
+    links = Links(system, constraint_lengths(system))
+    edges = np.concatenate([links.pairs, links.bonds, links.custom])
+    count = close_pairs.move_close_pairs(system, edges[point[edges].all(axis=1)], point, group)
+    return (
+        f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart are a force of their own now."
+    )
+
+
+def _owners(system: openmm.System, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:
     """For each particle the number of its body, and whether that is a point."""
     if bodies is not None:
         found = tied(system, bodies)
@@ -97,11 +115,11 @@ def _owners(system, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]
     return owner, point
 
 
-def _kind(force) -> type | None:
+def _kind(force: openmm.Force) -> type | None:
     return next((kind for kind in TERMS if isinstance(force, kind)), None)
 
 
-def _terms(force) -> np.ndarray:
+def _terms(force: openmm.Force) -> np.ndarray:
     """Particles of each term of a bonded Force, (t, k)."""
     kind = _kind(force)
     assert kind is not None
@@ -111,17 +129,17 @@ def _terms(force) -> np.ndarray:
     return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
 
 
-def _between(terms, owner) -> np.ndarray:
+def _between(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
     """The terms that do not lie in one body."""
     found = owner[terms]
     return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]
 
 
-def _has_terms(force, owner) -> bool:
+def _has_terms(force: openmm.Force, owner: np.ndarray) -> bool:
     return bool(len(_between(_terms(force), owner)))
 
 
-def _is_fast(force, owner, point) -> bool:
+def _is_fast(force: openmm.Force, owner: np.ndarray, point: np.ndarray) -> bool:
     """Whether a Force is a bonded one, and all of its terms between bodies are between points."""
     if _kind(force) is None:
         return False

@@ -100,7 +100,7 @@ class Reconciliation:
             self._told_of_misfit = checks.tell_of_misfit(self._bodies, misfit)
         return q, A
 
-    def _onto_constraints(self, q, misfit):
+    def _onto_constraints(self, q: np.ndarray, misfit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         constraints = self._bodies.constraints
         if not len(constraints.pairs):
             return q, misfit
@@ -124,7 +124,7 @@ class Reconciliation:
         if not now.same_environment(before):
             self._invalidate_forces()
 
-    def _momenta(self, velocities, q, A):
+    def _momenta(self, velocities: np.ndarray, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         try:
             p, L = self._bodies.momenta(velocities, A)
         except NotFiniteError as error:

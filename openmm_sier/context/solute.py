@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from xml.etree import ElementTree
 
 import numpy as np
 import openmm
+from numpy.typing import ArrayLike
 
 from openmm_sier.context.snapshot import read_vectors
 
@@ -38,7 +39,9 @@ class SoluteError(ValueError):
     """Fast forces that a Context of some atoms cannot compute."""
 
 
-def solute_system(system, atoms, groups: Iterable[int], rigid=None) -> openmm.System:
+def solute_system(
+    system: openmm.System, atoms: ArrayLike, groups: Iterable[int], rigid: ArrayLike | None = None
+) -> openmm.System:
     """A System of some atoms with the bonded forces of some force groups.
 
     Args:
@@ -67,7 +70,7 @@ def solute_system(system, atoms, groups: Iterable[int], rigid=None) -> openmm.Sy
     return reduced
 
 
-def _numbers(system, atoms) -> np.ndarray:
+def _numbers(system: openmm.System, atoms: np.ndarray) -> np.ndarray:
     """For each particle its place among the atoms, or -1."""
     n = system.getNumParticles()
     number = np.full(n, -1)
@@ -84,7 +87,7 @@ def _numbers(system, atoms) -> np.ndarray:
     return number
 
 
-def _renumbered(force, number, rigid) -> openmm.Force:
+def _renumbered(force: openmm.Force, number: np.ndarray, rigid: np.ndarray) -> openmm.Force:
     """A copy of a bonded Force that acts on the numbers of its atoms."""
     kind = next((kind for kind in TERMS if isinstance(force, kind)), None)
     if kind is None:
@@ -108,7 +111,7 @@ def _renumbered(force, number, rigid) -> openmm.Force:
     return openmm.XmlSerializer.deserialize(ElementTree.tostring(root, encoding="unicode"))
 
 
-def _demand_rigid(force, tag: str, old, new, rigid) -> None:
+def _demand_rigid(force: openmm.Force, tag: str, old: np.ndarray, new: np.ndarray, rigid: np.ndarray) -> None:
     body = rigid[old[0]]
     if body >= 0 and (rigid[old] == body).all():
         return
@@ -123,7 +126,7 @@ def _demand_rigid(force, tag: str, old, new, rigid) -> None:
 class SoluteForces:
     """Fast forces on some atoms: a function of their positions.
 
-    A Context keeps copies of the Forces, so that changes of parameters, box, or Forces do not reach it by themselves:
+    The Context keeps copies of the Forces, so that changes of parameters, box or Forces do not reach it by themselves.
     `follow` takes over parameters and box; after `updateParametersInContext` a new object is needed.
 
     Attributes:
@@ -131,15 +134,23 @@ class SoluteForces:
         is_empty: whether there is no force at all.
     """
 
-    def __init__(self, system, atoms, groups: Iterable[int], rigid=None, platform=None, properties=None):
+    def __init__(
+        self,
+        system: openmm.System,
+        atoms: ArrayLike,
+        groups: Iterable[int],
+        rigid: ArrayLike | None = None,
+        platform: openmm.Platform | None = None,
+        properties: Mapping[str, str] | None = None,
+    ):
         """
         Args:
-            system, atoms, groups, rigid: of `solute_system`.
+            system, atoms, groups, rigid: see `solute_system`.
             platform: openmm.Platform, as a rule that of the Context of all atoms; None: OpenMM chooses.
             properties: of the platform, {name: value}.
 
         Raises:
-            SoluteError: of `solute_system`.
+            SoluteError: see `solute_system`.
         """
         self.atoms = np.asarray(atoms, dtype=np.int64)
         reduced = solute_system(system, self.atoms, groups, rigid)
@@ -149,18 +160,23 @@ class SoluteForces:
         self._context = openmm.Context(reduced, self._integrator, *arguments)
         self._values = np.empty((len(self.atoms), 3))
 
-    def __call__(self, q) -> np.ndarray:
+    def __del__(self) -> None:
+        # Before its System and its integrator, also where the garbage collector deletes all of them.
+        if hasattr(self, "_context"):
+            del self._context
+
+    def __call__(self, q: np.ndarray) -> np.ndarray:
         """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm."""
         self._context.setPositions(np.ascontiguousarray(q.T))
         found = self._context.getState(forces=True)
         return np.ascontiguousarray(read_vectors(found, openmm.State.Forces, self._values).T)
 
-    def energy(self, q) -> float:
+    def energy(self, q: np.ndarray) -> float:
         """Potential energy, kJ/mol, at positions (3, m), nm."""
         self._context.setPositions(np.ascontiguousarray(q.T))
         return self._context.getState(energy=True).getPotentialEnergy()._value
 
-    def follow(self, context) -> bool:
+    def follow(self, context: openmm.Context) -> bool:
         """Take over the parameters and the box of the Context of all atoms; returns whether any was different.
 
         Forces computed before are out of date then.

@@ -1,20 +1,24 @@
 """Settings of an integrator in what OpenMM serializes, so that XML, copies and caches keyed by XML tell them apart.
 
 A CustomIntegrator carries numbers in its variables, but these travel in checkpoints too, and a checkpoint must not
-bring back the temperature of the run that wrote it. Tabulated functions do not: OpenMM serializes them with the
-integrator alone. Each setting is one that no computation uses: its name holds a text, its values hold numbers.
+bring back the temperature of the run that wrote it. Tabulated functions are in no checkpoint: OpenMM serializes them
+with the integrator only. Each setting is a function that no computation uses. Its name holds a text, its values hold
+numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from importlib import import_module
+from typing import Any
 from urllib.parse import quote, unquote
 
 import numpy as np
 import openmm
 
 from openmm_sier.context.find_bodies import RigidBodies
+from openmm_sier.context.host import Bodies
+from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import Species
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import Stage
@@ -27,15 +31,15 @@ READABLE = " ,.:/()+-<>_"
 
 
 def store(integrator: openmm.CustomIntegrator, key: str, numbers: Iterable[float] = (), text: str = "") -> None:
-    """Store a setting, or other numbers for one that is stored.
+    """Store a setting, or replace the numbers of a stored one.
 
     Args:
-        integrator: where to.
+        integrator: the integrator that carries it.
         key: of the setting, one word.
         numbers: its numbers.
         text: its text, which cannot be changed later.
     """
-    # A function needs values: the first one is none of the numbers.
+    # A function needs at least one value: the first one is not among the numbers.
     values = [0.0, *map(float, numbers)]
     if (index := _find(integrator, key)) is not None:
         integrator.getTabulatedFunction(index).setFunctionParameters(values)
@@ -52,7 +56,7 @@ def stored(integrator: openmm.CustomIntegrator, key: str) -> tuple[str, np.ndarr
     return unquote(text), np.array(integrator.getTabulatedFunction(index).getFunctionParameters()[1:])
 
 
-def _find(integrator, key: str) -> int | None:
+def _find(integrator: openmm.CustomIntegrator, key: str) -> int | None:
     for i in range(integrator.getNumTabulatedFunctions()):
         if integrator.getTabulatedFunctionName(i).startswith(f"{PREFIX}{key} "):
             return i
@@ -75,7 +79,7 @@ def required(integrator: openmm.CustomIntegrator, key: str) -> tuple[str, np.nda
 # --- what is stored ---
 
 
-def store_scheme(integrator, scheme: Scheme) -> None:
+def store_scheme(integrator: openmm.CustomIntegrator, scheme: Scheme) -> None:
     """Store a splitting scheme with its name and source."""
     store(integrator, "scheme", text=scheme.name)
     store(integrator, "source", text=scheme.source)
@@ -83,7 +87,7 @@ def store_scheme(integrator, scheme: Scheme) -> None:
     store(integrator, "stages", numbers, ", ".join(stage.operator for stage in scheme.stages))
 
 
-def stored_scheme(integrator) -> Scheme:
+def stored_scheme(integrator: openmm.CustomIntegrator) -> Scheme:
     """The scheme that `store_scheme` stored."""
     names, numbers = required(integrator, "stages")
     stages = [
@@ -92,7 +96,7 @@ def stored_scheme(integrator) -> Scheme:
     return Scheme(required(integrator, "scheme")[0], tuple(stages), required(integrator, "source")[0])
 
 
-def place_of(thing: Callable | type) -> str:
+def place_of(thing: Callable[..., Any] | type) -> str:
     """Module and name by which `from_place` finds a class or function again."""
     name = getattr(thing, "__qualname__", None)
     if name is None or "<" in name:
@@ -101,7 +105,7 @@ def place_of(thing: Callable | type) -> str:
     return f"{thing.__module__}:{name}"
 
 
-def from_place(place: str, what: str):
+def from_place(place: str, what: str) -> Any:
     """The class or function of a place.
 
     Raises:
@@ -119,11 +123,11 @@ def from_place(place: str, what: str):
     return found
 
 
-def store_bodies(integrator, bodies) -> None:
+def store_bodies(integrator: openmm.CustomIntegrator, bodies: Bodies) -> None:
     """Store the bodies that a user gave: None, lists of particle indices, or `RigidBodies`."""
     if bodies is None:
         return
-    if not isinstance(bodies, RigidBodies):
+    if not isinstance(bodies, dynamics.RigidBodies):
         lists = [[int(i) for i in cluster] for cluster in bodies]
         store(integrator, "bodies", [n for cluster in lists for n in (len(cluster), *cluster)], "lists")
         return
@@ -135,8 +139,8 @@ def store_bodies(integrator, bodies) -> None:
     store(integrator, "bodies", numbers, "species")
 
 
-def stored_bodies(integrator):
-    """The bodies that `store_bodies` stored, to the bit; names of residues are not among what is stored."""
+def stored_bodies(integrator: openmm.CustomIntegrator) -> Bodies:
+    """The bodies that `store_bodies` stored, bit for bit; names of residues are not stored."""
     if (found := stored(integrator, "bodies")) is None:
         return None
     form, numbers = found

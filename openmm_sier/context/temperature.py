@@ -1,4 +1,4 @@
-"""Degrees of freedom and temperatures of bodies: one rule for everything that states a temperature.
+"""Degrees of freedom and temperatures of bodies: one rule for all temperatures of the package.
 
 Where the total momentum is conserved, the motion of the centre of mass is no heat: three degrees of freedom are left
 out, and so is the kinetic energy of that motion, whatever velocities the user has set. Where it is not conserved, a
@@ -87,7 +87,7 @@ class MomentumConservation:
 
     @classmethod
     def of_system(cls, system: openmm.System, bodies: RigidBodies) -> MomentumConservation:
-        """What the System and the choice of bodies say; a particle that belongs to no body stays where it is."""
+        """From a System and the choice of bodies; a particle that belongs to no body stays where it is."""
         forces = system.getForces()
         fixed = any(not system.isVirtualSite(i) for i in _outside(bodies))
         return cls(
@@ -174,5 +174,5 @@ def temperatures(bodies: RigidBodies, state: BodyState, conserved: bool) -> Temp
 
 
 def temperature(energy: float, dof: float) -> float:
-    """K of a kinetic energy in kJ/mol; NaN without degrees of freedom."""
+    """Temperature in K of a kinetic energy in kJ/mol; NaN without degrees of freedom."""
     return 2 * energy / (dof * GAS_CONSTANT) if dof > 0 else math.nan

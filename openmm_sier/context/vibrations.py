@@ -1,8 +1,9 @@
-"""Bonds that nothing holds, and the step that they bear."""
+"""Unconstrained bonds, and the step at which they are stable."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,7 +48,7 @@ class Vibrations:
     CustomBondForce, or of any other force, is an expression, from which no period can be read.
     """
 
-    def __init__(self, system, bodies: RigidBodies):
+    def __init__(self, system: openmm.System, bodies: RigidBodies):
         """
         Args:
             system: openmm.System.
@@ -78,7 +79,7 @@ class Vibrations:
         self._check("A step", scheme, h, groups, SHORTER_STEP)
 
     def check_nested(self, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
-        """The same of fast forces within drifts, which must besides not resonate with the kicks.
+        """The same for fast forces within drifts, which must also not resonate with the kicks.
 
         Kicks excite a bond if they come once or twice a period: schemes are unstable in windows just below half a
         period and a whole one, whose width is the share of the slow forces in the stiffness of the bond.
@@ -132,7 +133,7 @@ def _limits(scheme: Scheme) -> tuple[float, float]:
     return scheme.stability_limit, scheme.accuracy_limit
 
 
-def _names(atoms: tuple[int, int], labels) -> str:
+def _names(atoms: tuple[int, int], labels: Sequence[str] | None) -> str:
     residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in atoms))})"
     return f"atoms {atoms[0]} and {atoms[1]}{residues}"
 
@@ -141,8 +142,10 @@ def _fs(time: float) -> str:
     return f"{1000 * time:.3g} fs"
 
 
-def _fastest(force, owner, mobility, held: set[tuple[int, int]]) -> Bond | None:
-    """The bond of the shortest period between two bodies that are not among the pairs held apart, if there is one."""
+def _fastest(
+    force: openmm.HarmonicBondForce, owner: np.ndarray, mobility: np.ndarray, held: set[tuple[int, int]]
+) -> Bond | None:
+    """The bond of shortest period between two bodies that are not a pair in `held`; None if there is no such bond."""
     count = force.getNumBonds()
     ends, strength = np.empty((count, 2), dtype=np.int64), np.empty(count)
     for i in range(count):
@@ -158,8 +161,8 @@ def _fastest(force, owner, mobility, held: set[tuple[int, int]]) -> Bond | None:
     return Bond(2 * math.pi / math.sqrt(squares[fastest]), (a, b), force.getForceGroup())
 
 
-def _mobilities(bodies: RigidBodies):
-    """For each particle the largest inverse of the mass in dalton that resists a force on it; 0 where it has no body.
+def _mobilities(bodies: RigidBodies) -> np.ndarray:
+    """For each particle its largest inverse effective mass in any direction, 1/dalton; 0 for particles of no body.
 
     A force f at the site r of a body accelerates it there by f / M + I^-1 (r x f) x r.
     """

@@ -174,7 +174,7 @@ class RigidBodies:
         n_particles: int,
         labels: Sequence[str] | None = None,
         links: tuple = ((), ()),
-        molecules=None,
+        molecules: np.ndarray | None = None,
     ):
         """
         Args:
@@ -241,7 +241,7 @@ class RigidBodies:
             owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
         return owners
 
-    def tied(self: Bodies, links: tuple, molecules) -> Bodies:
+    def tied(self: Bodies, links: tuple, molecules: np.ndarray) -> Bodies:
         """The same bodies with other links and molecules, see `RigidBodies`."""
         return type(self)(self.species, self.n_particles, self.labels, links, molecules)
 

@@ -28,10 +28,11 @@ the total angular momentum is exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend, operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
@@ -51,9 +52,9 @@ def constrained_operators(
     constraints: Constraints,
     rotation: Rotation = exact,
     composition: Composition = SUZUKI,
-    groups=None,
+    groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
-    """What executes all schemes without a heat bath for bodies of which some are constrained to each other.
+    """The operators of all schemes without a heat bath, for bodies of which some are constrained to each other.
 
     Args:
         bodies: all bodies; those that are constrained are points.
@@ -88,9 +89,9 @@ def constrained_kick(kick: Operator, constraints: Constraints) -> Operator:
 def constrained_bath(bath: Operator, constraints: Constraints) -> Operator:
     """An Ornstein-Uhlenbeck process of bodies with projected noise, so that constrained momenta are exactly thermal.
 
-    With P the projection and noise of the covariance k_B T M that of P times it is k_B T P M P^T = k_B T P M, the one
-    of the Boltzmann distribution on the tangent space. Old momenta are tangent, so that it is enough to project the
-    new ones.
+    Let P be the projection, and k_B T M the covariance of the noise. That of the projected noise is k_B T P M P^T =
+    k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are tangent already, so that it is
+    enough to project the new ones.
     """
 
     def apply(state: BodyState, h: float) -> BodyState:
@@ -104,11 +105,11 @@ def constrained_bath(bath: Operator, constraints: Constraints) -> Operator:
 
 
 def constrained_gradient_kick(
-    bodies: RigidBodies, forces: CachedForces, constraints: Constraints, groups=None
+    bodies: RigidBodies, forces: CachedForces, constraints: Constraints, groups: ArrayLike | None = None
 ) -> Operator:
     """The gradient kick of bodies of which some are constrained; see the module and `operators.gradient_kick`.
 
-    The operator raises ConstraintError where there is no constrained place at the displaced force.
+    The operator raises ConstraintError where no positions near the displaced ones satisfy the constraints.
     """
     groups = component_groups(constraints) if groups is None else np.asarray(groups)
     grouped = groups >= 0
@@ -140,8 +141,10 @@ def component_groups(constraints: Constraints) -> np.ndarray:
     return groups
 
 
-def restore_torques(q, torques, F, masses, groups) -> np.ndarray:
-    """Forces (3, n) to which those of a rigid rotation of each group are added that exert the group's torque.
+def restore_torques(
+    q: np.ndarray, torques: np.ndarray, F: np.ndarray, masses: np.ndarray, groups: np.ndarray
+) -> np.ndarray:
+    """Forces (3, n), plus those of a rigid rotation of each group, which exert the group's torque.
 
     They satisfy all constraints between members of a group. About a line that the whole group lies on there is no such
     rotation, and the torque of a single body is lost; both are of second order in the displacement.
@@ -159,7 +162,7 @@ def restore_torques(q, torques, F, masses, groups) -> np.ndarray:
     group = groups[part]
     m = masses[part]
 
-    def summed(rows):
+    def summed(rows: Iterable[np.ndarray]) -> np.ndarray:
         return np.array([np.bincount(group, row, group.max() + 1) for row in rows])
 
     mass = np.maximum(summed([m])[0], 1e-300)
@@ -177,13 +180,13 @@ def restore_torques(q, torques, F, masses, groups) -> np.ndarray:
 # --- drifts ---
 
 
-def flexible_drift(drift: Operator, members, advance: Advance) -> Operator:
-    """The drift of all bodies in which some move otherwise.
+def flexible_drift(drift: Operator, members: ArrayLike, advance: Advance) -> Operator:
+    """The drift of all bodies, some of which move in another way.
 
     Args:
         drift: of all bodies.
-        members: columns of those that move otherwise, (m,).
-        advance: how they do.
+        members: columns of those that move in another way, (m,).
+        advance: their motion.
     """
     members = np.asarray(members)
 
@@ -201,7 +204,7 @@ def geodesic(constraints: Constraints, composition: Composition = SUZUKI) -> Adv
     """Free motion with constraints; it raises ConstraintError where momenta are far too large for the time."""
     fractions = np.array(composition.fractions)
 
-    def advance(q, p, h):
+    def advance(q: np.ndarray, p: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         return constraints.drift(q, p, h, fractions)
 
     return advance
@@ -227,18 +230,18 @@ class FastForces:
         self._where: np.ndarray | None = None
         self._value = np.empty(0)
 
-    def __call__(self, q) -> np.ndarray:
+    def __call__(self, q: np.ndarray) -> np.ndarray:
         if self._where is not q:
             self.invalidate()
             self._value = self.at(q)
             self._where = q
         return self._value
 
-    def at(self, q) -> np.ndarray:
+    def at(self, q: np.ndarray) -> np.ndarray:
         """Forces elsewhere, which are not kept.
 
         Raises:
-            ValueError: they have not the shape of the positions.
+            ValueError: their shape is not that of the positions.
         """
         self.evaluations += 1
         F = self._compute(q)
@@ -248,9 +251,12 @@ class FastForces:
 
 
 def point_operators(
-    constraints: Constraints, forces: FastForces, composition: Composition = TRIPLE_JUMP, groups=None
+    constraints: Constraints,
+    forces: FastForces,
+    composition: Composition = TRIPLE_JUMP,
+    groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
-    """What executes all schemes without a heat bath for points alone, of which some are constrained to each other.
+    """The operators of all schemes without a heat bath, for points of which some are constrained to each other.
 
     Attitudes and angular momenta of the states are passed on as they are.
 
@@ -282,16 +288,16 @@ def point_operators(
 
 def nested_drift(
     drift: Operator,
-    members,
+    members: ArrayLike,
     inner: Scheme,
     within: Mapping[str, Operator],
     longest: float,
 ) -> Operator:
-    """The drift of all bodies in which fast forces act on some, by steps of an inner scheme in place of free motion.
+    """The drift of all bodies, some of which do not move freely but under fast forces, by steps of an inner scheme.
 
     The outer scheme then splits off the slow forces alone, H = (T + V_fast) + V_slow. Both flows are symmetric, and
-    the composite is of the order of the outer scheme if the inner one is; with inner steps that grow with the outer
-    step by the same factor.
+    the composite has the order of the outer scheme if the inner one has it and the inner steps are proportional to
+    the outer ones.
 
     A gradient kick of the outer scheme is unchanged: its bracket [V_slow, [T + V_fast, V_slow]] has no term from
     V_fast, which commutes with V_slow.
@@ -299,7 +305,7 @@ def nested_drift(
     The fast force at the end of a drift serves the start of the next one, if the positions are the very same array
     then, as they are after kicks.
 
-    The inner scheme to take is SIER4G, one step for a drift of up to 3 fs, two where every bit counts. Energy error
+    The inner scheme to take is SIER4G, one step for a drift of up to 3 fs, two for the highest accuracy. Energy error
     of two free chains of three CH2 (constrained C-H, springs up to 1100/cm), in drifts of 3 fs over 1.2 ps at 300 K:
 
     | inner scheme, steps a drift | fast forces | rms(H), kJ/mol |
@@ -314,11 +320,11 @@ def nested_drift(
         members: columns of the bodies on which fast forces act, (m,); all that are constrained to one of them belong
             to them.
         inner: scheme of the inner steps.
-        within: what executes it for the members, as `point_operators`.
-        longest: of the inner steps, ps. A drift is divided into the least number of equal ones that are not longer.
+        within: its operators for the members, see `point_operators`.
+        longest: upper bound of the inner steps, ps. A drift is divided into the least number of equal ones.
 
     Raises:
-        ValueError: `longest` is not positive, or nothing executes an operator of the scheme.
+        ValueError: `longest` is not positive, or an operator of the scheme is not in `within`.
     """
     if not longest > 0:
         raise ValueError(f"the longest inner step must be positive, got {longest}")

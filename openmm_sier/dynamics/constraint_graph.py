@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-#: Stars of up to so many leaves have formulas of their own, each compiled separately; larger ones are graphs like
+#: Stars of up to this many leaves have formulas of their own, each compiled separately; larger ones are graphs like
 #: others.
 MOST_LEAVES = 3
 
@@ -60,8 +61,8 @@ class Graphs(NamedTuple):
     pattern: Pattern
 
     @property
-    def tables(self):
-        """What the loops of `backend.graph_loops` take as `graph`."""
+    def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
+        """The argument `graph` of the loops of `backend.graph_loops`."""
         return self.ends, self.squares, self.inverse_masses, tuple(self.pattern)
 
     def component(self, number: int) -> np.ndarray:
@@ -69,7 +70,7 @@ class Graphs(NamedTuple):
         return self.atoms[self.starts[number, 0] : self.starts[number, 1]]
 
 
-def components(pairs) -> list[list[int]]:
+def components(pairs: np.ndarray) -> list[list[int]]:
     """Numbers of the pairs (c, 2) of each connected component, ordered by their first pair."""
     at: dict[int, list[int]] = defaultdict(list)
     for number, pair in enumerate(pairs):
@@ -94,7 +95,7 @@ def components(pairs) -> list[list[int]]:
     return found
 
 
-def star_centre(pairs, masses) -> int | None:
+def star_centre(pairs: Sequence[Sequence[int]], masses: np.ndarray) -> int | None:
     """The atom that all pairs (k, 2) of a component share, the heavier one of a single pair; None if it is no star."""
     if len(pairs) > MOST_LEAVES:
         return None
@@ -105,7 +106,9 @@ def star_centre(pairs, masses) -> int | None:
     return int(max(shared, key=lambda atom: (masses[atom], -atom)))
 
 
-def gather_stars(found: list[tuple[int, list[int]]], pairs, lengths, masses) -> list[Stars]:
+def gather_stars(
+    found: list[tuple[int, list[int]]], pairs: np.ndarray, lengths: np.ndarray, masses: np.ndarray
+) -> list[Stars]:
     """Stars by their number of leaves.
 
     Args:
@@ -125,14 +128,14 @@ def gather_stars(found: list[tuple[int, list[int]]], pairs, lengths, masses) -> 
     return stars
 
 
-def gather_graphs(found: list[list[int]], pairs, lengths, masses) -> Graphs | None:
-    """The components whose pair numbers are given; None if there are none."""
+def gather_graphs(found: list[list[int]], pairs: np.ndarray, lengths: np.ndarray, masses: np.ndarray) -> Graphs | None:
+    """The components of given pair numbers, with arguments as of `gather_stars`; None if there are none."""
     if not found:
         return None
     atoms: list[int] = []
-    starts: list = []
-    order: list = []
-    blocks: list = []
+    starts: list[tuple[int, int, int, int]] = []
+    order: list[int] = []
+    blocks: list[list[int]] = []
     ends: list[np.ndarray] = []
     for numbers in found:
         local, members = np.unique(pairs[numbers], return_inverse=True)
@@ -154,7 +157,7 @@ def gather_graphs(found: list[list[int]], pairs, lengths, masses) -> Graphs | No
     return Graphs(np.array(atoms, np.int64), np.array(starts, np.int64), joined, squares, inverse_masses, pattern)
 
 
-def _weights(ends, inverse_masses, rows, columns) -> np.ndarray:
+def _weights(ends: np.ndarray, inverse_masses: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """For pairs of constraints the sum of +-1/m of the atoms they share: + where both begin or both end there."""
     weights = np.zeros(len(rows))
     for one in range(2):
@@ -164,7 +167,7 @@ def _weights(ends, inverse_masses, rows, columns) -> np.ndarray:
     return weights
 
 
-def eliminate(members) -> tuple[list[int], list[list[int]]]:
+def eliminate(members: np.ndarray) -> tuple[list[int], list[list[int]]]:
     """An order of elimination by least degree, which fills little in molecules.
 
     Source: Tinney and Walker, Proc. IEEE 55, 1801 (1967).

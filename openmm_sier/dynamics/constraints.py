@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics.backend import constraint_loops, graph_loops
 from openmm_sier.dynamics.constraint_graph import components, gather_graphs, gather_stars, star_centre
@@ -47,9 +48,9 @@ class Constraints:
 
     def __init__(
         self,
-        pairs,
-        lengths,
-        masses,
+        pairs: ArrayLike,
+        lengths: ArrayLike,
+        masses: ArrayLike,
         describe: Callable[[int], str] | None = None,
         compiled: bool | None = None,
     ):
@@ -58,8 +59,8 @@ class Constraints:
             pairs: (c, 2), columns of the state.
             lengths: (c,), nm.
             masses: of all bodies, (n,), dalton.
-            describe: a name for messages of a body.
-            compiled: whether Numba executes; None: where it is installed and allowed.
+            describe: gives the name of a body in messages.
+            compiled: whether Numba executes; None: if it is installed and allowed.
 
         Raises:
             ConstraintError: a pair is out of range or joins a body to itself, a length or mass is not positive, or a
@@ -77,7 +78,7 @@ class Constraints:
         compiled = constraint_loops.available() if compiled is None else compiled
         self._solver = (NumbaSolver if compiled else NumpySolver)(self.stars, self.graphs)
 
-    def _distinct(self, pairs, lengths):
+    def _distinct(self, pairs: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n = len(self.masses)
         if lengths.shape != (len(pairs),):
             raise ConstraintError(
@@ -106,7 +107,7 @@ class Constraints:
                 )
         return np.array(list(known), dtype=np.int64).reshape(-1, 2), np.array(list(known.values()))
 
-    def _name(self, *bodies) -> str:
+    def _name(self, *bodies: int) -> str:
         named = ", ".join(self._describe(int(body)) for body in bodies[:NAMED])
         return named if len(bodies) <= NAMED else f"{named} and {len(bodies) - NAMED} more"
 
@@ -122,7 +123,7 @@ class Constraints:
         self.stars = gather_stars(stars, self.pairs, self.lengths, self.masses)
         self.graphs = gather_graphs(others, self.pairs, self.lengths, self.masses)
 
-    def restricted(self, bodies) -> Constraints:
+    def restricted(self, bodies: ArrayLike) -> Constraints:
         """The constraints in the numbering of a subset of the bodies, which breaks up no component.
 
         Args:
@@ -147,22 +148,22 @@ class Constraints:
 
     # --- what is conserved and counted ---
 
-    def residual(self, q) -> float:
+    def residual(self, q: np.ndarray) -> float:
         """Largest relative deviation of a constrained length at positions (3, n)."""
         if not len(self.pairs):
             return 0.0
         found = np.linalg.norm(q[:, self.pairs[:, 0]] - q[:, self.pairs[:, 1]], axis=0)
         return float(np.abs(found / self.lengths - 1).max())
 
-    def rank(self, q=None) -> int:
-        """Number of independent constraints, by which the degrees of freedom are fewer.
+    def rank(self, q: np.ndarray | None = None) -> int:
+        """Number of independent constraints, each of which takes away one degree of freedom.
 
         Args:
-            q: positions, (3, n); without them the rank that almost all positions have.
+            q: positions, (3, n); None gives the rank at almost all positions.
 
         Raises:
-            ConstraintError: the rank at q is smaller, as where a planar cage or three constrained atoms on a line
-                are: there constrained motion is undefined. The message names the atoms.
+            ConstraintError: the rank at q is smaller, as for a cage in a plane or three constrained atoms on a line.
+                Constrained motion is undefined there. The message names the atoms.
         """
         rank = sum(stars.leaves.size for stars in self.stars)
         if self.graphs is None:
@@ -176,7 +177,7 @@ class Constraints:
             )
         return rank + int(generic.sum())
 
-    def _ranks(self, q) -> np.ndarray:
+    def _ranks(self, q: np.ndarray) -> np.ndarray:
         """Rank of each component of the graphs at q."""
         graphs = self.graphs
         assert graphs is not None
@@ -192,25 +193,25 @@ class Constraints:
 
     # --- the algebra ---
 
-    def project(self, q, p) -> np.ndarray:
+    def project(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Momenta or forces, (3, n), tangent to the constraints at q; those of unconstrained bodies are unchanged."""
         q, p = _plain(q), _plain(p)
         new_p = p.copy()
         self._solver.project(q, p, new_p)
         return new_p
 
-    def displaced(self, q, force, shift: float) -> np.ndarray:
+    def displaced(self, q: np.ndarray, force: np.ndarray, shift: float) -> np.ndarray:
         """Positions (3, n) moved by shift M^-1 force, and those of constrained bodies back along the gradients at q.
 
         Raises:
-            ConstraintError: there is no such place.
+            ConstraintError: there are no such positions.
         """
         q, force = _plain(q), _plain(force)
         new_q = q + (shift / self.masses) * force
         self._demand(self._solver.displace(q, force, float(shift), new_q))
         return new_q
 
-    def satisfied(self, q) -> np.ndarray:
+    def satisfied(self, q: np.ndarray) -> np.ndarray:
         """Positions (3, n) near q that satisfy the constraints to rounding.
 
         Raises:
@@ -218,7 +219,9 @@ class Constraints:
         """
         return self.displaced(q, np.zeros_like(q), 0.0)
 
-    def drift(self, q, p, t: float, fractions: Sequence[float] | np.ndarray = (1.0,)) -> tuple[np.ndarray, np.ndarray]:
+    def drift(
+        self, q: np.ndarray, p: np.ndarray, t: float, fractions: Sequence[float] | np.ndarray = (1.0,)
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Free motion for the time t: straight lines, and geodesics of the constrained bodies.
 
         Args:
@@ -230,7 +233,7 @@ class Constraints:
             (q, p), new arrays.
 
         Raises:
-            ConstraintError: a RATTLE step has no solution near: momenta are far too large for t.
+            ConstraintError: a RATTLE step has no solution nearby: momenta are far too large for t.
         """
         q, p = _plain(q), _plain(p)
         new_q, new_p = q + (t / self.masses) * p, p.copy()
@@ -239,7 +242,7 @@ class Constraints:
             self._demand(self._solver.drift(q, p, times, float(t), new_q, new_p))
         return new_q, new_p
 
-    def _demand(self, unsolved) -> None:
+    def _demand(self, unsolved: np.ndarray | None) -> None:
         if unsolved is not None:
             raise ConstraintError(
                 f"the constraints of {self._name(*unsolved)} have no solution near: they contradict each other, their "
@@ -247,6 +250,6 @@ class Constraints:
             )
 
 
-def _plain(vectors) -> np.ndarray:
+def _plain(vectors: ArrayLike) -> np.ndarray:
     """Vectors (3, n) as contiguous doubles: for another layout Numba would compile everything once more."""
     return np.ascontiguousarray(vectors, dtype=float)

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Composition:
-    """Fractions of a time for which RATTLE steps follow each other.
+    """A sequence of RATTLE steps, as fractions of the whole time.
 
     Attributes:
         name: for messages and output.
@@ -46,7 +46,7 @@ class Composition:
     fractions: tuple[float, ...]
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.fractions != self.fractions[::-1]:
             raise ValueError(f"the fractions of the composition {self.name} must read the same backwards")
         total = math.fsum(self.fractions)
@@ -54,7 +54,7 @@ class Composition:
             raise ValueError(f"the fractions of the composition {self.name} must sum to 1, they sum to {total!r}")
 
     def repeated(self, times: int) -> Composition:
-        """This composition executed so often, each time for an equal part of the time."""
+        """This composition executed several times in a row, each for an equal part of the time."""
         if times < 1:
             raise ValueError(f"a composition is repeated at least once, got {times}")
         return Composition(

@@ -2,7 +2,7 @@
 
 An operator is a function (state, time) -> state. It returns a new state and shares the arrays that it leaves
 alone: a kick keeps the very arrays q and A. `CachedForces` recognizes them, and so the force at the end of a step
-serves the start of the next without anyone keeping book of it.
+serves the start of the next without any bookkeeping.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.rotation.rotor import EXACT
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
-#: (state, time) -> state; a gradient kick takes its displacement per acceleration besides.
+#: (state, time) -> state; a gradient kick also takes its displacement per acceleration.
 Operator = Callable[..., BodyState]
 
-#: What makes a whole step.
+#: A function that makes a whole step.
 Stepper = Callable[[BodyState], BodyState]
 
 #: (q, A) -> (F, tau)
@@ -58,11 +58,11 @@ class CachedForces:
             self._where = (state.q, state.A)
         return self._value
 
-    def at(self, q, A) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forces and torques elsewhere, which are not kept.
 
         Raises:
-            ValueError: they have not the shape (3, n) of the positions, on which compiled loops rely.
+            ValueError: their shape is not that of the positions, (3, n), on which compiled loops rely.
         """
         self.evaluations += 1
         F, tau = self._compute(q, A)
@@ -72,7 +72,7 @@ class CachedForces:
 
 
 def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
-    """What executes all schemes without a heat bath."""
+    """The operators of all schemes without a heat bath."""
     return {KICK: kick(forces), GRADIENT_KICK: gradient_kick(bodies, forces), DRIFT: drift(bodies, rotation)}
 
 
@@ -91,7 +91,7 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
     """Momenta change by the forces of the potential V - (s/2) (F M^-1 F + tau I^-1 tau).
 
     Its force F + s (grad F) M^-1 F is, to first order in s, the force at positions that are displaced by s M^-1 F, and
-    for a body that is turned besides by the lab vector s I^-1 tau. Two more terms of the torque, from rotations that do
+    for a body that is also turned by the lab vector s I^-1 tau. Two more terms of the torque, from rotations that do
     not commute and from the dependence of I^-1 on the orientation, cancel each other. The torque is taken about the
     centre before the displacement, tau' + (q' - q) x F', which differs in second order in s and conserves the total
     angular momentum exactly.
@@ -151,15 +151,15 @@ def _drift_by(bodies: RigidBodies, rotation: Rotation) -> Operator:
 
 
 def stepper(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
-    """What makes a step of length h, by the scheme's stages in order. It leaves the state that it is given as it was.
+    """A function that makes a step of length h, by the scheme's stages in order. It does not change the given state.
 
     Args:
-        scheme: what to execute.
-        operators: for each operator name of the scheme what executes it.
+        scheme: the scheme.
+        operators: the operator for each operator name of the scheme.
         h: length of the step, ps.
 
     Raises:
-        ValueError: the scheme has an operator that is not among them.
+        ValueError: an operator of the scheme is not in `operators`.
     """
     if missing := [name for name in scheme.operators if name not in operators]:
         raise ValueError(f"nothing executes the operator '{missing[0]}' of the scheme {scheme.name}")

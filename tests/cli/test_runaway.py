@@ -89,7 +89,7 @@ def test_temperatures_that_stop():
     with pytest.raises(Runaway, match="not finite"):
         guard.look(row(0, math.nan))
     # Nothing that turns has no temperature.
-    Guard(plan(), WATERS).look_at_temperatures(297, math.nan)
+    Guard(plan(), WATERS).look_at_temperatures(297, math.nan, math.nan)
 
 
 def test_few_degrees_of_freedom_may_be_hot_by_chance():
@@ -97,9 +97,9 @@ def test_few_degrees_of_freedom_may_be_hot_by_chance():
     guard = Guard(plan(), DegreesOfFreedom(3, 0))
     hottest = 297 * np.random.default_rng(2).chisquare(3, 10**7).max() / 3
     assert hottest > 3000
-    guard.look_at_temperatures(hottest, math.nan)
+    guard.look_at_temperatures(hottest, math.nan, math.nan)
     with pytest.raises(Runaway):
-        guard.look_at_temperatures(13_000, math.nan)
+        guard.look_at_temperatures(13_000, math.nan, math.nan)
 
 
 def test_start_at_rest_may_warm_up():

@@ -11,7 +11,10 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER4G, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.context import native_program
 from tests.support import opencl
+from tests.support.commands import log, run, write_lattice
+from tests.support.ethane import ethane
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
 
 
@@ -87,3 +90,41 @@ def test_constant_pressure_and_both_ways_between_the_engines(gpu):
     again.step(2)
     assert last.getStepCount() == 13
     assert again.computeSystemTemperature()._value == pytest.approx(300, abs=80)
+
+
+def test_solutes_in_mixed_precision(gpu):
+    """Fast forces in the drift, and constraints that converge to 1e-9, which positions of single precision do not."""
+    system, positions = ethane()
+    for force in system.getForces():
+        force.setForceGroup(isinstance(force, openmm.HarmonicBondForce))
+    program = native_program.write(SIER4G, 1, {1})
+    integrator = openmm.CustomIntegrator(0.002 / len(program.parts))
+    native_program.install(program, integrator)
+    integrator.setConstraintTolerance(1e-9)
+    context = gpu_context(gpu, "mixed", system, integrator, (positions, np.zeros((8, 3))))
+    context.setVelocitiesToTemperature(300, 1)
+    integrator.step(len(program.parts))
+    start = sum(energies(context))
+    integrator.step(150 * len(program.parts))
+    # On Reference the energy stays within 0.002 kJ/mol; forces of mixed precision add 1e-6 of 150 steps. Forces that
+    # are twice in the program, or not at all, change it by kT.
+    assert sum(energies(context)) == pytest.approx(start, abs=0.02)
+    x = phase_point(context)[0]
+    pairs = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    errors = [np.linalg.norm(x[i] - x[j]) - length._value for i, j, length in pairs]
+    # OpenMM keeps the lengths in single precision, 2^-25 of 0.109 nm. About these they are good to 1e-9 of it.
+    assert np.abs(errors).max() < 4e-9
+    assert np.ptp(errors) < 2e-10
+
+
+def test_command_runs_and_restarts(gpu, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    box = write_lattice(tmp_path / "box.pdb")
+    every = ("--every", "0.01", "--report-every", "0.01")
+    run("run", box, "--platform", "Reference", "--steps", "5", "--dt", "2", "--equilibrate", "0.2", *every)
+    run("run", box, "--platform", gpu, "--steps", "15", "--restart", "box.chk")
+    assert f"on the {gpu} platform" in capsys.readouterr().out
+    rows = log(tmp_path / "box.csv")
+    assert rows["Step"].tolist() == [0, 5, 10, 15]
+    # 27 molecules have some 200 kJ/mol of kinetic energy, of which 1e-3 is lost at 2 fs with SIER4.
+    assert np.ptp(rows["Total Energy (kJ/mole)"]) < 0.5

@@ -15,6 +15,7 @@ from openmm_sier import (
     SIER4,
     SIER4G,
     SIER4P,
+    SIER4V,
     RigidBodies,
     RigidityError,
     SIER4GIntegrator,
@@ -23,6 +24,7 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import CATALOGUE
+from tests.support.ethane import ethane
 from tests.support.subprocesses import run_python
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
@@ -63,16 +65,20 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
     assert errors[5] < 1e-7 + errors[1] / 1000
 
 
-def test_schemes_keep_their_order_with_a_composed_drift():
+@pytest.mark.parametrize(
+    ("scheme", "substeps"),
+    [(SIER4, 3), (SIER4V, 3), (SIER4G, 3), (SIER4P, 3), (SIER4G, 5)],
+    ids=lambda it: getattr(it, "name", it),
+)
+def test_schemes_keep_their_order_with_a_composed_drift(scheme, substeps):
     topology, positions, system = cluster_system(3)
     point = relaxed(topology, positions, system)
     fine = trajectory(system, point, steps=64, h=0.0005, scheme=SIER4P, engine="exact")
-    for substeps in (3, 5):
-        settings = {"scheme": SIER4G, "engine": "native", "substeps": substeps}
-        ends = [trajectory(system, point, steps=n, h=0.032 / n, **settings) for n in (8, 16)]
-        errors = [np.abs(end - fine).max() for end in ends]
-        # 16 in the limit, and 4 with equal substeps. The next term of the error is a tenth of the first at 4 fs.
-        assert 14 < errors[0] / errors[1] < 19
+    settings = {"scheme": scheme, "engine": "native", "substeps": substeps}
+    ends = [trajectory(system, point, steps=n, h=0.032 / n, **settings) for n in (8, 16)]
+    errors = [np.abs(end - fine).max() for end in ends]
+    # 16 in the limit, and 4 with equal substeps. The next term of the error is a tenth of the first at 4 fs.
+    assert 14 < errors[0] / errors[1] < 19
 
 
 @pytest.mark.parametrize("per_call", [1, 7])
@@ -399,25 +405,7 @@ def test_step_of_zero_moves_nothing(cluster):
 
 
 def test_solutes_with_constrained_hydrogens_run():
-    """Ethane with constrained C-H bonds: constrained, and not rigid."""
-    system = openmm.System()
-    for mass in (12.0, 1.0, 1.0, 1.0) * 2:
-        system.addParticle(mass)
-    bond, angle = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce()
-    bond.addBond(0, 4, 0.153, 2e5)
-    for carbon, other in ((0, 4), (4, 0)):
-        hydrogens = [carbon + i for i in (1, 2, 3)]
-        for i in hydrogens:
-            system.addConstraint(carbon, i, 0.109)
-            angle.addAngle(i, carbon, other, np.deg2rad(110), 400)
-        for i, j in ((0, 1), (0, 2), (1, 2)):
-            angle.addAngle(hydrogens[i], carbon, hydrogens[j], np.deg2rad(108), 300)
-    system.addForce(bond)
-    system.addForce(angle)
-    turns = np.array([0, 2 * np.pi / 3, 4 * np.pi / 3])
-    ring = np.stack([np.full(3, -0.037), 0.1025 * np.cos(turns), 0.1025 * np.sin(turns)], axis=1)
-    half = np.concatenate([np.zeros((1, 3)), ring])
-    positions = np.concatenate([half, half * [-1, 1, -1] + [0.153, 0, 0]])
+    system, positions = ethane()
     context = context_at(
         system, integrator := SIERIntegrator(0.001, SIER4G, engine="native"), (positions, np.zeros((8, 3)))
     )

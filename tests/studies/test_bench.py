@@ -44,7 +44,8 @@ def test_bench_in_miniature(box, tmp_path, monkeypatch):
     monkeypatch.setattr(peers, "installed", list)
     monkeypatch.setattr(layer, "SMALLEST", 20)
     monkeypatch.setattr(layer, "_least", functools.partial(layer._least, repeats=1))
-    sizes = ("--copies", "1", "--rounds", "1", "--bodies", "20", "40", "--time", "0.1")
+    parts = ("--parts", "steps", "rotations", "layer", "accuracy")
+    sizes = (*parts, "--copies", "1", "--rounds", "1", "--bodies", "20", "40", "--time", "0.1")
     run("bench", box, *sizes, "--platform", "Reference", "--out", tmp_path)
     record = json.loads((tmp_path / "bench.json").read_text())
     assert {row["molecules"] for row in record["steps"]} == {27}
@@ -61,7 +62,7 @@ def test_bench_in_miniature(box, tmp_path, monkeypatch):
 
 
 def test_unknown_part_is_refused(tmp_path):
-    known = "known are steps, rotations, layer, accuracy"
+    known = "known are steps, rotations, layer, accuracy, platform"
     with pytest.raises(ValueError, match=f"unknown part 'speed' of the benchmark; {known}"):
         bench.run(timing.BenchSettings(box=Path("none.pdb"), parts=("speed",)), tmp_path)
 

@@ -1,4 +1,4 @@
-"""The loops over constraints, compiled by Numba where it is to be used."""
+"""The loops over constraints, compiled by Numba."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def available() -> bool:
 
 @cache
 def compiled_stars(leaves: int) -> SimpleNamespace:
-    """The `LOOPS` of `star_loops`, compiled for stars of so many leaves."""
+    """The `LOOPS` of `star_loops`, compiled for stars of this many leaves."""
 
-    def largest(value):
+    def largest(value: float) -> float:
         return value
 
-    def leaves_of(array):
+    def leaves_of(array: np.ndarray) -> int:
         return leaves
 
     return _compiled(star_loops, (largest, leaves_of), f"of_{leaves}")
@@ -44,7 +44,7 @@ def compiled_graphs() -> SimpleNamespace:
 
 
 def _compiled(module: ModuleType, special: tuple[Any, ...], suffix: str) -> SimpleNamespace:
-    """The loops of a module, in which some functions are replaced.
+    """The compiled loops of a module, in which some functions are replaced.
 
     Every function that is compiled gets a name of its own: code from the cache on disk is linked by names, and
     functions of one name that were compiled for different stars, in different processes, would be taken for each
@@ -54,10 +54,10 @@ def _compiled(module: ModuleType, special: tuple[Any, ...], suffix: str) -> Simp
 
     constants = {name: value for name, value in vars(module).items() if name.isupper() and not isinstance(value, tuple)}
     namespace: dict[str, Any] = {"np": np, "__builtins__": __builtins__, **constants}
-    # The cache knows of the file of a loop alone, so that the names tell of this one as well.
+    # The cache watches only the file of a loop, so that the names carry the contents of this file.
     digest = hashlib.sha256(getsource(sys.modules[__name__]).encode()).hexdigest()[:12]
 
-    def clone(function, own):
+    def clone(function: FunctionType, own: dict[str, Any]) -> FunctionType:
         copy = FunctionType(function.__code__, own, function.__name__, function.__defaults__, function.__closure__)
         copy.__module__, copy.__qualname__ = function.__module__, f"{function.__name__}_{suffix}_{digest}"
         return copy

@@ -23,7 +23,7 @@ LINEAR, NONLINEAR = 400, 30
 class GraphArrays:
     """The constraints of all graphs with the atoms that they join."""
 
-    def __init__(self, ends, squares, inverse_masses):
+    def __init__(self, ends: np.ndarray, squares: np.ndarray, inverse_masses: np.ndarray):
         """
         Args:
             ends: (constraints, 2), numbers of atoms.
@@ -34,16 +34,16 @@ class GraphArrays:
         self.squares, self.inverse_masses = squares, inverse_masses
         self.roots = np.sqrt(inverse_masses)
 
-    def bonds(self, x):
+    def bonds(self, x: np.ndarray) -> np.ndarray:
         return x[:, self.i] - x[:, self.j]
 
-    def constrain(self, x, v, d):
+    def constrain(self, x: np.ndarray, v: np.ndarray, d: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Velocities with which x + d v satisfies the constraints, changed along their gradients at x.
 
         Returns:
-            (positions reached, velocities, relative residuals before the last update). Where there is no solution
-            these are the last finite ones, which tell what has none, or infinite where even free motion is not
-            finite.
+            (positions reached, velocities, relative residuals before the last update). Without a solution, the
+            residuals are the last finite ones, which show the constraints that have none; they are infinite where
+            even free motion is not finite.
         """
         before = self.bonds(x)
         residuals = np.zeros(0)
@@ -61,7 +61,7 @@ class GraphArrays:
                 return x + d * v, v, residuals
         return reached, v, residuals
 
-    def project(self, x, v):
+    def project(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Velocities without what changes the lengths of the constraints; the second pass removes rounding."""
         bonds = self.bonds(x)
         for _ in range(2):
@@ -69,7 +69,7 @@ class GraphArrays:
             v = v + self._least_change(bonds, -rates, 1e-10)
         return v
 
-    def _least_change(self, bonds, wanted, reduction):
+    def _least_change(self, bonds: np.ndarray, wanted: np.ndarray, reduction: float) -> np.ndarray:
         """Least velocities (3, atoms), in the metric of the masses, that change half the squared lengths as wanted."""
         scale = 1 / np.sqrt(
             np.einsum("ae,ae->e", bonds, bonds) * (self.inverse_masses[self.i] + self.inverse_masses[self.j])
@@ -92,7 +92,7 @@ class GraphArrays:
             direction = gradient + (size / last) * direction
         return self.roots * z
 
-    def _transposed(self, rows, values):
+    def _transposed(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
         n = len(self.roots)
         along = rows * values
         sums = [np.bincount(self.i, row, n) - np.bincount(self.j, row, n) for row in along]

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.studies import figures, style
-from openmm_sier.studies.bench import accuracy, layer, rotations, steps
+from openmm_sier.studies.bench import accuracy, layer, platforms, rotations, steps
 from openmm_sier.studies.bench.timing import BenchSettings, machine
 
 
@@ -31,6 +31,7 @@ PARTS = {
     "rotations": Part(rotations.time_rotations, rotations.tables),
     "layer": Part(layer.time_layer, layer.tables),
     "accuracy": Part(accuracy.compare_accuracy, accuracy.tables),
+    "platform": Part(platforms.time_platform, platforms.tables),
 }
 
 
@@ -51,12 +52,13 @@ def run(settings: BenchSettings, out: Path, report: Report = SILENT) -> dict:
     for name in settings.parts or ():
         if name not in PARTS:
             raise ValueError(f"unknown part {name!r} of the benchmark; known are {', '.join(PARTS)}")
+    names = settings.parts or [name for name in PARTS if (name == "platform") == (settings.platform is not None)]
     out.mkdir(parents=True, exist_ok=True)
     here = machine()
     report.note(", ".join(f"{name} {value}" for name, value in here.items()))
     parameters = asdict(settings) | {"box": settings.box.name}
     report.note(", ".join(f"{name} {value}" for name, value in parameters.items()))
-    found: dict[str, Any] = {name: PARTS[name].find(settings, report) for name in settings.parts or PARTS}
+    found: dict[str, Any] = {name: PARTS[name].find(settings, report) for name in names}
     for name, values in found.items():
         for table in PARTS[name].tables(values):
             report.table(table)

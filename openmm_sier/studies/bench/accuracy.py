@@ -73,7 +73,7 @@ def compare_accuracy(settings: BenchSettings, report: Report) -> list[Point]:
     for name, steps in METHODS.items():
         method = known[name][0]
         for dt in steps:
-            add(method.name, dt, partial(_of_openmm, method, dt, box.system, bodies, start, settings))
+            add(method.name, dt, partial(of_openmm, method, dt, box.system, bodies, start, settings))
     for peer, liquid in _peers(box.system, start, report):
         for dt in SECOND_ORDER:
             add(peer.name, dt, partial(_of_peer, peer, liquid, dt, settings))
@@ -98,7 +98,7 @@ def _every(step: float) -> int:
     return max(1, round(scheme_comparison.INTERVAL / step))
 
 
-def _of_openmm(
+def of_openmm(
     method: sampling.Method,
     dt: float,
     system: openmm.System,
@@ -106,6 +106,7 @@ def _of_openmm(
     start: openmm.State,
     settings: BenchSettings,
 ) -> Point:
+    """The energy error and speed of an integrator of OpenMM or ours at a step of so many fs per force."""
     step = dt * method.force_evaluations
     integrator = method.make(1e-3 * step)
     integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)

@@ -9,16 +9,17 @@ from itertools import cycle
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import unit
 
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.schemes import SIER2, SIER4
 from openmm_sier.measure.force_clock import ForceClock
-from openmm_sier.measure.forcefields import load, pme_system, read_box
+from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import median_and_error
+from openmm_sier.studies.bench import replicas
 from openmm_sier.studies.bench.timing import BenchSettings, apart, interleaved
 
 #: Step per force evaluation of every method, ps.
@@ -47,8 +48,8 @@ def time_steps(settings: BenchSettings, report: Report) -> list[dict]:
 
 
 def _ratios(copies: int, settings: BenchSettings, report: Report) -> list[dict]:
-    topology, positions, system = repeated_box(settings, copies)
-    molecules = topology.getNumResidues()
+    box = read_box(settings.box, settings.forcefield)
+    molecules, positions, system = replicas.repeated(box, settings.box.parent, (copies, copies, copies))
     start = _start(system, positions, settings)
     contexts = _contexts(system, start, settings)
     actions = {BARE: _bare_force(system, start, settings)}
@@ -107,22 +108,6 @@ def _over_own_force(name: str, context: openmm.Context, turns: int) -> tuple[np.
     clock = ForceClock(context)
     outside, inside = np.array([apart(clock, partial(_steps, name, context)) for _ in range(turns)]).T
     return 1 + outside / inside, outside + inside
-
-
-def repeated_box(settings: BenchSettings, copies: int) -> tuple[app.Topology, np.ndarray, openmm.System]:
-    """Topology, positions (N, 3) and System of a box repeated along each edge."""
-    box = read_box(settings.box, settings.forcefield)
-    lengths = np.array(box.positions.value_in_unit(unit.nanometer))
-    vectors = np.array(box.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
-    if copies == 1:
-        return box.topology, lengths, box.system
-    model = app.Modeller(box.topology, box.positions)
-    shifts = np.stack(np.meshgrid(*[np.arange(copies)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) @ vectors
-    for shift in shifts[1:]:
-        model.add(box.topology, (lengths + shift) * unit.nanometer)
-    model.topology.setPeriodicBoxVectors(copies * vectors * unit.nanometer)
-    positions = (lengths + shifts[:, None]).reshape(-1, 3)
-    return model.topology, positions, pme_system(model.topology, load(box.choice.files, settings.box.parent))
 
 
 def _start(system: openmm.System, positions: np.ndarray, settings: BenchSettings) -> openmm.State:

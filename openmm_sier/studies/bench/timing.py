@@ -30,8 +30,10 @@ class BenchSettings:
         rounds: how often everything takes its turn; steps of small boxes more often, of large ones less.
         time: length of the runs that measure the energy error, ps.
         temperature, equilibrate: K, and ps before those runs.
-        parts: names of what is measured, of `openmm_sier.studies.bench.PARTS`; None takes all.
+        parts: names of what is measured, of `openmm_sier.studies.bench.PARTS`; None takes `platform` where a
+            platform is given, and else all others.
         platform: OpenMM platform; None takes the fastest.
+        molecules: sizes of the box on the platform, multiples of that of the box.
         seed: of velocities.
     """
 
@@ -45,6 +47,7 @@ class BenchSettings:
     equilibrate: float = 2.0
     parts: tuple[str, ...] | None = None
     platform: str | None = None
+    molecules: tuple[int, ...] = (512, 4096, 32768, 98304)
     seed: int = 1
 
 

@@ -1,0 +1,22 @@
+"""Which engine a run takes, whatever the platform."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from openmm_sier import RigidBodies
+from openmm_sier.cli import run
+from openmm_sier.cli.plan import Options, new_plan
+from tests.support.waters import cluster_system
+
+
+@pytest.mark.parametrize(
+    ("options", "engine"),
+    [({}, "auto"), ({"ensemble": "nvt"}, "auto"), ({"ensemble": "npt"}, "exact"), ({"rigid": ["BNZ"]}, "exact")],
+)
+def test_engine_of_a_run(options, engine):
+    """The native engine has neither the pressure of a run nor bodies that no constraints hold."""
+    bodies = RigidBodies.from_system(cluster_system(1)[2])
+    assert run._integrator(new_plan(Options(Path("box.pdb"), **options)), bodies).engine == engine

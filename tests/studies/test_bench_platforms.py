@@ -1,0 +1,91 @@
+"""The benchmark of a platform: what it counts, and boxes of many sizes; how fast anything is, no test says."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier.measure import forcefields, starts
+from openmm_sier.measure.report import SILENT
+from openmm_sier.studies.bench import accuracy, platforms, replicas
+from tests.support.commands import SYSTEMS, run, write_lattice
+from tests.support.waters import platform
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
+
+
+def test_platform_in_miniature(box, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(accuracy, "METHODS", {"verlet": (0.5, 2.0), "sier4g": (1.0,)})
+    monkeypatch.setattr(platforms, "TURN", 1e-6)
+
+    def prepared(box, temperature, seed, time, *others):
+        return starts.equilibrated(box, temperature, seed, 0.01, *others)
+
+    monkeypatch.setattr(platforms, "equilibrated", prepared)
+    sizes = ("--molecules", "27", "54", "--rounds", "1", "--time", "0.02")
+    run("bench", box, *sizes, "--platform", "CPU", "--out", tmp_path)
+    record = json.loads((tmp_path / "bench.json").read_text())
+    assert "steps" not in record
+    rows = record["platform"]["rows"]
+    assert [row["molecules"] for row in rows] == 5 * [27] + 5 * [54]
+    names = ["OpenMM Verlet", "OpenMM LangevinMiddle", "SIER2", "SIER4G", "SIER4P"]
+    assert [row["method"] for row in rows[:5]] == names
+    for row, forces in zip(rows, 2 * [1, 1, 1, 3, 4], strict=True):
+        assert row["platform"] == "CPU"
+        assert row["engine"] == ("exact" if row["method"].startswith("SIER") else "")
+        assert row["forces_per_second"] == pytest.approx(forces * row["steps_per_second"])
+        assert row["over_forces"] > 0
+    # The errors of a method are found by its name.
+    assert {point["method"] for point in record["platform"]["points"]} == {"OpenMM Verlet", "SIER4G"}
+    out = capsys.readouterr().out
+    assert "over the forces" in out
+    assert "Simulated fs per second at equal rms(H)/rms(V)" in out
+
+
+def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):
+    """Second order: the errors of 0.01 and 0.16 % at 0.5 and 2 fs enclose 0.05 % at 1.118 fs."""
+    points = [accuracy.Point("OpenMM Verlet", dt, 4e-4 * dt**2, 1.0) for dt in (0.5, 2.0)]
+    seconds = {name: np.array([0.6, 0.6]) for name in platforms.METHODS}
+    seconds |= {platforms.READING: np.array([0.1, 0.1]), platforms.FORCES: np.array([0.5, 0.5])}
+    monkeypatch.setattr(platforms, "interleaved", lambda actions, rounds: {name: seconds[name] for name in actions})
+    monkeypatch.setattr(platforms, "_evaluations_in_a_turn", lambda context: 24)
+    found = forcefields.read_box(SYSTEMS / "tip4p-1.pdb")
+    replica = replicas.repeated(found, SYSTEMS, (1, 1, 1))
+    settings = platforms.BenchSettings(box=SYSTEMS / "tip4p-1.pdb", platform="Reference")
+    verlet, langevin, *_ = platforms._speeds(replica, points, settings, SILENT)
+    assert verlet["forces_per_second"] == pytest.approx(48)
+    assert verlet["over_forces"] == pytest.approx(1.25)
+    assert verlet["fs_per_second"]["0.0005"] == pytest.approx(48 * math.sqrt(1.25))
+    assert math.isnan(langevin["fs_per_second"]["0.0005"])
+
+
+@pytest.mark.parametrize(("boxes", "copies"), [(1, (1, 1, 1)), (2, (1, 1, 2)), (64, (4, 4, 4)), (192, (4, 6, 8))])
+def test_boxes_are_as_cubic_as_they_can_be(boxes, copies):
+    assert replicas.copies_for(512 * boxes, 512) == copies
+
+
+@pytest.mark.parametrize("molecules", [100, 513])
+def test_sizes_that_are_no_multiple_are_refused(molecules):
+    with pytest.raises(ValueError, match=f"multiples of the 512 molecules of the box, got {molecules}"):
+        replicas.copies_for(molecules, 512)
+
+
+@pytest.mark.parametrize("name", ["tip3p-512.pdb", "tip4p2005-512.pdb"])
+def test_repeated_box_has_the_energy_of_its_copies(name):
+    found = forcefields.read_box(SYSTEMS / name)
+    energies = []
+    for copies in ((1, 1, 1), (1, 2, 1)):
+        replica = replicas.repeated(found, SYSTEMS, copies)
+        assert replica.molecules == 512 * math.prod(copies)
+        context = openmm.Context(replica.system, openmm.VerletIntegrator(0.001), platform("CPU"))
+        context.setPositions(replica.positions)
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
+    # PME on meshes of two shapes, at a tolerance of 1e-5.
+    assert energies[1] == pytest.approx(2 * energies[0], rel=1e-4)
