@@ -1,4 +1,4 @@
-"""Exactness of hybrid Monte Carlo where it can be computed, at steps so long that about half of the trials are rejected.
+"""Exactness of hybrid Monte Carlo where it can be computed, at steps so long that half of the trials are rejected.
 
 Points in harmonic wells, momenta drawn anew and in part, and rigid dipoles in a field with the volume of an ideal gas
 of them: means and variances over many trials beside the exact values, in units of their standard errors.
@@ -20,7 +20,7 @@ from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from openmm_sier.measure.statistics import mean_and_error
-from tests.dynamics.test_metropolis import KT, Chain, Dipoles, Wells, whole_trial
+from tests.support.trials import KT, Chain, Dipoles, Wells, whole_trial
 
 
 def say(name: str, series: list, expected: float) -> None:
