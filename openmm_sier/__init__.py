@@ -2,6 +2,7 @@
 
 from openmm_sier.context import hooks
 from openmm_sier.context.find_bodies import RigidBodies
+from openmm_sier.context.hmc import SIERHMCIntegrator
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.named_integrators import SIER2Integrator, SIER4GIntegrator, SIER4Integrator, SIER4PIntegrator
@@ -27,6 +28,7 @@ __all__ = [
     "SIER4GIntegrator",
     "SIER4Integrator",
     "SIER4PIntegrator",
+    "SIERHMCIntegrator",
     "SIERIntegrator",
     "SIERLangevinIntegrator",
     "Scheme",

@@ -61,12 +61,8 @@ class VolumeMoves:
         """
         context = atoms.context
         checks.refuse_constant_pressure(context.getSystem(), bodies)
-        self._interval, self._bodies, self._atoms = piston.interval, bodies, atoms
+        self._bodies, self._atoms = bodies, atoms
         self._move = piston.operator(bodies, context.getMolecules())
-
-    def are_due(self, steps: int) -> bool:
-        """Whether the volume is to be moved before the step after so many."""
-        return (steps + 1) % self._interval == 0
 
     def apply(self, state: BodyState, steps: int, groups: int) -> BodyState:
         """Try a move before the step after so many.

@@ -17,12 +17,16 @@ from openmm_sier.context.host import Host
 from openmm_sier.context.motion import INNER, Motion, inner_step
 from openmm_sier.context.reconciliation import Reconciliation
 from openmm_sier.context.snapshot import Snapshot
-from openmm_sier.context.stored_state import DRAWS, HEAT, SITES, STATE_VARIABLES
+from openmm_sier.context.stored_state import SITES, STATE_VARIABLES
 from openmm_sier.context.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
+
+
+class BlownUp(openmm.OpenMMException):
+    """A force or a position is not finite."""
 
 
 class _Point(NamedTuple):
@@ -91,6 +95,11 @@ class Engine:
         """The bodies' phase point at the last completed step."""
         return self._reached().state
 
+    @property
+    def steps(self) -> int:
+        """Number of the last completed step."""
+        return self._reached().steps
+
     def _reached(self) -> _Point:
         if self._point is None:
             raise openmm.OpenMMException("The Context has no positions yet")
@@ -134,7 +143,7 @@ class Engine:
         integrator = self._integrator
         h = integrator.getStepSize()._value
         scheme = integrator._active_scheme()
-        step = operators.stepper(scheme, self._motion.operators(scheme, h, integrator._substeps), h)
+        step = integrator._stepper(self, scheme, self._motion.operators(scheme, h, integrator._substeps), h)
         alone = not self._actors.are_present and self._volume_moves is None
         try:
             if count and self._starts_anew:
@@ -195,7 +204,10 @@ class Engine:
             raise self._blown_up("position of", error) from None
 
     def _moves_volume_now(self) -> bool:
-        return self._volume_moves is not None and self._volume_moves.are_due(self._reached().steps)
+        if self._volume_moves is None:
+            return False
+        state, _, steps = self._reached()
+        return self._integrator._moves_volume(state, steps)
 
     def _update_all(self, h: float) -> BodyState:
         self._publish()
@@ -247,6 +259,11 @@ class Engine:
         except NotFiniteError as error:
             raise self._blown_up("force on", error) from None
 
+    def potential_energy(self, state: BodyState) -> float:
+        """Of the bodies at the positions of a state, in kJ/mol, with all forces that move them."""
+        self._place(state.q, state.A)
+        return self._context.getState(energy=True, groups=self._groups).getPotentialEnergy()._value
+
     def _forget_forces(self) -> None:
         """Compute forces anew next time: positions, box or parameters were changed."""
         self.forces.invalidate()
@@ -255,6 +272,7 @@ class Engine:
 
     def renew_forces(self) -> None:
         """The potential was changed."""
+        self._integrator._potential_changed()
         self.forces.invalidate()
         if self._bodies is not None:
             self._motion = Motion(self._context, self._bodies, self.forces, self._integrator)
@@ -265,9 +283,9 @@ class Engine:
         except NotFiniteError as error:
             raise self._blown_up("position of", error) from None
 
-    def _blown_up(self, what: str, error: NotFiniteError) -> openmm.OpenMMException:
+    def _blown_up(self, what: str, error: NotFiniteError) -> BlownUp:
         step = self._context.getStepCount() if self._point is None else self._point.steps + 1
-        return openmm.OpenMMException(
+        return BlownUp(
             f"The {what} {self.bodies.describe(error.body)} is not finite in step {step}. Is the step size "
             "too long, or do atoms overlap? The Context is left at the last completed step."
         )
@@ -316,16 +334,22 @@ class Engine:
         if moved and self._plan is not None:
             self._settle_by(now.positions)
         known, integrator = None if self._point is None else self._point.state, self._integrator
-        if moved or not now.same_velocities(self._echo):
-            found = self._reconciliation.recall(integrator, now, moved)
-            state = found or self._reconciliation.reconcile(known, None if moved else self._echo, now)
+        recalled = None
+        if disturbed := moved or not now.same_velocities(self._echo):
+            recalled = self._reconciliation.recall(integrator, now, moved)
+        if recalled is None and self._echo is not None and not now.same_environment(self._echo):
+            integrator._potential_changed()
+        if recalled is not None:
+            state, disturbed = recalled
+        elif disturbed:
+            state = self._reconciliation.reconcile(known, None if moved else self._echo, now)
         else:
             state = self.state
             self._reconciliation.notice_environment(self._echo, now)
         self._atoms.velocities[:] = now.velocities
         self._groups = integrator.getIntegrationForceGroups()
-        heat, draws = integrator._counters(known)
-        self._point, self._echo = _Point(replace(state, heat=heat, draws=draws), now.time, now.steps), now
+        state = integrator._read_record(state, known, disturbed)
+        self._point, self._echo = _Point(state, now.time, now.steps), now
 
     def _publish(self) -> None:
         """Write the bodies' state to the Context and to the variables that travel in checkpoints."""
@@ -334,8 +358,7 @@ class Engine:
         context.setVelocities(self.bodies.move(state, self._atoms.velocities))
         for name, values in zip(STATE_VARIABLES, stored_state.pack(self.bodies, state), strict=True):
             integrator.setPerDofVariableByName(name, values)
-        integrator.setGlobalVariableByName(HEAT, state.heat)
-        integrator.setGlobalVariableByName(DRAWS, state.draws)
+        integrator._write_record(state)
         context.setTime(time)
         context.setStepCount(steps)
         self._echo = Snapshot(context)

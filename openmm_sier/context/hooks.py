@@ -28,7 +28,7 @@ from openmm_sier.context.integrator import SIERIntegrator, revived
 from openmm_sier.context.minimization import constraints_hold, minimize_bodies
 from openmm_sier.context.native_engine import NativeEngine
 from openmm_sier.context.stored_settings import stored
-from openmm_sier.context.stored_state import DRAWS, HEAT, SEED
+from openmm_sier.context.stored_state import DRAWS, SEED
 
 #: A method of OpenMM or its wrapper, which has an attribute that tells so.
 Method: TypeAlias = Any
@@ -91,8 +91,7 @@ def _binding_again(method: Method) -> Method:
         if (integrator := _integrator_of(self)) is not None:
             # OpenMM clears the per-atom variables without the state, but not the global ones.
             if not preserveState:
-                integrator.setGlobalVariableByName(HEAT, 0)
-                integrator.setGlobalVariableByName(DRAWS, 0)
+                integrator._clear_record()
             integrator._bind(self)
         return result
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,7 +10,7 @@ import openmm
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.operators import Operator, Rotation
+from openmm_sier.dynamics.operators import Operator, Rotation, Stepper
 from openmm_sier.dynamics.schemes import Scheme
 
 #: Values of the argument `bodies` of integrators.
@@ -67,5 +67,23 @@ class Host(Protocol):
     def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:
         """Operators besides kicks and drifts, by name."""
 
-    def _counters(self, known: BodyState | None) -> tuple[float, int]:
-        """Heat and number of draws of noise so far."""
+    def _stepper(self, engine: Any, scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
+        """What makes a step of length h, ps, with the operators of an exact engine."""
+
+    def _moves_volume(self, state: BodyState, steps: int) -> bool:
+        """Whether the volume is to be moved at a state, before the step after so many."""
+
+    def _potential_changed(self) -> None:
+        """Forces on bodies, or the box, were changed from outside."""
+
+    def _write_record(self, state: BodyState) -> None:
+        """Put what a state has besides its phase point into variables, which travel in checkpoints."""
+
+    def _read_record(self, state: BodyState, known: BodyState | None, disturbed: bool) -> BodyState:
+        """A phase point with what the variables have besides.
+
+        Args:
+            state: the phase point.
+            known: the state before what happened outside; None: there was none.
+            disturbed: whether positions or velocities are others than those stored with the variables.
+        """

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from openmm_sier.context.stored_state import DRAWS, HEAT, SEED, SITES, STATE_VAR
 from openmm_sier.context.temperature import Temperatures
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.operators import Operator, Rotation
+from openmm_sier.dynamics.operators import Operator, Rotation, Stepper, stepper
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 
@@ -293,7 +294,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _prepare_for(self, system: openmm.System) -> None:
         """Before a Context is created, clear what a copied integrator has kept of the Context of its original."""
-        for name in (HEAT, DRAWS, SEED, PART):
+        self._clear_record()
+        for name in (SEED, PART):
             self.setGlobalVariableByName(name, 0)
         for name in (*STATE_VARIABLES, SITES, *VECTORS):
             # OpenMM does not check that their number fits the System.
@@ -324,13 +326,36 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def _plan_bodies(self, system: openmm.System) -> BodyPlan | KnownBodies:
         return plan_bodies(system, self._given_bodies)
 
-    def _counters(self, known: BodyState | None) -> tuple[float, int]:
-        """Heat in kJ/mol and number of draws of noise so far; `known` is the state before what happened outside."""
-        return self.getGlobalVariableByName(HEAT), int(self.getGlobalVariableByName(DRAWS))
+    def _write_record(self, state: BodyState) -> None:
+        """Put what a state has besides its phase point into variables; see `host.Host` for all that the engine asks."""
+        self.setGlobalVariableByName(HEAT, state.heat)
+        self.setGlobalVariableByName(DRAWS, state.draws)
+
+    def _read_record(self, state: BodyState, known: BodyState | None, disturbed: bool) -> BodyState:
+        heat, draws = map(self.getGlobalVariableByName, (HEAT, DRAWS))
+        return replace(state, heat=heat, draws=int(draws))
+
+    def _clear_record(self) -> None:
+        for name in self._RECORD:
+            self.setGlobalVariableByName(name, 0)
+
+    #: Global variables of what a state has besides its phase point.
+    _RECORD: tuple[str, ...] = (HEAT, DRAWS)
+
+    def _potential_changed(self) -> None:
+        """Forces on bodies, or the box, were changed from outside."""
 
     def _active_scheme(self) -> Scheme:
         """The scheme to execute now."""
         return self._scheme
+
+    def _stepper(self, engine: Engine, scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
+        """What makes a step of length h, ps."""
+        return stepper(scheme, operators, h)
+
+    def _moves_volume(self, state: BodyState, steps: int) -> bool:
+        """Whether the volume is to be moved at a state, before the step after so many."""
+        return self._piston is not None and (steps + 1) % self._piston.interval == 0
 
     def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:
         """Operators other than kick and drift."""

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Iterable
 from typing import Any
 
-import openmm
 from openmm import unit
 
 from openmm_sier.context import stored_settings
-from openmm_sier.context.arguments import quantity_to_float, whole_number
+from openmm_sier.context.constant_temperature import ConstantTemperatureIntegrator, checked_friction
 from openmm_sier.context.host import Bodies
-from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.context.stored_state import SEED
-from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
-from openmm_sier.dynamics.operators import Operator, Rotation
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 
-class SIERLangevinIntegrator(SIERIntegrator):
+class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
     """Rigid-body Langevin dynamics at constant temperature.
 
     The scheme gets an exact heat bath where its averages keep their order: SIER2 in its middle (kick, half drift, bath,
@@ -74,27 +67,15 @@ class SIERLangevinIntegrator(SIERIntegrator):
         """
         scheme = scheme.with_bath() if isinstance(scheme, Scheme) else scheme
         super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
-        friction = _friction("frictionCoeff", frictionCoeff)
-        turning = friction if rotationalFriction is None else _friction("rotationalFriction", rotationalFriction)
-        bath = OrnsteinUhlenbeck(_temperature(temperature), friction, turning, seed=0)
-        if (interval := whole_number("barostatInterval", barostatInterval)) == 0:
-            raise ValueError("barostatInterval must be at least 1, got 0")
-        piston = None if pressure is None else MonteCarloVolumeMove(_pressure(pressure), interval, bath)
-        self._surround(bath, piston, same_friction=rotationalFriction is None)
+        friction = checked_friction("frictionCoeff", frictionCoeff)
+        turning = friction if rotationalFriction is None else checked_friction("rotationalFriction", rotationalFriction)
+        self._surround(self._checked_temperature(temperature), (friction, turning), pressure, barostatInterval)
+        self._same_friction = rotationalFriction is None
         self._store_surroundings()
 
-    def _surround(self, bath: OrnsteinUhlenbeck, piston: MonteCarloVolumeMove | None, same_friction: bool) -> None:
-        self._bath, self._piston, self._same_friction = bath, piston, same_friction
-        self._cold_scheme = self._scheme.without(BATH)
-
     def _store_surroundings(self) -> None:
-        """Put temperature, friction and pressure as they are now into what OpenMM serializes."""
-        bath, piston = self._bath, self._piston
-        numbers = bath.temperature, bath.friction, bath.rotational_friction, self._same_friction
-        stored_settings.store(self, "bath", numbers)
-        if piston is not None:
-            stored_settings.store(self, "pressure", (piston.pressure, piston.interval))
-        self._tell_program()
+        stored_settings.store(self, "friction", [self._same_friction])
+        super()._store_surroundings()
 
     def _coupling(self) -> tuple[float, float]:
         return self._bath.friction, GAS_CONSTANT * self._bath.temperature
@@ -106,34 +87,13 @@ class SIERLangevinIntegrator(SIERIntegrator):
             return "has one friction for all motion: leave out `rotationalFriction`"
         return super()._only_exact()
 
-    #: Until the settings of the scheme are in place.
-    _bath = OrnsteinUhlenbeck(0.0, 0.0, 0.0, seed=0)
-
     def _take_settings(self, rotation: Rotation | None = None) -> None:
         super()._take_settings(rotation)
-        temperature, friction, turning, same_friction = stored_settings.required(self, "bath")[1].tolist()
-        bath, piston = OrnsteinUhlenbeck(temperature, friction, turning, seed=0), None
-        if (found := stored_settings.stored(self, "pressure")) is not None:
-            pressure, interval = found[1].tolist()
-            piston = MonteCarloVolumeMove(pressure, int(interval), bath)
-        self._surround(bath, piston, bool(same_friction))
-
-    def getTemperature(self) -> unit.Quantity:
-        """Temperature of the bath, a quantity in K."""
-        return self._bath.temperature * unit.kelvin
-
-    def setTemperature(self, temp: Any) -> None:
-        """Set the temperature of the bath, a quantity or a number in K."""
-        self._bath.temperature = _temperature(temp)
-        self._store_surroundings()
-
-    def getFriction(self) -> unit.Quantity:
-        """Friction of the translation, a quantity in 1/ps."""
-        return self._bath.friction / unit.picosecond
+        self._same_friction = bool(stored_settings.required(self, "friction")[1][0])
 
     def setFriction(self, coeff: Any) -> None:
         """Set the friction, a quantity or a number in 1/ps; that of the rotation too unless it was given apart."""
-        self._bath.friction = _friction("coeff", coeff)
+        self._bath.friction = checked_friction("coeff", coeff)
         if self._same_friction:
             self._bath.rotational_friction = self._bath.friction
         self._store_surroundings()
@@ -144,75 +104,11 @@ class SIERLangevinIntegrator(SIERIntegrator):
 
     def setRotationalFriction(self, coeff: Any) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; from now on apart from the other."""
-        self._bath.rotational_friction = _friction("coeff", coeff)
+        self._bath.rotational_friction = checked_friction("coeff", coeff)
         self._same_friction = False
         self._store_surroundings()
 
-    def getPressure(self) -> unit.Quantity | None:
-        """Pressure that is kept, a quantity in bar; None where the volume is."""
-        return None if self._piston is None else self._piston.pressure / BAR * unit.bar
-
-    def setPressure(self, pressure: Any) -> None:
-        """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
-        if self._piston is None:
-            raise ValueError("this integrator keeps the volume: create it with a pressure")
-        self._piston.pressure = _pressure(pressure)
-        self._store_surroundings()
-
-    def getBarostatInterval(self) -> int | None:
-        """Steps from one attempt to change the volume to the next; None where the volume is kept."""
-        return None if self._piston is None else self._piston.interval
-
-    def setRandomNumberSeed(self, seed: int) -> None:
-        """Set the seed of the noise for the next Context; as in OpenMM, 0 takes another one for every Context."""
-        super().setRandomNumberSeed(whole_number("seed", seed))
-
-    def getHeat(self) -> unit.Quantity:
-        """Energy that the bath, and moves of the volume, have given to the bodies, a quantity.
-
-        The total energy less it is conserved. The work P dV is not in it.
-        """
-        return self._bound().heat() * unit.kilojoule_per_mole
-
-    def _bind(self, context: openmm.Context) -> None:
-        super()._bind(context)
-        # A Context that was reinitialized with its state goes on with the seed that it has.
-        if self.getGlobalVariableByName(SEED) == 0:
-            seed = self.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
-            self.setGlobalVariableByName(SEED, seed)
-        self._bath.seed = int(self.getGlobalVariableByName(SEED))
-
-    def _counters(self, known: BodyState | None) -> tuple[float, int]:
-        if self.getGlobalVariableByName(SEED) == 0:
-            # Somebody wrote the variables of another integrator over ours, as openmmtools' ContextCache does. Noise
-            # must not be used twice, so that what was known before holds.
-            self.setGlobalVariableByName(SEED, self._bath.seed)
-            return (known.heat, known.draws) if known is not None else (0.0, 0)
-        return super()._counters(known)
-
     def _active_scheme(self) -> Scheme:
-        # A loaded checkpoint brings the seed of its run.
-        self._bath.seed = int(self.getGlobalVariableByName(SEED))
+        scheme = super()._active_scheme()
         cold = self._bath.friction == 0 and self._bath.rotational_friction == 0
-        return self._cold_scheme if cold else self._scheme
-
-    def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:
-        return {BATH: self._bath.operator(bodies)}
-
-
-def _pressure(value: Any) -> float:
-    return BAR * quantity_to_float("pressure", value, unit.bar, "bar")
-
-
-def _temperature(value: Any) -> float:
-    value = quantity_to_float("temperature", value, unit.kelvin, "K")
-    if value < 0:
-        raise ValueError(f"temperature must not be negative, got {value} K")
-    return value
-
-
-def _friction(name: str, value: Any) -> float:
-    value = quantity_to_float(name, value, unit.picosecond**-1, "1/ps")
-    if value < 0:
-        raise ValueError(f"{name} must not be negative, got {value} 1/ps")
-    return value
+        return scheme.without(BATH) if cold else scheme

@@ -30,7 +30,7 @@ class Reconciliation:
         self._bodies, self._atoms, self._invalidate_forces = bodies, atoms, invalidate_forces
         self._told_of_misfit = False
 
-    def recall(self, integrator: Host, now: Snapshot, moved: bool) -> BodyState | None:
+    def recall(self, integrator: Host, now: Snapshot, moved: bool) -> tuple[BodyState, bool] | None:
         """The state stored in the integrator's variables, if it is that of the atoms to the last bit.
 
         It is after a checkpoint or a State with integrator parameters was loaded. Where velocities were set after that,
@@ -40,6 +40,9 @@ class Reconciliation:
             integrator: with the variables.
             now: what the Context holds.
             moved: whether its positions are others than before.
+
+        Returns:
+            The state, and whether velocities were set; None if the atoms are elsewhere.
         """
         bodies = self._bodies
         # One after the other: OpenMM gives lists of objects, which take much memory.
@@ -54,10 +57,10 @@ class Reconciliation:
             return None
         self._invalidate_forces()
         self._atoms.take_positions(now)
-        if not np.array_equal(velocities, now.velocities):
-            p, L = self._momenta(now.velocities, state.q, state.A)
-            state = replace(state, p=p, L=L)
-        return state
+        if np.array_equal(velocities, now.velocities):
+            return state, False
+        p, L = self._momenta(now.velocities, state.q, state.A)
+        return replace(state, p=p, L=L), True
 
     def reconcile(self, old: BodyState | None, before: Snapshot | None, now: Snapshot) -> BodyState:
         """The state after the Context changed from one snapshot to another.

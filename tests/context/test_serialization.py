@@ -20,6 +20,7 @@ from openmm_sier import (
     Scheme,
     SIER2Integrator,
     SIER4Integrator,
+    SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
@@ -79,6 +80,10 @@ DISTINCT = {
     "engine": lambda: SIERIntegrator(0.002, SIER2, engine="native"),
     "substeps": lambda: SIERIntegrator(0.002, SIER2, engine="native", substeps=5),
     "interval": lambda: langevin(pressure=1 * unit.bar, barostatInterval=5),
+    "hybrid Monte Carlo": lambda: SIERHMCIntegrator(300, 0.002),
+    "length of trials": lambda: SIERHMCIntegrator(300, 0.002, stepsPerTrial=5),
+    "momenta kept in part": lambda: SIERHMCIntegrator(300, 0.002, frictionCoeff=1),
+    "trials at constant pressure": lambda: SIERHMCIntegrator(300, 0.002, pressure=1 * unit.bar, barostatInterval=5),
 }
 
 
@@ -90,6 +95,9 @@ def described(integrator) -> list:
     if isinstance(integrator, SIERLangevinIntegrator):
         parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
         parts += [integrator.getPressure(), integrator.getBarostatInterval(), integrator._same_friction]
+    if isinstance(integrator, SIERHMCIntegrator):
+        parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getStepsPerTrial()]
+        parts += [integrator.getPressure(), integrator.getBarostatInterval()]
     return parts
 
 
@@ -141,7 +149,7 @@ def test_copies_of_a_bound_integrator_serialize_like_it(cluster, make):
 
 
 def integrator_has_pressure(integrator) -> bool:
-    return isinstance(integrator, SIERLangevinIntegrator) and integrator.getPressure() is not None
+    return hasattr(integrator, "getPressure") and integrator.getPressure() is not None
 
 
 def test_settled_bodies_come_back_to_the_bit(cluster):

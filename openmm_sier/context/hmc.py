@@ -1,0 +1,326 @@
+"""Hybrid Monte Carlo of rigid bodies and constrained molecules, for OpenMM users."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import openmm
+
+from openmm_sier.context import checks, stored_settings, stored_state
+from openmm_sier.context.arguments import whole_number
+from openmm_sier.context.constant_temperature import ConstantTemperatureIntegrator, checked_friction
+from openmm_sier.context.engine import BlownUp, Engine
+from openmm_sier.context.host import Bodies
+from openmm_sier.context.notices import tell
+from openmm_sier.context.stored_state import STATE_VARIABLES
+from openmm_sier.dynamics import metropolis, operators
+from openmm_sier.dynamics.bodies import BodyState
+from openmm_sier.dynamics.metropolis import HybridMonteCarlo, NoEnergyError, SampledState, Trial
+from openmm_sier.dynamics.operators import Operator, Stepper
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
+
+#: Per-atom variables that hold the start of the trial in progress.
+START_VARIABLES = tuple(f"sier_start{i}" for i in range(len(STATE_VARIABLES)))
+
+#: Global variables of the trial in progress, see `metropolis.Trial`; LEFT is 0 where there is none.
+LEFT, ENERGY, THERMAL, STEP, START_HEAT = (
+    f"sier_trial_{name}" for name in ("left", "energy", "thermal", "step", "heat")
+)
+
+#: Those of all trials: how many, how many were accepted, and the energy error of the last one in kT.
+TRIALS, ACCEPTED, ERROR = "sier_trials", "sier_accepted", "sier_error"
+
+#: Those of the check of reversibility: the step in ps that it was made at, and the error in nm.
+CHECKED_STEP, REVERSAL = "sier_checked_step", "sier_reversal"
+
+#: A trajectory that comes back to its start within this, in nm, counts as reversible. What cannot be reversed, as a
+#: scheme that is no palindrome, misses by a multiple of this at usual steps; rounding, and forces of single precision,
+#: by 1e-12 to 1e-6, see docs/hmc.md.
+REVERSIBLE = 1e-4
+
+
+class SIERHMCIntegrator(ConstantTemperatureIntegrator):
+    """Hybrid Monte Carlo: samples of the canonical ensemble without an error of the step.
+
+    A trial is a trajectory of `stepsPerTrial` steps of the scheme from momenta that were drawn anew, or in part. Its
+    end is accepted or rejected on its true energy; after a rejection the Context is back at the start of the trial,
+    with reversed velocities. A step that is too long costs acceptance, and biases nothing.
+
+    Samples are at step numbers that are multiples of `stepsPerTrial`, and there alone: report at such intervals. In
+    between the Context is on a trajectory that may be rejected. A trial that begins at another step number, as after
+    positions were set in mid-trial, ends at the next multiple.
+
+    Positions or velocities that are set in mid-trial end it: the next step begins another one from there. Where the
+    step size, a parameter of the Context, the box or a Force is changed, the trial is given up, and the next step
+    begins another one from its start. A temperature set in mid-trial holds from the next one on. A trajectory that
+    cannot be followed to its end, since a force is not finite or constraints cannot be satisfied, is rejected.
+
+    The first trajectory is followed back to its start before it counts, once for each step size, and the integrator
+    refuses to go on if it does not come back; `reversalError` says how close it came.
+
+    Random numbers are as with `SIERLangevinIntegrator`, and a restart is bit-identical in mid-trial too. The total
+    energy less the heat changes by the energy errors of accepted trials alone.
+
+    The exact engine executes it, on any platform. With a CMMotionRemover in the System the total momentum is held at
+    zero, in draws and in kicks. Barostats and AndersenThermostats in the System are refused.
+
+    Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247
+    (1991).
+    """
+
+    _RECORD = (*ConstantTemperatureIntegrator._RECORD, LEFT, TRIALS, ACCEPTED, CHECKED_STEP)
+
+    def __init__(
+        self,
+        temperature: Any,
+        stepSize: Any,
+        scheme: Scheme = SIER4G,
+        stepsPerTrial: int = 10,
+        frictionCoeff: Any = None,
+        pressure: Any = None,
+        barostatInterval: int = 1,
+        bodies: Bodies = None,
+        rotation: operators.Rotation = exact,
+        substeps: int | None = None,
+        fastForceGroups: Iterable[int] | int | None = None,
+    ):
+        """
+        Args:
+            temperature: a quantity or a number in K, above zero.
+            stepSize: step, a time quantity or a number in ps.
+            scheme: splitting scheme without a bath; it must be a palindrome.
+            stepsPerTrial: steps of each trial.
+            frictionCoeff: momenta keep a factor exp(-friction t) in a trial of length t and are drawn for the rest, a
+                quantity or a number in 1/ps; None: they are drawn anew.
+            pressure: if it is to be constant, a quantity or a number in bar; see `SIERLangevinIntegrator`.
+            barostatInterval: trials from one attempt to change the volume to the next.
+            bodies, rotation, substeps, fastForceGroups: see `SIERIntegrator`.
+
+        Raises:
+            ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is no palindrome.
+            TypeError: a quantity has the wrong dimension.
+        """
+        if isinstance(scheme, Scheme):
+            _check_scheme(scheme)
+        super().__init__(stepSize, scheme, bodies, rotation, "exact", substeps, fastForceGroups)
+        for name in START_VARIABLES:
+            self.addPerDofVariable(name, 0)
+        for name in (LEFT, ENERGY, THERMAL, STEP, START_HEAT, TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL):
+            self.addGlobalVariable(name, 0)
+        friction = _friction(frictionCoeff)
+        self._surround(self._checked_temperature(temperature), (friction, friction), pressure, barostatInterval)
+        self._store_surroundings()
+        self.setStepsPerTrial(stepsPerTrial)
+
+    def _only_exact(self) -> str | None:
+        return "has no Metropolis rule: take SIERLangevinIntegrator"
+
+    def _take_settings(self, rotation: operators.Rotation | None = None) -> None:
+        super()._take_settings(rotation)
+        self._steps_per_trial = int(stored_settings.required(self, "trial")[1][0])
+
+    @staticmethod
+    def _checked_temperature(value: Any) -> float:
+        if (found := ConstantTemperatureIntegrator._checked_temperature(value)) == 0:
+            raise ValueError("temperature must be above zero for hybrid Monte Carlo, got 0 K")
+        return found
+
+    # --- what users ask ---
+
+    def getStepsPerTrial(self) -> int:
+        """Steps of each trial."""
+        return self._steps_per_trial
+
+    def setStepsPerTrial(self, steps: int) -> None:
+        """Set the steps of trials that begin from now on."""
+        if (steps := whole_number("stepsPerTrial", steps)) == 0:
+            raise ValueError("stepsPerTrial must be at least 1, got 0")
+        self._steps_per_trial = steps
+        stored_settings.store(self, "trial", [steps])
+
+    def setFriction(self, coeff: Any) -> None:
+        """Set the friction, a quantity or a number in 1/ps; None draws all momenta anew, and is an infinite one."""
+        self._bath.friction = self._bath.rotational_friction = _friction(coeff)
+        self._store_surroundings()
+
+    @property
+    def trials(self) -> int:
+        """Number of trials that came to their end."""
+        return int(self.getGlobalVariableByName(TRIALS))
+
+    @property
+    def accepted(self) -> int:
+        """How many of them were accepted."""
+        return int(self.getGlobalVariableByName(ACCEPTED))
+
+    @property
+    def acceptanceRate(self) -> float:
+        """The fraction of trials that were accepted; NaN before the first one."""
+        return self.accepted / self.trials if self.trials else math.nan
+
+    @property
+    def lastEnergyError(self) -> float:
+        """Energy at the end of the last trial less that at its start, in kT; infinite if its trajectory failed.
+
+        NaN before the first trial.
+        """
+        return self.getGlobalVariableByName(ERROR) if self.trials else math.nan
+
+    @property
+    def reversalError(self) -> float:
+        """Distance in nm by which an atom missed its start when the first trajectory was followed back.
+
+        NaN before the first trial.
+        """
+        return self.getGlobalVariableByName(REVERSAL) if self.getGlobalVariableByName(CHECKED_STEP) else math.nan
+
+    def resetStatistics(self) -> None:
+        """Count trials from zero again."""
+        for name in (TRIALS, ACCEPTED):
+            self.setGlobalVariableByName(name, 0)
+
+    # --- for the engine ---
+
+    def _prepare_for(self, system: openmm.System) -> None:
+        super()._prepare_for(system)
+        for name in START_VARIABLES:
+            if len(self.getPerDofVariableByName(name)) > 1:
+                self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
+
+    def _bind(self, context: openmm.Context) -> None:
+        forces = context.getSystem().getForces()
+        for force in forces:
+            if isinstance(force, (*checks.BAROSTATS, openmm.AndersenThermostat)):
+                remedy = "leave it out" if isinstance(force, openmm.AndersenThermostat) else "give `pressure` instead"
+                raise openmm.OpenMMException(
+                    f"A {type(force).__name__} acts within trajectories, which hybrid Monte Carlo does not allow: "
+                    f"{remedy}"
+                )
+        self._holds_still = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
+        super()._bind(context)
+
+    def _moves_volume(self, state: BodyState, steps: int) -> bool:
+        # Between trials alone.
+        if self._piston is None or SampledState.of(state).trial is not None:
+            return False
+        return (steps // self._steps_per_trial + 1) % self._piston.interval == 0
+
+    def _stepper(self, engine: Engine, scheme: Scheme, operations: Mapping[str, Operator], h: float) -> Stepper:
+        bodies = engine.bodies
+        if self._holds_still:
+            operations = metropolis.at_rest(bodies, operations)
+        advance = operators.stepper(scheme, operations, h)
+        drawn = metropolis.refreshment(operations[BATH], bodies, self._holds_still)
+
+        def refresh(state: BodyState, time: float) -> BodyState:
+            start = drawn(state, time)
+            self._check_reversal(engine, advance, start, h)
+            return start
+
+        def length() -> int:
+            return self._steps_per_trial - engine.steps % self._steps_per_trial
+
+        sampler = HybridMonteCarlo(self._bath, refresh, length, (*metropolis.FAILURES, BlownUp))
+        step = sampler.stepper(bodies, advance, engine.potential_energy, h)
+
+        def checked(state: BodyState) -> BodyState:
+            try:
+                return step(state)
+            except NoEnergyError as error:
+                raise openmm.OpenMMException(f"In step {engine.steps + 1} {error}. Do atoms overlap?") from error
+
+        return checked
+
+    def _check_reversal(self, engine: Engine, advance: Stepper, start: BodyState, h: float) -> None:
+        if h == self.getGlobalVariableByName(CHECKED_STEP):
+            return
+        error = metropolis.reversal_error(engine.bodies, advance, start, self._steps_per_trial)
+        if not error <= REVERSIBLE:
+            raise openmm.OpenMMException(
+                f"A trajectory of {self._steps_per_trial} steps that was followed back missed its start by {error:.1e} "
+                f"nm, more than {REVERSIBLE:.0e} nm, so that samples would not be exact: take shorter trajectories or "
+                "steps"
+            )
+        self.setGlobalVariableByName(REVERSAL, error)
+        self.setGlobalVariableByName(CHECKED_STEP, h)
+
+    # --- what travels in checkpoints ---
+
+    def _potential_changed(self) -> None:
+        if self.getGlobalVariableByName(LEFT):
+            self.setGlobalVariableByName(STEP, math.nan)
+
+    def _write_record(self, state: BodyState) -> None:
+        super()._write_record(state)
+        found = SampledState.of(state)
+        self._set(**{TRIALS: found.trials, ACCEPTED: found.accepted, ERROR: found.error})
+        if (trial := found.trial) is None:
+            return self._set(**{LEFT: 0})
+        numbers = {ENERGY: trial.energy, THERMAL: trial.thermal, STEP: trial.h, START_HEAT: trial.start.heat}
+        self._set(**{LEFT: trial.left}, **numbers)
+        packed = stored_state.pack(self.bodies, trial.start)
+        for name, values in zip(START_VARIABLES, packed, strict=True):
+            self.setPerDofVariableByName(name, values)
+        return None
+
+    def _set(self, **values: float) -> None:
+        for name, value in values.items():
+            self.setGlobalVariableByName(name, value)
+
+    def _read_record(self, state: BodyState, known: BodyState | None, disturbed: bool) -> BodyState:
+        if disturbed:
+            self._set(**{LEFT: 0})
+        found = SampledState.of(super()._read_record(state, known, disturbed))
+        before = known.trial if isinstance(known, SampledState) else None
+        return found.moved_to(
+            found,
+            trials=self.trials,
+            accepted=self.accepted,
+            error=self.lastEnergyError,
+            trial=self._read_trial(before) if self.getGlobalVariableByName(LEFT) else None,
+        )
+
+    def _read_trial(self, known: Trial | None) -> Trial:
+        """The trial in progress; its start is read only if it is none that was known before."""
+        left, energy, thermal, h, heat = map(self.getGlobalVariableByName, (LEFT, ENERGY, THERMAL, STEP, START_HEAT))
+        if known is not None and (known.energy, known.thermal, known.left) == (energy, thermal, left):
+            return Trial(known.start, energy, thermal, h, int(left))
+        values = np.stack([np.array(self.getPerDofVariableByName(name)) for name in START_VARIABLES])
+        start = stored_state.unpack(self.bodies, values)
+        return Trial(replace(start, heat=heat), energy, thermal, h, int(left))
+
+
+def tell_of_samples(integrator: openmm.Integrator, interval: int, what: str) -> None:
+    """Warn where reports at an interval show what is no sample of hybrid Monte Carlo.
+
+    Args:
+        integrator: of any kind.
+        interval: steps from one report to the next.
+        what: name of what reports.
+    """
+    if isinstance(integrator, SIERHMCIntegrator) and interval % (steps := integrator.getStepsPerTrial()):
+        tell(
+            f"{what} reports every {interval} steps, and trials of hybrid Monte Carlo have {steps}: reports at other "
+            f"steps than multiples of {steps} are on trajectories that may be rejected, and no samples"
+        )
+
+
+def _friction(value: Any) -> float:
+    """Friction in 1/ps; infinite where momenta are drawn anew."""
+    if value is None:
+        return math.inf
+    if (friction := checked_friction("frictionCoeff", value)) == 0:
+        raise ValueError("frictionCoeff must be above zero, got 0: momenta would never be drawn")
+    return friction
+
+
+def _check_scheme(scheme: Scheme) -> None:
+    if BATH in scheme.operators:
+        raise ValueError(f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone")
+    if not scheme.is_palindrome:
+        raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")
