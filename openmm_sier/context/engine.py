@@ -12,7 +12,7 @@ import openmm
 
 from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.actors import Actors, VolumeMoves, act
-from openmm_sier.context.atoms import Atoms
+from openmm_sier.context.atoms import Atoms, PotentialEnergies
 from openmm_sier.context.host import Host
 from openmm_sier.context.motion import INNER, Motion, inner_step
 from openmm_sier.context.reconciliation import Reconciliation
@@ -62,6 +62,7 @@ class Engine:
         self._groups: int
         self._echo: Snapshot | None = None
         self._point: _Point | None = None
+        self._energies = PotentialEnergies(self._atoms)
         self.forces = operators.CachedForces(_weakly(self._compute_forces))
         self._bodies: RigidBodies | None = None
         self._momentum: MomentumConservation | None = None
@@ -261,11 +262,14 @@ class Engine:
 
     def potential_energy(self, state: BodyState) -> float:
         """Of the bodies at the positions of a state, in kJ/mol, with all forces that move them."""
-        self._place(state.q, state.A)
-        return self._context.getState(energy=True, groups=self._groups).getPotentialEnergy()._value
+        try:
+            return self._energies(self.bodies, state.q, state.A, self._groups)
+        except NotFiniteError as error:
+            raise self._blown_up("position of", error) from None
 
     def _forget_forces(self) -> None:
         """Compute forces anew next time: positions, box or parameters were changed."""
+        self._energies.forget()
         self.forces.invalidate()
         if self._motion.fast is not None:
             self._motion.fast.follow(self._context)
@@ -273,6 +277,7 @@ class Engine:
     def renew_forces(self) -> None:
         """The potential was changed."""
         self._integrator._potential_changed()
+        self._energies.forget()
         self.forces.invalidate()
         if self._bodies is not None:
             self._motion = Motion(self._context, self._bodies, self.forces, self._integrator)
