@@ -1,7 +1,7 @@
 """Nonbonded interactions of atoms that few bonds separate, as bonded forces, which can act within drifts.
 
 Atoms up to four bonds apart feel steep nonbonded forces while angles bend, whose periods are 20 fs with hydrogen. In
-the kicks these forces limit the step of a peptide: with them inside the drifts the energy error at 6 fs is a tenth.
+the kicks these forces limit the step of a peptide: inside the drifts its energy error at 6 fs is a seventh.
 """
 
 from __future__ import annotations

@@ -96,6 +96,7 @@ class _Fast:
         self._solute = SoluteForces(context.getSystem(), atoms, groups, rigid, platform, properties)
         self.forces = FastForces(self._solute)
         self.is_empty = self._solute.is_empty
+        self._solute.follow(context)
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context of all atoms."""

@@ -108,7 +108,8 @@ class NativeEngine:
     def _check_step(self) -> None:
         integrator = self._integrator
         h, groups = integrator.getStepSize()._value, integrator.getIntegrationForceGroups()
-        scheme, fast = integrator.scheme, groups & integrator._fast_groups
+        scheme, fast = integrator.scheme, integrator._fast_groups
+        native_fast_forces.refuse(self.context.getSystem(), groups_of(fast), groups)
         self._vibrations.check(scheme, h, groups & ~fast)
         inner = h * longest_inner_step(scheme, integrator._substeps)
         self._vibrations.check_nested(INNER, inner, h, fast)
@@ -237,8 +238,6 @@ def _refuse(integrator: Host, system: openmm.System) -> None:
     reason = integrator._only_exact() or _unheld_bodies(integrator._given_bodies, system)
     if reason is not None:
         raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
-    groups = integrator.getIntegrationForceGroups()
-    native_fast_forces.refuse(system, groups_of(groups & integrator._fast_groups), groups)
     for force in system.getForces():
         if isinstance(force, openmm.AndersenThermostat):
             raise openmm.OpenMMException(

@@ -40,10 +40,10 @@ def test_a_motion_that_is_not_finite_ends_one_run(monkeypatch):
 
 def test_ions_have_no_rotational_temperature_and_are_sampled_all_the_same():
     system = openmm.System()
-    force = openmm.CustomBondForce("50*(r - 0.3)^2")
+    force = openmm.CustomNonbondedForce("50*(r - 0.3)^2")
     for _ in range(2):
         system.addParticle(23.0)
-    force.addBond(0, 1)
+        force.addParticle([])
     system.addForce(force)
     context = openmm.Context(system, SIER2Integrator(0.001), platform())
     context.setPositions([[0, 0, 0], [0.35, 0, 0]])
