@@ -73,10 +73,10 @@ class Links:
         """The bodies with the constraints between them, and with their molecules.
 
         Raises:
-            RigidityError: a constraint joins a body of several atoms, or a particle of no body, to something else.
+            RigidityError: a constraint joins a body to a particle of none, or a body of several atoms to another.
         """
         ends = bodies.owners[self.pairs]
-        between = np.flatnonzero((ends[:, 0] != ends[:, 1]) | (ends[:, 0] < 0))
+        between = np.flatnonzero(ends[:, 0] != ends[:, 1])
         joined = ends[between]
         extended = (bodies.moments > 0).max(axis=0, initial=False)
         for pair, body in zip(self.pairs[between].tolist(), joined.tolist(), strict=True):
