@@ -121,9 +121,22 @@ def _add_run(commands: Commands) -> argparse.ArgumentParser:
     parser.add_argument("--constraints", choices=CONSTRAINTS, help=CONSTRAINTS_HELP)
     parser.add_argument("--scheme", choices=SCHEMES, help=f"default: {RECOMMENDED}")
     parser.add_argument("--dt", metavar="FS", type=positive, help=STEP_HELP)
-    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
-    parser.add_argument("--friction", metavar="1/PS", type=not_negative, help="of the heat bath (default: 1)")
-    parser.add_argument("--pressure", metavar="BAR", type=any_number, help="with npt (default: 1)")
+    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt", "hmc"), help="default: nve")
+    parser.add_argument(
+        "--friction",
+        metavar="1/PS",
+        type=not_negative,
+        help="of the heat bath (default: 1; hmc draws all momenta for each trial without it)",
+    )
+    parser.add_argument(
+        "--pressure", metavar="BAR", type=any_number, help="with npt (default: 1) or hmc (default: constant volume)"
+    )
+    parser.add_argument(
+        "--steps-per-trial",
+        metavar="N",
+        type=whole,
+        help="with hmc, after which files are written (default: 10)",
+    )
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
         "--steps", type=whole, help="length of the whole trajectory, of which a restart does what is left"

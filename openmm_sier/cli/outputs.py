@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -109,7 +109,15 @@ class Outputs:
         saved_step: of the last checkpoint; None before the first.
     """
 
-    def __init__(self, plan: Plan, box: Box, bodies: RigidBodies, checkpoint: Path, notes: dict[str, Any]):
+    def __init__(
+        self,
+        plan: Plan,
+        box: Box,
+        bodies: RigidBodies,
+        checkpoint: Path,
+        notes: dict[str, Any],
+        columns: Sequence[str] = conservation.COLUMNS,
+    ):
         """
         Args:
             plan: of the run.
@@ -117,13 +125,14 @@ class Outputs:
             bodies: its rigid bodies.
             checkpoint: path of it.
             notes: of the checkpoint that is continued; empty for a new run.
+            columns: of the log.
         """
         self._plan, self._listed, self.checkpoint = plan, box.listed, checkpoint
         out, every = Path(plan.out), plan.interval(plan.every)
         topology = _subset(box.topology, box.listed)
         make = records.trajectory_format(out)
         self.trajectory = make(out, topology, plan.dt / 1000, every, **notes.get("trajectory", {}))
-        self.log = records.Log(Path(plan.report), conservation.COLUMNS, **notes.get("log", {}))
+        self.log = records.Log(Path(plan.report), columns, **notes.get("log", {}))
         self._growing: dict[str, records.GrowingFile] = {"trajectory": self.trajectory, "log": self.log}
         self._intervals = {"frame": every, "row": plan.interval(plan.report_every)}
         if plan.bodies:
@@ -162,7 +171,7 @@ class Outputs:
         """
         writers: dict[str, Callable] = {
             "frame": lambda: self._write_frame(context),
-            "row": lambda: self.log.write([(values or {})[name] for name in conservation.COLUMNS]),
+            "row": lambda: self.log.write([(values or {})[name] for name in self.log.columns]),
             "bodies": lambda: self.bodies.write(context),
             "checkpoint": lambda: self._write_checkpoint(
                 context, (values or {})["Potential Energy (kJ/mole)"], start_energy

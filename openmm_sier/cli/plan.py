@@ -18,8 +18,12 @@ USUAL_STEPS = {"sier2": 2.0, "sier4": 4.0, "sier4v": 5.0, "sier4g": 6.0, "sier4p
 #: K; that of the systems that the project ships.
 DEFAULT_TEMPERATURE = 297.0
 
+#: Steps of a trial of hybrid Monte Carlo.
+TRIAL = 10
+
 #: Options that a restart takes from its checkpoint.
 CONTINUED = (
+    "steps_per_trial",
     "ensemble",
     "temperature",
     "friction",
@@ -73,6 +77,7 @@ class Options:
     ensemble: str | None = None
     friction: float | None = None
     pressure: float | None = None
+    steps_per_trial: int | None = None
     unwrapped: bool | None = None
     seed: int | None = None
     platform: str | None = None
@@ -88,12 +93,15 @@ class Options:
 
 @dataclass(frozen=True)
 class Plan:
-    """Settings that a run and its continuations have in common; units as in `Options`, 1/ps and bar."""
+    """Settings that a run and its continuations have in common; units as in `Options`, 1/ps and bar.
+
+    Hybrid Monte Carlo is at constant volume where `pressure` is None, and draws momenta anew where `friction` is 0.
+    """
 
     ensemble: str
     temperature: float
     friction: float
-    pressure: float
+    pressure: float | None
     seed: int
     forcefield: list[str] | None
     scheme: str
@@ -109,17 +117,24 @@ class Plan:
     bodies: str | None = None
     bodies_every: float = 0.1
     unwrapped: bool = False
+    steps_per_trial: int = 0
+
+    @property
+    def moves_volume(self) -> bool:
+        """Whether the pressure is constant."""
+        return self.ensemble in ("npt", "hmc") and self.pressure is not None
 
     @property
     def title(self) -> str:
         """Scheme, ensemble and step."""
         bath = f", {self.temperature:g} K" if self.ensemble != "nve" else ""
-        piston = f", {self.pressure:g} bar" if self.ensemble == "npt" else ""
+        piston = f", {self.pressure:g} bar" if self.moves_volume else ""
         return f"{CATALOGUE[self.scheme].name}, {self.ensemble.upper()}{bath}{piston}, {self.dt:g} fs"
 
     def interval(self, time: float) -> int:
-        """Steps that come nearest to a time, at least 1."""
-        return max(1, round(time * 1000 / self.dt))
+        """Steps that come nearest to a time, at least 1; whole trials of hybrid Monte Carlo."""
+        unit = self.steps_per_trial or 1
+        return unit * max(1, round(time * 1000 / self.dt / unit))
 
     def noted(self, checkpoint: Path) -> dict[str, Any]:
         """The plan as the checkpoint holds it, with files relative to the checkpoint."""
@@ -155,8 +170,8 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
     return Plan(
         ensemble=ensemble,
         temperature=_first(options.temperature, origin.get("temperature"), DEFAULT_TEMPERATURE),
-        friction=_first(options.friction, 1.0),
-        pressure=_first(options.pressure, 1.0),
+        friction=_first(options.friction, 0.0 if ensemble == "hmc" else 1.0),
+        pressure=_first(options.pressure, None if ensemble == "hmc" else 1.0),
         seed=_first(options.seed, 1),
         forcefield=_first(options.forcefield, origin.get("forcefield")),
         rigid=_first(options.rigid, origin.get("rigid")),
@@ -172,6 +187,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
         report=str(report),
         bodies=None if bodies is None else str(bodies),
         unwrapped=bool(options.unwrapped),
+        steps_per_trial=_first(options.steps_per_trial, TRIAL) if ensemble == "hmc" else 0,
     )
 
 
@@ -190,9 +206,11 @@ def _check_combinations(options: Options, ensemble: str) -> None:
     if options.start and options.restart:
         raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
     if options.friction is not None and ensemble == "nve":
-        raise RunError("--friction needs --ensemble nvt or npt")
-    if options.pressure is not None and ensemble != "npt":
-        raise RunError("--pressure needs --ensemble npt")
+        raise RunError("--friction needs --ensemble nvt, npt or hmc")
+    if options.pressure is not None and ensemble not in ("npt", "hmc"):
+        raise RunError("--pressure needs --ensemble npt or hmc")
+    if options.steps_per_trial is not None and ensemble != "hmc":
+        raise RunError("--steps-per-trial needs --ensemble hmc")
     if options.bodies_every is not None and options.bodies is None:
         raise RunError("--bodies-every needs --bodies FILE.h5")
 

@@ -17,6 +17,7 @@ from openmm_sier.cli.outputs import Outputs, check_outputs, output_paths
 from openmm_sier.cli.plan import Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.context import conservation
+from openmm_sier.context.hmc import SIERHMCIntegrator
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.preparation import prepare_system
@@ -71,8 +72,8 @@ def _run(options: Options, requests: StopRequests) -> None:
     note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
     bodies = rigid_bodies(box, plan.rigid)
     prepared = prepare_system(box.system, bodies)
-    if plan.ensemble == "npt" and not box.system.usesPeriodicBoundaryConditions():
-        raise RunError("--ensemble npt needs a periodic box, which the PDB file does not have")
+    if plan.moves_volume and not box.system.usesPeriodicBoundaryConditions():
+        raise RunError("constant pressure needs a periodic box, which the PDB file does not have")
     context = make_context(box.system, _integrator(plan, bodies, prepared.fastForceGroups), options.platform)
     if options.restart:
         _restore(context, state, notes, options, plan, paths.values())
@@ -85,7 +86,7 @@ def _run(options: Options, requests: StopRequests) -> None:
         for path in paths.values():
             path.unlink(missing_ok=True)
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
-    outputs = Outputs(plan, box, bodies, checkpoint, notes)
+    outputs = Outputs(plan, box, bodies, checkpoint, notes, conservation.columns(context.getIntegrator()))
     dof = degrees_of_freedom(bodies, context.getIntegrator().conservesMomentum)
     guard = runaway.Guard(plan, dof, notes.get("start_energy"))
     cost = _advance(context, plan, outputs, guard, requests)
@@ -115,9 +116,26 @@ def _integrator(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERI
     engine = "exact" if plan.rigid or plan.ensemble == "npt" else "auto"
     if plan.ensemble == "nve":
         return SIERIntegrator(step, scheme, bodies, engine=engine, fastForceGroups=fast)
+    if plan.ensemble == "hmc":
+        return _sampler(plan, bodies, fast)
     pressure = plan.pressure if plan.ensemble == "npt" else None
     integrator = SIERLangevinIntegrator(
         plan.temperature, plan.friction, step, scheme, bodies, pressure=pressure, engine=engine, fastForceGroups=fast
+    )
+    integrator.setRandomNumberSeed(plan.seed)
+    return integrator
+
+
+def _sampler(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERIntegrator:
+    integrator = SIERHMCIntegrator(
+        plan.temperature,
+        plan.dt / 1000,
+        CATALOGUE[plan.scheme],
+        plan.steps_per_trial,
+        plan.friction or None,
+        plan.pressure,
+        bodies=bodies,
+        fastForceGroups=fast,
     )
     integrator.setRandomNumberSeed(plan.seed)
     return integrator
@@ -131,7 +149,8 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
     log = outputs.log.read()
     warning = runaway.fluctuation_warning(plan, log)
     rows = summary.conservation_rows(log)
-    rows += summary.density_rows(log) if plan.ensemble == "npt" else []
+    rows += summary.density_rows(log) if plan.moves_volume else []
+    rows += summary.acceptance_rows(log)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
     table(f"{plan.title}, {plan.steps * plan.dt / 1000:g} ps", ("", ""), rows + cost.rows())
 
@@ -277,7 +296,7 @@ def _write(due: list[str], context: openmm.Context, outputs: Outputs, guard: run
     """Check the bounds, then write the files that are due."""
     values = None
     if "row" in due or "checkpoint" in due:
-        values = dict(zip(conservation.COLUMNS, conservation.row(context), strict=True))
+        values = dict(zip(outputs.log.columns, conservation.row(context), strict=True))
         guard.look(values)
     else:
         guard.look_at_temperatures(*context.getIntegrator().computeTemperatures()[1:])

@@ -72,6 +72,18 @@ def _flexible_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     return [("T of flexible molecules", _value(*mean_and_error(values), "K", ".1f", ".1f"))]
 
 
+def acceptance_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    """The fraction of trials that were accepted, where the log has it; the argument is as above."""
+    if "Acceptance" not in log:
+        return []
+    errors = log["Energy Error (kT)"]
+    spread = float(np.std(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else math.nan
+    return [
+        ("trials accepted", f"{100 * log['Acceptance'][-1]:.1f} %"),
+        ("their energy errors", f"{spread:.2g} kT (sd)"),
+    ]
+
+
 def density_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     """The density, for the table at the end of a run at constant pressure; the argument is as above."""
     return [("density", _value(*mean_and_error(log["Density (g/mL)"]), "g/ml", ".4f", ".4f"))]

@@ -51,8 +51,13 @@ def sier_integrator(context: openmm.Context) -> SIERIntegrator:
     return integrator
 
 
+def columns(integrator: openmm.Integrator) -> tuple[str, ...]:
+    """`COLUMNS`, and what an integrator of this package reports besides."""
+    return (*COLUMNS, *integrator.reported()) if isinstance(integrator, SIERIntegrator) else COLUMNS
+
+
 def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[float, ...]:
-    """Values of `COLUMNS` at the last completed step.
+    """Values of `columns` at the last completed step.
 
     The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a thermostat,
     and volume moves, of this package gave. Temperatures follow the rule of `openmm_sier.context.temperature`. Angular
@@ -85,5 +90,6 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         *angular_momentum,
         volume,
         density(bodies.masses.sum(), volume),
+        *integrator.reported().values(),
     )
     return (observed.getStepCount(), *(float(value) for value in values))

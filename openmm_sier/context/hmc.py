@@ -179,6 +179,10 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         """
         return self.getGlobalVariableByName(REVERSAL) if self.getGlobalVariableByName(CHECKED_STEP) else math.nan
 
+    def reported(self) -> dict[str, float]:
+        """Further columns of `ConservationReporter`: the fraction of trials accepted, and the last energy error."""
+        return {"Acceptance": self.acceptanceRate, "Energy Error (kT)": self.lastEnergyError}
+
     def resetStatistics(self) -> None:
         """Count trials from zero again."""
         for name in (TRIALS, ACCEPTED):

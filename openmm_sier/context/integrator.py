@@ -261,6 +261,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         return self._bound().temperatures()
 
+    def reported(self) -> dict[str, float]:
+        """Further columns of `ConservationReporter`, by name."""
+        return {}
+
     def forcesChanged(self) -> None:
         """Tell the integrator that the potential was changed other than by a method of the Context or of its Forces.
 

@@ -37,8 +37,8 @@ class _Reporter:
 class ConservationReporter(_Reporter):
     """Writes conserved quantities and the temperatures of translation and rotation as CSV.
 
-    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`; `row` there
-    describes them.
+    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`, and what the
+    integrator has besides, as the acceptance of hybrid Monte Carlo; `row` there describes them.
     """
 
     def __init__(self, file: str | PathLike[str], reportInterval: int, append: bool = False) -> None:
@@ -54,15 +54,25 @@ class ConservationReporter(_Reporter):
         super().__init__(reportInterval, ["energy"])
         path = Path(file)
         fresh = not (append and path.exists() and path.stat().st_size)
-        if not fresh:
-            _check_header(path)
+        self._path, self._header = path, None if fresh else _header(path)
         self._out = path.open("a" if append else "w", newline="")
         self._rows = csv.writer(self._out)
-        if fresh:
-            self._rows.writerow(conservation.COLUMNS)
 
     def report(self, simulation: app.Simulation, state: openmm.State) -> None:
-        """Write one row, and flush it."""
+        """Write one row, and flush it.
+
+        Raises:
+            ValueError: the file to go on with is that of another kind of integrator.
+        """
+        columns = conservation.columns(simulation.integrator)
+        if self._header is None:
+            self._header = columns
+            self._rows.writerow(columns)
+        if self._header != columns:
+            raise ValueError(
+                f"{self._path} cannot be continued: it has {len(self._header)} columns, and this integrator has "
+                f"{len(columns)} to report"
+            )
         step, *values = conservation.row(simulation.context, state)
         self._rows.writerow([step, *(repr(value) for value in values)])
         self._out.flush()
@@ -76,14 +86,15 @@ class ConservationReporter(_Reporter):
             self._out.close()
 
 
-def _check_header(path: Path) -> None:
+def _header(path: Path) -> tuple[str, ...]:
     with path.open(newline="") as file:
         found = next(csv.reader(file), [])
-    if tuple(found) != conservation.COLUMNS:
+    if tuple(found[: len(conservation.COLUMNS)]) != conservation.COLUMNS:
         raise ValueError(
             f"{path} cannot be continued: it has {len(found)} columns that begin with {', '.join(found[:3])}, expected "
             f"the {len(conservation.COLUMNS)} of ConservationReporter"
         )
+    return tuple(found)
 
 
 class BodyStateReporter(_Reporter):

@@ -11,6 +11,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.context.constant_temperature import ConstantTemperatureIntegrator
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
@@ -119,7 +120,7 @@ def prepare(
     context.setPositions(found.state.getPositions())
     context.setVelocities(found.state.getVelocities())
     stop_centre_of_mass(context)
-    if found.settled and not isinstance(context.getIntegrator(), SIERLangevinIntegrator):
+    if found.settled and not isinstance(context.getIntegrator(), ConstantTemperatureIntegrator):
         _set_energy(context, temperature, found.potential)
     context.setTime(0)
     context.setStepCount(0)
@@ -211,7 +212,7 @@ def equilibrate(
 def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
     """A copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
-    pressure = integrator.getPressure() if isinstance(integrator, SIERLangevinIntegrator) else None
+    pressure = integrator.getPressure() if isinstance(integrator, ConstantTemperatureIntegrator) else None
     langevin = SIERLangevinIntegrator(
         temperature,
         FRICTION,

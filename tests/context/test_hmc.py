@@ -11,7 +11,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator
+from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.context.reporters import ConservationReporter
 from tests.support.methanols import positions_of, system_of
 from tests.support.restarts import assert_same, everything
@@ -247,6 +247,17 @@ def test_forces_that_are_not_finite_reject_a_trial():
         integrator.step(1)
 
 
+@pytest.mark.parametrize(("friction", "kept"), [(None, 0.0), (40.0, math.exp(-40 * 4 * 0.001))])
+def test_momenta_that_a_trial_keeps(cluster, friction, kept):
+    integrator = sampler(0.001, frictionCoeff=friction)
+    context = context_at(cluster[0], integrator, cluster[1])
+    context.setVelocities(1000 * cluster[1][1])
+    before = integrator.getBodyState().p
+    integrator.step(1)
+    # What was drawn is a thousandth of what was set.
+    assert integrator.getBodyState().trial.start.p == pytest.approx(kept * before, abs=0.005 * np.abs(before).max())
+
+
 def test_constrained_molecules():
     integrator = sampler(0.004, 3, SIER4G)
     positions = positions_of(2)
@@ -300,6 +311,15 @@ def test_reports_of_what_is_no_sample_are_warned_about_once(cluster, tmp_path):
     with pytest.warns(UserWarning, match="every 6 steps, and trials of hybrid Monte Carlo have 4") as told:
         simulation.step(12)
     assert len(told) == 1
+    # Steps 8 and 16: the second row is of four trials.
+    rows = np.genfromtxt(tmp_path / "samples.csv", delimiter=",", names=True, deletechars="")
+    assert rows["Acceptance"][0] in (0, 0.5, 1)
+    assert rows["Energy_Error_(kT)"].shape == (2,)
+    other = app.Simulation(topology, cluster[0], SIERIntegrator(0.001), platform())
+    other.context.setPositions(cluster[1][0])
+    other.reporters.append(ConservationReporter(tmp_path / "samples.csv", 1, append=True))
+    with pytest.raises(ValueError, match="20 columns, and this integrator has 18"):
+        other.step(1)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ import pytest
 from openmm import unit
 
 from openmm_sier.cli import main, records
-from openmm_sier.context import conservation
 from openmm_sier.measure import forcefields
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -52,7 +51,8 @@ def frames(path, box):
 
 
 def log(path):
-    return records.Log(Path(path), conservation.COLUMNS, Path(path).stat().st_size).read()
+    columns = Path(path).read_text().splitlines()[0].split(",")
+    return records.Log(Path(path), columns, Path(path).stat().st_size).read()
 
 
 def datasets(path):
