@@ -76,7 +76,7 @@ def test_groups_that_do_not_act_are_refused(molecule):
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_bonds_that_constraints_hold_do_not_vibrate(engine):
-    """The bond that is constrained has a period of 9 fs, at which SIER4G bears no step of 6 fs; the other one 300 fs."""
+    """The constrained bond has a period of 9 fs, at which SIER4G bears no step of 6 fs; the other one 300 fs."""
     system, bonds = openmm.System(), openmm.HarmonicBondForce()
     for mass in (12.0, 1.0, 12.0):
         system.addParticle(mass)
