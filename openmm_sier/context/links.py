@@ -73,7 +73,7 @@ class Links:
         """The bodies with the constraints between them, and with their molecules.
 
         Raises:
-            RigidityError: a constraint joins a body of several atoms, or a particle of no body, to a body.
+            RigidityError: a constraint joins a body to a particle of none, or a body of several atoms to another.
         """
         ends = bodies.owners[self.pairs]
         between = np.flatnonzero(ends[:, 0] != ends[:, 1])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.context.find_bodies import HYDROGEN_GROUPS
+from openmm_sier.context.find_bodies import HYDROGEN_GROUPS, constraint_lengths
 from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import Scheme
@@ -60,7 +60,7 @@ class Vibrations:
         self._bonds: list[Bond] = []
         if forces:
             owner, mobility = bodies.owners, _mobilities(bodies)
-            held = {(int(a), int(b)) for a, b in np.sort(bodies.constraints.pairs, axis=1)}
+            held = set(constraint_lengths(system))
             found = [_fastest(force, owner, mobility, held) for force in forces]
             self._bonds = sorted(bond for bond in found if bond is not None)
         self._warned = False
@@ -145,14 +145,14 @@ def _fs(time: float) -> str:
 def _fastest(
     force: openmm.HarmonicBondForce, owner: np.ndarray, mobility: np.ndarray, held: set[tuple[int, int]]
 ) -> Bond | None:
-    """The bond of shortest period between two bodies that are not a pair in `held`; None if there is no such bond."""
+    """The bond of shortest period between two bodies whose particles are no pair in `held`; None if there is none."""
     count = force.getNumBonds()
     ends, strength = np.empty((count, 2), dtype=np.int64), np.empty(count)
     for i in range(count):
         a, b, _, k = force.getBondParameters(i)
         ends[i], strength[i] = (a, b), k._value
     apart = (owner[ends[:, 0]] != owner[ends[:, 1]]) | (owner[ends[:, 0]] < 0)
-    apart &= np.array([pair not in held for pair in map(tuple, np.sort(owner[ends], axis=1).tolist())])
+    apart &= np.array([pair not in held for pair in map(tuple, np.sort(ends, axis=1).tolist())])
     squares = apart * strength * mobility[ends].sum(axis=1)
     fastest = int(squares.argmax())
     if not squares[fastest] > 0:
