@@ -70,7 +70,8 @@ class World:
         trap = openmm.CustomExternalForce("strength*(x^2 + 2*y^2 + 3*z^2 + 2*x*y*z)")
         trap.addGlobalParameter("strength", 20.0)
         repulsion = openmm.CustomNonbondedForce("30*exp(-(r/0.15)^2)")
-        springs = openmm.HarmonicBondForce()
+        # A harmonic bond would make the bodies that it joins parts of one flexible molecule.
+        springs = openmm.CustomBondForce("100*(r - 0.2)^2")
         self.clusters, parts = [], []
         for number, shape in enumerate(shapes):
             places = random_shape(shape, rng)
@@ -84,7 +85,7 @@ class World:
             parts.append(places + np.array([0.25 * number, *rng.uniform(-0.1, 0.1, 2)]))
             self.clusters.append(atoms)
         for one, other in pairwise(self.clusters):
-            springs.addBond(one[0], other[-1], 0.2, 200.0)
+            springs.addBond(one[0], other[-1])
         for force in (trap, repulsion, springs):
             self.system.addForce(force)
         if sweep:
