@@ -34,8 +34,7 @@ class Actors:
         """What a CMMotionRemover does, for bodies, before the step after so many."""
         if not any(steps % frequency == 0 for frequency in self._sweep_frequencies):
             return state
-        velocity = state.p.sum(axis=1) / bodies.masses.sum()
-        return replace(state, p=state.p - bodies.masses * velocity[:, None])
+        return replace(state, p=state.p - bodies.masses * bodies.centre_velocity(state.p))
 
 
 def act(integrator: Host) -> None:

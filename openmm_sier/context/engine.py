@@ -14,7 +14,7 @@ from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.actors import Actors, VolumeMoves, act
 from openmm_sier.context.atoms import Atoms, PotentialEnergies
 from openmm_sier.context.host import Host
-from openmm_sier.context.motion import INNER, Motion, inner_step
+from openmm_sier.context.motion import Motion, inner_step
 from openmm_sier.context.reconciliation import Reconciliation
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.context.stored_state import SITES, STATE_VARIABLES
@@ -23,6 +23,7 @@ from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
+from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
 
 
 class BlownUp(openmm.OpenMMException):
@@ -133,7 +134,7 @@ class Engine:
         h, groups = integrator.getStepSize()._value, integrator.getIntegrationForceGroups()
         vibrations.check(integrator.scheme, h, groups & ~integrator._fast_groups)
         inner = inner_step(integrator.scheme, h, integrator._substeps)
-        vibrations.check_nested(INNER, inner, h, groups & integrator._fast_groups)
+        vibrations.check_nested(WITHIN_DRIFTS, inner, h, groups & integrator._fast_groups)
 
     # --- stepping ---
 

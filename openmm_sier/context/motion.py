@@ -20,10 +20,7 @@ from openmm_sier.dynamics.constrained import (
     point_operators,
 )
 from openmm_sier.dynamics.operators import CachedForces, Operator
-from openmm_sier.dynamics.schemes import BATH, DRIFT, SIER4G, Scheme
-
-#: Executed within drifts, with fast forces.
-INNER = SIER4G
+from openmm_sier.dynamics.schemes import BATH, DRIFT, WITHIN_DRIFTS, Scheme
 
 #: The longest inner step where the number of substeps is left open, ps.
 LONGEST_INNER_STEP = 0.003
@@ -79,7 +76,7 @@ class Motion:
         members = self._members
         constraints = self._bodies.constraints.restricted(members)
         within = point_operators(constraints, self.fast.forces, groups=self._groups[members])
-        return self._fixed | {DRIFT: nested_drift(self._drift, members, INNER, within, longest)}
+        return self._fixed | {DRIFT: nested_drift(self._drift, members, WITHIN_DRIFTS, within, longest)}
 
 
 class _Fast:
@@ -110,19 +107,13 @@ def _fast_forces(context: openmm.Context, bodies: RigidBodies, members: np.ndarr
     if not wanted:
         return None
     atoms = [int(bodies.atoms_of(body)[0]) for body in members.tolist()]
-    rigid = np.where(_in_point(bodies), -1, bodies.owners)
+    rigid = np.where(bodies.point_particles, -1, bodies.owners)
     if not atoms:
         # Nothing to compute, but forces that cannot be fast are refused here too.
         solute_system(context.getSystem(), atoms, wanted, rigid)
         return None
     fast = _Fast(context, atoms, wanted, rigid)
     return None if fast.is_empty else fast
-
-
-def _in_point(bodies: RigidBodies) -> np.ndarray:
-    """For each particle whether it is a point body, (N,)."""
-    sizes = np.bincount(bodies.owners[bodies.owners >= 0], minlength=bodies.n)
-    return np.where(bodies.owners < 0, False, sizes[bodies.owners] == 1) if bodies.n else bodies.owners >= 0
 
 
 def _flexible_points(bodies: RigidBodies) -> np.ndarray:
@@ -141,6 +132,6 @@ def inner_step(scheme: Scheme, h: float, substeps: int | None) -> float:
         h: its step, ps.
         substeps: inner steps in its longest drift; None: as many as `LONGEST_INNER_STEP` asks for.
     """
-    longest = h * max((abs(stage.fraction) for stage in scheme.stages if stage.operator == DRIFT), default=0.0)
+    longest = h * scheme.longest_drift
     count = max(1, math.ceil(longest / LONGEST_INNER_STEP * (1 - 1e-9))) if substeps is None else substeps
     return longest / count

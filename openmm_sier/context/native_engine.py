@@ -14,7 +14,7 @@ from openmm_sier.context import checks, native_fast_forces, neighbour_list
 from openmm_sier.context.arguments import groups_of
 from openmm_sier.context.constraint_errors import Constraints
 from openmm_sier.context.host import Host
-from openmm_sier.context.native_program import INNER, WORK, longest_inner_step
+from openmm_sier.context.native_program import WORK, longest_inner_step
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.context.stored_state import HEAT
 from openmm_sier.context.temperature import (
@@ -26,6 +26,7 @@ from openmm_sier.context.temperature import (
 )
 from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
+from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
 
 #: Tolerance of constraints, relative. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, which costs more energy than the schemes do.
@@ -112,7 +113,7 @@ class NativeEngine:
         native_fast_forces.refuse(self.context.getSystem(), groups_of(fast), groups)
         self._vibrations.check(scheme, h, groups & ~fast)
         inner = h * longest_inner_step(scheme, integrator._substeps)
-        self._vibrations.check_nested(INNER, inner, h, fast)
+        self._vibrations.check_nested(WITHIN_DRIFTS, inner, h, fast)
 
     # --- stepping ---
 

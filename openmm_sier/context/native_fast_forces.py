@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from xml.etree import ElementTree
 
+import numpy as np
 import openmm
 
-from openmm_sier.context.solute import TERMS, WITHOUT_FORCES
+from openmm_sier.context.solute import WITHOUT_FORCES, bonded_kind, bonded_terms
 
 
 def refuse(system: openmm.System, groups: Collection[int], integration_groups: int) -> None:
@@ -36,20 +36,13 @@ def refuse(system: openmm.System, groups: Collection[int], integration_groups: i
 def _refuse_sites(force: openmm.Force, sites: set[int]) -> None:
     name = f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}"
     remedy = "Put it into another group with setForceGroup, or take engine='exact'"
-    kind = next((kind for kind in TERMS if isinstance(force, kind)), None)
-    if kind is None:
+    if bonded_kind(force) is None:
         raise openmm.OpenMMException(
             f"{name} and may act on virtual sites, which stay behind within a step of the native engine. {remedy}"
         )
-    for atom in _atoms(force, *TERMS[kind]):
+    for atom in np.unique(bonded_terms(force)).tolist():
         if atom in sites:
             raise openmm.OpenMMException(
                 f"{name} and acts on atom {atom}, a virtual site, which stays behind within a step of the native "
                 f"engine. {remedy}"
             )
-
-
-def _atoms(force: openmm.Force, tag: str, attributes: Collection[str]) -> set[int]:
-    """The atoms that the terms of a bonded Force name."""
-    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
-    return {int(term.attrib[name]) for term in root.iter(tag) for name in attributes}

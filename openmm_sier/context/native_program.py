@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import openmm
 
-from openmm_sier.dynamics.schemes import SIER4G, Scheme
+from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
 
 #: Targets of statements that assign no expression: each is a computation of OpenMM's.
@@ -55,8 +55,8 @@ COMPOSITIONS = {
 }
 
 
-#: The scheme of inner steps, and steps of RATTLE in each of its drifts.
-INNER, INNER_SUBSTEPS = SIER4G, 3
+#: Steps of RATTLE in each drift of an inner step.
+INNER_SUBSTEPS = 3
 
 
 class Statement(NamedTuple):
@@ -170,7 +170,7 @@ def usual_substeps(scheme: Scheme, nested: bool = False) -> int:
         scheme: the scheme.
         nested: whether there are fast forces.
     """
-    is_long = _longest_drift(scheme) * scheme.force_evaluations > LONG_DRIFT
+    is_long = scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT
     if nested:
         return 2 if is_long else 1
     return 5 if is_long else 3
@@ -178,15 +178,11 @@ def usual_substeps(scheme: Scheme, nested: bool = False) -> int:
 
 def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
     """The longest inner step of a program with fast forces, in units of h; None: of `usual_substeps`."""
-    return _longest_drift(scheme) / (substeps or usual_substeps(scheme, nested=True))
-
-
-def _longest_drift(scheme: Scheme) -> float:
-    return max((abs(stage.fraction) for stage in scheme.stages if stage.operator == DRIFT), default=0.0)
+    return scheme.longest_drift / (substeps or usual_substeps(scheme, nested=True))
 
 
 def write(
-    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), inner: Scheme = INNER
+    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), inner: Scheme = WITHIN_DRIFTS
 ) -> Program:
     """The program of a scheme.
 

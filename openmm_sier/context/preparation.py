@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from xml.etree import ElementTree
 
 import numpy as np
 import openmm
@@ -13,7 +12,7 @@ from openmm_sier.context.arguments import GROUPS, whole_number
 from openmm_sier.context.find_bodies import BodyPlan, constraint_lengths, tied
 from openmm_sier.context.links import Links
 from openmm_sier.context.pme import balance_pme, meshed_forces
-from openmm_sier.context.solute import TERMS, WITHOUT_FORCES
+from openmm_sier.context.solute import WITHOUT_FORCES, bonded_kind, bonded_terms
 from openmm_sier.dynamics.bodies import RigidBodies
 
 
@@ -79,7 +78,9 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
         done.append(_separated(system, owner, point, group))
     moved = f"Force group {group} has the fast forces now, for fastForceGroups={{{group}}}: {names}."
     done.append(moved if fast else "No bonded force acts on a molecule that is not rigid.")
-    left = [force.getName() for force in acting if force not in fast and _kind(force) and _has_terms(force, owner)]
+    left = [
+        force.getName() for force in acting if force not in fast and bonded_kind(force) and _has_terms(force, owner)
+    ]
     if left:
         done.append(f"These stay in the kicks, since they act on rigid bodies or virtual sites: {', '.join(left)}.")
     return Preparation(frozenset({group} if fast else ()), tuple(done))
@@ -105,28 +106,13 @@ def _owners(system: openmm.System, bodies: RigidBodies | None) -> tuple[np.ndarr
     """For each particle the number of its body, and whether that is a point."""
     if bodies is not None:
         found = tied(system, bodies)
-        sizes = np.bincount(found.owners[found.owners >= 0], minlength=found.n)
-        return found.owners, (found.owners >= 0) & (sizes[found.owners] == 1)
+        return found.owners, found.point_particles
     owner, point = np.full(system.getNumParticles(), -1), np.zeros(system.getNumParticles(), dtype=bool)
     number = 0
     for kind in BodyPlan(system).kinds:
         for cluster in kind.clusters:
             owner[cluster], point[cluster], number = number, len(cluster) == 1, number + 1
     return owner, point
-
-
-def _kind(force: openmm.Force) -> type | None:
-    return next((kind for kind in TERMS if isinstance(force, kind)), None)
-
-
-def _terms(force: openmm.Force) -> np.ndarray:
-    """Particles of each term of a bonded Force, (t, k)."""
-    kind = _kind(force)
-    assert kind is not None
-    tag, attributes = TERMS[kind]
-    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
-    found = [[int(term.attrib[name]) for name in attributes] for parent in root.iter(f"{tag}s") for term in parent]
-    return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
 
 
 def _between(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
@@ -136,12 +122,12 @@ def _between(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
 
 
 def _has_terms(force: openmm.Force, owner: np.ndarray) -> bool:
-    return bool(len(_between(_terms(force), owner)))
+    return bool(len(_between(bonded_terms(force), owner)))
 
 
 def _is_fast(force: openmm.Force, owner: np.ndarray, point: np.ndarray) -> bool:
     """Whether a Force is a bonded one, and all of its terms between bodies are between points."""
-    if _kind(force) is None:
+    if bonded_kind(force) is None:
         return False
-    between = _between(_terms(force), owner)
+    between = _between(bonded_terms(force), owner)
     return bool(len(between)) and bool(point[between].all())

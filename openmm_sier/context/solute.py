@@ -87,9 +87,22 @@ def _numbers(system: openmm.System, atoms: np.ndarray) -> np.ndarray:
     return number
 
 
+def bonded_kind(force: openmm.Force) -> type | None:
+    """The class among `TERMS` that a Force is of; None if it is no bonded one."""
+    return next((kind for kind in TERMS if isinstance(force, kind)), None)
+
+
+def bonded_terms(force: openmm.Force) -> np.ndarray:
+    """Particles of each term of a Force that has a `bonded_kind`, (t, k)."""
+    tag, attributes = TERMS[bonded_kind(force)]
+    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
+    found = [[int(term.attrib[name]) for name in attributes] for parent in root.iter(f"{tag}s") for term in parent]
+    return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
+
+
 def _renumbered(force: openmm.Force, number: np.ndarray, rigid: np.ndarray) -> openmm.Force:
     """A copy of a bonded Force that acts on the numbers of its atoms."""
-    kind = next((kind for kind in TERMS if isinstance(force, kind)), None)
+    kind = bonded_kind(force)
     if kind is None:
         possible = ", ".join(kind.__name__ for kind in TERMS)
         raise SoluteError(

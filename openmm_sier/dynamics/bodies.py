@@ -411,6 +411,15 @@ class RigidBodies:
         """(3, n), 1/(dalton nm^2); zero where the moment is."""
         return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
 
+    @cached_property
+    def point_particles(self) -> np.ndarray:
+        """For each particle whether it is a body by itself, (N,)."""
+        alone = np.zeros(self.n_particles, dtype=bool)
+        for species in self.species:
+            if species.atoms.shape[1] == 1:
+                alone[species.atoms] = True
+        return alone
+
     # --- observables ---
 
     def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
@@ -418,6 +427,10 @@ class RigidBodies:
         translation = 0.5 * float(((state.p**2).sum(axis=0) / self.masses).sum())
         rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
         return translation, rotation
+
+    def centre_velocity(self, p: np.ndarray) -> np.ndarray:
+        """Velocity of the centre of mass of all bodies, (3, 1), nm/ps, at momenta (3, n)."""
+        return p.sum(axis=1, keepdims=True) / self.masses.sum()
 
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""

@@ -205,7 +205,7 @@ def at_rest(bodies: RigidBodies, operators: Mapping[str, Operator]) -> dict[str,
     def still(kick: Operator) -> Operator:
         def apply(state: BodyState, *times: float) -> BodyState:
             kicked = kick(state, *times)
-            return replace(kicked, p=kicked.p - bodies.masses * _drift_velocity(bodies, kicked))
+            return replace(kicked, p=kicked.p - bodies.masses * bodies.centre_velocity(kicked.p))
 
         return apply
 
@@ -214,14 +214,9 @@ def at_rest(bodies: RigidBodies, operators: Mapping[str, Operator]) -> dict[str,
 
 def without_total_momentum(bodies: RigidBodies, state: BodyState) -> BodyState:
     """The state with the velocity of the centre of mass taken from all bodies, and its energy from the heat."""
-    velocity = _drift_velocity(bodies, state)
+    velocity = bodies.centre_velocity(state.p)
     energy = 0.5 * float(bodies.masses.sum() * (velocity**2).sum())
     return replace(state, p=state.p - bodies.masses * velocity, heat=state.heat - energy)
-
-
-def _drift_velocity(bodies: RigidBodies, state: BodyState) -> np.ndarray:
-    """Velocity of the centre of mass of all bodies, (3, 1), nm/ps."""
-    return state.p.sum(axis=1, keepdims=True) / bodies.masses.sum()
 
 
 def reversal_error(bodies: RigidBodies, advance: Stepper, start: BodyState, steps: int) -> float:

@@ -117,6 +117,11 @@ class Scheme:
                 return inside
         return Scheme(self.name, (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5)), self.source)
 
+    @property
+    def longest_drift(self) -> float:
+        """The largest size of a drift's fraction of the step; 0 without drifts."""
+        return max((abs(stage.fraction) for stage in self.stages if stage.operator == DRIFT), default=0.0)
+
     @cached_property
     def stability_limit(self) -> float:
         """Product of angular frequency and step below which a harmonic mode stays bounded: 2 for SIER2."""
@@ -209,6 +214,9 @@ SIER4G = Scheme(
     ),
     "Chin, Phys. Lett. A 226, 344 (1997), algorithm A",
 )
+
+#: The scheme of inner steps, within drifts that have fast forces.
+WITHIN_DRIFTS = SIER4G
 
 
 def _gradient_in_the_middle(share: float) -> tuple[Stage, ...]:
