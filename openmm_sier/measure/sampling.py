@@ -142,7 +142,7 @@ def sample(
     for done in range(every, steps + 1, every):
         integrator.step(every)
         try:
-            rows.append(_observe(context, bodies, conserved))
+            rows.append(observe(context, bodies, conserved))
         except (RigidityError, NotFiniteError) as error:
             raise Unstable(f"after {done} steps {error}") from error
         if not rows[-1].sane:
@@ -152,7 +152,7 @@ def sample(
     return Series(*np.array(rows).T)
 
 
-class _Sample(NamedTuple):
+class Sample(NamedTuple):
     """The values of `Series` at one step."""
 
     time: float
@@ -172,10 +172,10 @@ class _Sample(NamedTuple):
         return f"temperatures of {self.translation:.0f} K and {self.rotation:.0f} K, V = {self.potential:.4g} kJ/mol"
 
 
-def _observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> _Sample:
+def observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> Sample:
     state = context.getState(energy=True)
     found = temperatures(bodies, _body_state(context, bodies), conserved)
-    return _Sample(
+    return Sample(
         state.getTime().value_in_unit(unit.picosecond),
         state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
         state.getKineticEnergy().value_in_unit(unit.kilojoule_per_mole),
