@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import combinations
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -166,26 +166,15 @@ class BodyPlan:
         return clusters
 
     def _collect(self, named: list[Cluster], lengths: Lengths) -> list[Kind]:
-        owner = {i: number for number, cluster in enumerate(named) for i in cluster}
-        inside: list[Lengths] = [{} for _ in named]
-        loose = {}
-        for (a, b), length in lengths.items():
-            if owner.get(a) != owner.get(b):
-                raise joins_a_body(a, b)
-            if a in owner:
-                inside[owner[a]][a, b] = length
-            else:
-                loose[a, b] = length
-
+        inside, loose = _inside(named, lengths)
         collector = KindCollector()
         free = self._masses > 0
         for cluster, constraints in zip(named, inside, strict=True):
             collector.add(cluster, self._masses[list(cluster)], constraints)
             free[list(cluster)] = False
-        rigid = _rigid_molecules(loose, self._links)
-        for cluster in _clusters(loose):
+        for cluster, rigid in _constrained_clusters(loose, self._links):
             self._check(cluster)
-            if cluster[0] in rigid:
+            if rigid:
                 pairs = {pair: lengths[pair] for pair in combinations(cluster, 2)}
                 collector.add(cluster, self._masses[list(cluster)], pairs)
                 free[list(cluster)] = False
@@ -254,7 +243,7 @@ def _named(
     if topology is None:
         raise ValueError("bodies by name need the topology: RigidBodies.from_system(system, topology, rigid)")
     return (
-        _hydrogen_groups(topology, _rigid_molecules(lengths, links))
+        _hydrogen_groups(topology, _constrained_clusters(lengths, links))
         if isinstance(rigid, str)
         else _residues_named(topology, rigid)
     )
@@ -272,8 +261,9 @@ def _residues_named(topology: openmm.app.Topology, rigid: Mapping[str, str]) -> 
     return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
 
 
-def _hydrogen_groups(topology: openmm.app.Topology, rigid: Mapping[int, int]) -> list[list[int]]:
+def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Cluster, bool]]) -> list[list[int]]:
     """Each heavy atom with its hydrogens, but for those of molecules that constraints hold already."""
+    molecule = {i: cluster[0] for cluster, rigid in clusters if rigid for i in cluster}
     groups: dict[int, list[int]] = {}
     grouped: set[int] = set()
     for bond in topology.bonds():
@@ -288,20 +278,7 @@ def _hydrogen_groups(topology: openmm.app.Topology, rigid: Mapping[int, int]) ->
             f'"{HYDROGEN_GROUPS}" needs bonds of hydrogens in the topology, which has {topology.getNumBonds()} bonds '
             "and none of a hydrogen to a heavy atom"
         )
-    return [sorted(group) for group in groups.values() if len({rigid.get(i, -i - 1) for i in group}) > 1]
-
-
-def _rigid_molecules(lengths: Lengths, links: Links) -> dict[int, int]:
-    """For each particle of a molecule in which every distance is constrained the number of its cluster.
-
-    A rigid group in a larger molecule does not count. Fast forces move points only, so its constraints hold it.
-    """
-    clusters = _clusters(lengths)
-    owner = {i: number for number, cluster in enumerate(clusters) for i in cluster}
-    counts = Counter(owner[a] for a, _ in lengths)
-    wanted = [len(cluster) * (len(cluster) - 1) // 2 for cluster in clusters]
-    leave = links.leave(clusters)
-    return {i: n for i, n in owner.items() if counts[n] == wanted[n] and not leave[n]}
+    return [sorted(group) for group in groups.values() if len({molecule.get(i, -i - 1) for i in group}) > 1]
 
 
 def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str]:
@@ -332,6 +309,38 @@ def constraint_lengths(system: openmm.System) -> Lengths:
                 f"and {length:.4f} nm apart"
             )
     return lengths
+
+
+def _inside(named: Sequence[Cluster], lengths: Lengths) -> tuple[list[Lengths], Lengths]:
+    """The constraints inside each named body, and those of other particles.
+
+    Raises:
+        RigidityError: a constraint joins a body to another particle.
+    """
+    if not named:
+        return [], lengths
+    owner = {i: number for number, cluster in enumerate(named) for i in cluster}
+    inside: list[Lengths] = [{} for _ in named]
+    loose = {}
+    for (a, b), length in lengths.items():
+        if owner.get(a) != owner.get(b):
+            raise joins_a_body(a, b)
+        (inside[owner[a]] if a in owner else loose)[a, b] = length
+    return inside, loose
+
+
+def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Cluster, bool]]:
+    """Particles that constraints join, and whether they are a molecule in which every distance is constrained.
+
+    A rigid group in a larger molecule does not count. Fast forces move points only, so its constraints hold it.
+    """
+    clusters = _clusters(lengths)
+    sizes = np.fromiter(map(len, clusters), int, len(clusters))
+    number = np.empty(links.n_particles, dtype=int)
+    number[np.fromiter(chain.from_iterable(clusters), int, sizes.sum())] = np.repeat(np.arange(len(clusters)), sizes)
+    of_constraints = number[np.fromiter((first for first, _ in lengths), int, len(lengths))]
+    complete = np.bincount(of_constraints, minlength=len(clusters)) == sizes * (sizes - 1) // 2
+    return zip(clusters, (complete & ~links.leave(clusters)).tolist(), strict=True)
 
 
 def _clusters(pairs: Iterable[tuple[int, int]]) -> list[Cluster]:

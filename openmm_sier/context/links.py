@@ -36,6 +36,7 @@ class Links:
     """Constraints and bonds of a System.
 
     Attributes:
+        n_particles: of the System.
         pairs: constrained particles, (c, 2).
         lengths: (c,), nm.
         bonds: pairs of particles that a harmonic bond joins, (b, 2).
@@ -50,7 +51,7 @@ class Links:
             system: openmm.System.
             lengths: of its constraints, nm, by pairs of particles.
         """
-        self._n = system.getNumParticles()
+        self.n_particles = system.getNumParticles()
         self.pairs, self.lengths = _pairs(lengths), np.array(list(lengths.values()), dtype=float)
         forces = system.getForces()
         harmonic = [force for force in forces if isinstance(force, openmm.HarmonicBondForce)]
@@ -59,15 +60,15 @@ class Links:
         custom = [force for force in forces if isinstance(force, openmm.CustomBondForce)]
         self.custom = _pairs({tuple(f.getBondParameters(i)[:2]) for f in custom for i in range(f.getNumBonds())})
 
-    def leave(self, clusters: Sequence[Sequence[int]]) -> list[bool]:
+    def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
         """For each cluster of particles whether a bond joins it to a particle outside."""
-        owner = np.full(self._n, -1)
+        owner = np.full(self.n_particles, -1)
         for number, cluster in enumerate(clusters):
             owner[list(cluster)] = number
         ends = owner[np.concatenate([self.bonds, self.terms])]
         leaving = np.zeros(len(clusters) + 1, dtype=bool)
         leaving[ends[ends[:, 0] != ends[:, 1]]] = True
-        return leaving[:-1].tolist()
+        return leaving[:-1]
 
     def tie(self, bodies: Bodies) -> Bodies:
         """The bodies with the constraints between them, and with their molecules.
