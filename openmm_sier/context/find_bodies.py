@@ -321,7 +321,7 @@ def _inside(named: Sequence[Cluster], lengths: Lengths) -> tuple[list[Lengths], 
         return [], lengths
     owner = {i: number for number, cluster in enumerate(named) for i in cluster}
     inside: list[Lengths] = [{} for _ in named]
-    loose = {}
+    loose: Lengths = {}
     for (a, b), length in lengths.items():
         if owner.get(a) != owner.get(b):
             raise joins_a_body(a, b)
