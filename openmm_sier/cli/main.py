@@ -36,6 +36,7 @@ EXIT_CODES = """exit codes:
   1    an error, in one line on standard error
   2    wrong arguments
   3    energy or temperature ran away, for example because the step is too long. The last good checkpoint is kept
+  4    nothing is left of the run that --restart is to go on with
   129, 130, 143
        ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,
        and --restart goes on. A second signal ends the run at once
@@ -57,16 +58,24 @@ FORCEFIELD_HELP = (
 STEP_HELP = "step in fs (default: " + ", ".join(f"{usual_step(name):g} for {name}" for name in SCHEMES) + ")"
 
 
+class UsageError(ValueError):
+    """Arguments are wrong; the message begins with the command."""
+
+
 class Parser(argparse.ArgumentParser):
     """Reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(MISUSED, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        raise UsageError(f"{self.prog}: {message} (see {self.prog} --help)")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Carry out a command line; returns the exit code."""
-    options = build_parser().parse_args(arguments)
+    try:
+        options = build_parser().parse_args(arguments)
+    except UsageError as error:
+        print(error, file=sys.stderr)
+        sys.exit(MISUSED)
     if not streams.open_closed_streams():
         streams.complain("standard output is closed; send it to a file, or to /dev/null")
         return FAILED
@@ -94,7 +103,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog=streams.PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action="version", version=f"{streams.PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (_add_run, _add_info, _add_paper, _add_equipartition, _add_schemes, _add_bench):
+    for add in (_add_run, _add_ensemble, _add_info, _add_paper, _add_equipartition, _add_schemes, _add_bench):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
@@ -188,6 +197,32 @@ def _run(options: argparse.Namespace) -> None:
     from openmm_sier.cli import run
 
     run.run(Options(**{field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}))
+
+
+# --- ensemble ---
+
+
+def _add_ensemble(commands: Commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "ensemble",
+        help="carry out many runs, on this machine or on a cluster",
+        description="Carry out a plan of many runs, each in a directory and a process of its own. What is complete is "
+        "not done again, and what was cut off goes on from its checkpoint.",
+    )
+    parser.add_argument("plan", metavar="PLAN.toml", type=Path, help="options of the runs, and what varies among them")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="for the runs (default: the plan's name)")
+    parser.add_argument("--processes", metavar="N", type=whole, help="at a time (default: one for each core)")
+    parser.add_argument("--threads", metavar="N", type=whole, help="of each (default: 1; more if cores are left)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of dask.distributed, whose workers take the runs")
+    parser.add_argument("--list", action="store_true", help="list the members and what is complete, and do nothing")
+    parser.set_defaults(execute=_ensemble)
+    return parser
+
+
+def _ensemble(options: argparse.Namespace) -> None:
+    from openmm_sier.cli import ensembles
+
+    ensembles.run(options.plan, options.out, options.processes, options.threads, options.scheduler, options.list)
 
 
 # --- info ---

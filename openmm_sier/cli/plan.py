@@ -52,6 +52,12 @@ class RunError(ValueError):
     """The command cannot do what it was asked for."""
 
 
+class NothingLeft(RunError):
+    """The run that is to go on is at its end already."""
+
+    exit_code = 4
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of the command; None where an option was not given. Times are in ps, but `dt` is in fs."""

@@ -32,6 +32,10 @@ FORMAT = 1
 #: frames instead, so that its times stay right.
 LARGEST_STEP = 2**31 - 1
 
+#: The second title in OpenMM's header of a DCD file, the time of its making. It is left blank, so that the same run
+#: gives the same bytes.
+DCD_DATE = slice(180, 260)
+
 #: Frames that are converted at a time.
 CHUNK = 100
 
@@ -179,6 +183,7 @@ class DCDTrajectory(GrowingFile):
         header = buffer.tell()
         file.writeModel(positions, periodicBoxVectors=box)
         if not self.size:
+            buffer.getbuffer()[DCD_DATE] = bytes(DCD_DATE.stop - DCD_DATE.start)
             self.append(buffer.getvalue()[:header], counts=False)
         self.append(buffer.getvalue()[header:])
         self._patch_header()

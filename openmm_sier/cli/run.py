@@ -14,7 +14,7 @@ from openmm_sier.cli import records, runaway, summary
 from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
 from openmm_sier.cli.info import rigid_bodies
 from openmm_sier.cli.outputs import Outputs, check_outputs, output_paths
-from openmm_sier.cli.plan import Options, Plan, RunError, continued_plan, new_plan
+from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.context import conservation
 from openmm_sier.context.hmc import SIERHMCIntegrator
@@ -206,8 +206,9 @@ def _restore(
         RunError: the checkpoint is of another system, or nothing is left to be done.
     """
     # An .h5 file comes last of all: a run that was killed before is still to be finished.
-    if notes["step"] > plan.steps or (notes["step"] == plan.steps and all(path.exists() for path in paths)):
-        raise RunError(
+    at_end = notes["step"] == plan.steps and all(path.exists() for path in paths)
+    if at_end or notes["step"] > plan.steps:
+        raise (NothingLeft if at_end else RunError)(
             f"{options.restart} is at step {_length(plan, notes['step'])}, the run is to end at step {plan.steps}; "
             "ask for more with --steps or --time"
         )

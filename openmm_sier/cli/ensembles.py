@@ -1,0 +1,179 @@
+"""The command `openmm-sier ensemble`: a plan in TOML, and its members on a pool of processes or on dask's workers.
+
+A plan names a command, the options that all members share, and the values of those that vary:
+
+    command = "run"
+    [options]
+    time = 20
+    ensemble = "npt"
+    [members]
+    box = ["spce-512.pdb", "tip3p-512.pdb"]
+    scheme = ["sier2", "sier4g"]
+    seed = [1, 2, 3]
+
+Members are all combinations, here twelve. Files are looked for beside the plan, among the project's own boxes, and
+then as they are named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from openmm_sier.cli import main
+from openmm_sier.cli.console import REPORT, note, table
+from openmm_sier.measure.ensemble import EnsembleError, Member, Outcome, ensemble, is_complete
+from openmm_sier.measure.forcefields import SHIPPED
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+#: Tables and keys of a plan.
+KEYS = ("command", "options", "members")
+
+#: Commands whose members an ensemble may have, each with a run that can be repeated to the byte.
+COMMANDS = ("run", "equipartition", "schemes", "paper")
+
+#: Positional arguments, in place of options.
+POSITIONAL = ("box", "experiment")
+
+#: Options that the ensemble itself sets.
+TAKEN = ("out", "restart", "overwrite")
+
+
+class PlanError(ValueError):
+    """A plan says something that no ensemble can be made of."""
+
+
+def run(
+    plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, only_list: bool
+) -> None:
+    """Carry out `openmm-sier ensemble`.
+
+    Raises:
+        PlanError, EnsembleError, OSError: as their messages say.
+    """
+    members = read_plan(plan)
+    directory = out or plan.with_suffix("")
+    complete = [is_complete(member, directory) for member in members]
+    note(f"{plan}: {len(members)} members in {directory}, {sum(complete)} of them complete")
+    if only_list:
+        rows = [[m.name, "complete" if done else ""] for m, done in zip(members, complete, strict=True)]
+        table(str(plan), ("member", ""), rows, 2)
+        return
+    if scheduler is not None and processes is not None:
+        raise PlanError("--processes is for this machine: the workers of --scheduler take as many as they are told")
+    executor = None if scheduler is None else _workers(scheduler)
+    try:
+        outcomes = ensemble(members, directory, executor, processes, threads, REPORT)
+    except EnsembleError as error:
+        _tell(error.outcomes)
+        raise
+    _tell(outcomes)
+
+
+def _tell(outcomes: list[Outcome] | tuple[Outcome, ...]) -> None:
+    rows = [[o.name, o.error or "complete", str(o.restarts), f"{o.seconds:.1f}"] for o in outcomes]
+    table("Members", ("member", "", "restarts", "s"), rows, 2)
+
+
+def _workers(address: str) -> Executor:
+    try:
+        from distributed import Client
+    except ModuleNotFoundError as error:
+        message = "--scheduler needs dask.distributed; install it with: pip install 'openmm-sier[cluster]'"
+        raise ModuleNotFoundError(message) from error
+    # A member is no function of its arguments alone: what is there of it counts.
+    return Client(address).get_executor(pure=False)
+
+
+# --- the plan ---
+
+
+def read_plan(path: Path) -> list[Member]:
+    """The members of a plan.
+
+    Raises:
+        PlanError: an option is unknown, has a wrong value, or is the ensemble's own.
+        OSError: the file cannot be read.
+    """
+    try:
+        plan = tomllib.loads(path.read_text())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PlanError(f"{path} is no TOML file: {error}") from None
+    if unknown := sorted(set(plan) - set(KEYS)):
+        raise PlanError(f"{path}: expected {', '.join(KEYS)}, got {', '.join(unknown)}")
+    command, shared, axes = plan.get("command", "run"), plan.get("options", {}), plan.get("members", {})
+    if command not in COMMANDS:
+        raise PlanError(f"{path}: command must be one of {', '.join(COMMANDS)}, got {command!r}")
+    if not (isinstance(shared, dict) and isinstance(axes, dict)):
+        raise PlanError(f"{path}: options and members are tables, [options] and [members]")
+    for key, values in axes.items():
+        if not isinstance(values, list) or not values:
+            raise PlanError(f"{path}: {key} in [members] must be a list of the values of the members, got {values!r}")
+        if key in shared:
+            raise PlanError(f"{path}: {key} is in [options] and in [members]")
+    for key in (*shared, *axes):
+        if key.replace("_", "-") in TAKEN:
+            raise PlanError(f"{path}: {key} is set by the ensemble for each member: leave it out")
+    return [
+        _member(path, command, {**shared, **dict(zip(axes, values, strict=True))}, list(axes))
+        for values in product(*axes.values())
+    ]
+
+
+def _member(path: Path, command: str, options: Mapping[str, Any], varied: list[str]) -> Member:
+    arguments = [command]
+    for key in POSITIONAL:
+        if key in options:
+            arguments.append(_text(path, options[key]))
+    for key, value in options.items():
+        if key not in POSITIONAL:
+            arguments += _option(path, key, value)
+    settings = _parsed(path, arguments)
+    # The command line takes options by their first letters, but a plan is kept and read again.
+    if short := [key for key in options if key.replace("-", "_") not in vars(settings)]:
+        raise PlanError(f"{path}: {command} has no option {', '.join(short)}")
+    name = "-".join(_label(key, options[key]) for key in varied) or command
+    time = getattr(settings, "time", None) if command == "run" else None
+    return Member(name, tuple(arguments), time or 0.0)
+
+
+def _option(path: Path, key: str, value: Any) -> list[str]:
+    name = f"--{key.replace('_', '-')}"
+    if value is True:
+        return [name]
+    if value is False:
+        return [f"--no-{name[2:]}"]
+    return [name, *(_text(path, item) for item in (value if isinstance(value, list) else [value]))]
+
+
+def _text(path: Path, value: Any) -> str:
+    """A value as an argument; files by their absolute path, since members have directories of their own."""
+    if isinstance(value, str):
+        for directory in (path.parent, *SHIPPED):
+            if (directory / value).is_file():
+                return str((directory / value).resolve())
+    return str(value)
+
+
+def _parsed(path: Path, arguments: list[str]) -> argparse.Namespace:
+    """The arguments as the command takes them."""
+    try:
+        return main.build_parser().parse_args(arguments)
+    except main.UsageError as error:
+        raise PlanError(f"{path}: {error}") from None
+
+
+def _label(key: str, value: Any) -> str:
+    """A part of a member's name: what varies, in letters that every file system takes."""
+    text = Path(value).stem if isinstance(value, str) else str(value)
+    text = "".join(c if c.isalnum() or c in "._" else "_" for c in text)
+    return text if key in (*POSITIONAL, "scheme", "ensemble") else f"{key}{text}"

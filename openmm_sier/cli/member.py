@@ -1,0 +1,94 @@
+"""A member of an ensemble in a process of its own: `python -m openmm_sier.cli.member COMMAND ...`.
+
+The arguments are a command line of `openmm-sier`, which is executed in the current directory, and goes on from where an
+earlier process was when it ended. The process stops, with a checkpoint, where its standard input ends: so it does not
+outlive the one that started it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from filelock import FileLock
+
+from openmm_sier.cli import records
+from openmm_sier.cli.main import main
+from openmm_sier.cli.plan import NothingLeft
+from openmm_sier.measure.ensemble import COMPLETE
+
+#: Files of a member: the lock that one process holds, and what it is.
+LOCK, NOTES = "lock", "member.json"
+
+#: Names of the files of a run.
+TRAJECTORY, CHECKPOINT = "run.dcd", "run.chk"
+
+#: Options of `openmm-sier run` that may change in a member: it goes on to its new length.
+LENGTHS = ("--time", "--steps")
+
+#: Exit code for a directory that has another member.
+FAILED = 1
+
+
+def execute(arguments: list[str]) -> int:
+    """Do what is left of a member in the current directory; returns the exit code."""
+    # Two workers may have one member where a scheduler took the first for dead: the second waits.
+    with FileLock(LOCK):
+        if _read(COMPLETE) == arguments:
+            return 0
+        identity = _identity(arguments)
+        if (noted := _read(NOTES)) not in (None, identity):
+            there = " ".join(sorted(set(noted) - set(identity))) or "fewer options"
+            print(f"{Path.cwd()} has another member, with {there}: choose another directory", file=sys.stderr)
+            return FAILED
+        _write(NOTES, identity)
+        code = main([*arguments, *_places(arguments)])
+        if code not in (0, NothingLeft.exit_code):
+            return code
+        _write(COMPLETE, arguments)
+        return 0
+
+
+def _places(arguments: list[str]) -> list[str]:
+    """Options for the files that a command writes, and the checkpoint from which a run goes on."""
+    if arguments[0] != "run":
+        return ["--out", "."]
+    if not Path(CHECKPOINT).exists():
+        # What was written before the first checkpoint is written again.
+        return ["--out", TRAJECTORY, "--overwrite"]
+    return ["--restart", CHECKPOINT]
+
+
+def _identity(arguments: list[str]) -> list[str]:
+    """The arguments without the length of a run."""
+    if arguments[0] != "run":
+        return arguments
+    left_out = {i + k for i, argument in enumerate(arguments) if argument in LENGTHS for k in (0, 1)}
+    return [argument for i, argument in enumerate(arguments) if i not in left_out]
+
+
+def _read(path: str) -> list[str] | None:
+    return json.loads(Path(path).read_text()) if Path(path).exists() else None
+
+
+def _write(path: str, content: list[str]) -> None:
+    temporary = records.temporary_checkpoint(Path(path))
+    temporary.write_text(json.dumps(content, indent=1))
+    os.replace(temporary, path)
+
+
+def _stop_with_parent() -> None:
+    """Ask this process to stop when its standard input ends."""
+    # Not through sys.stdin, whose lock the interpreter would want when it ends.
+    while os.read(0, 1024):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_stop_with_parent, daemon=True).start()
+    sys.exit(execute(sys.argv[1:]))

@@ -1,0 +1,292 @@
+"""Many simulations as one: members of an ensemble on the processes of an Executor, on this machine or on many.
+
+Each member is one command line of `openmm-sier`, and has a directory of its own, where a process of its own executes
+it. What happens to that process or to the worker that started it ends nothing: the member goes on from its last
+checkpoint, here or on another machine that sees the same directory. The only protocol is that of
+`concurrent.futures.Executor`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from pathlib import Path
+from time import monotonic
+from typing import Any, NamedTuple
+
+from openmm_sier.measure.report import SILENT, Advance, Report
+
+#: The module that executes a member in a process of its own, see there for its arguments.
+WORKER = "openmm_sier.cli.member"
+
+#: Files in the directory of a member: the output of its commands, the log of an `openmm-sier run`, and the arguments
+#: that it is complete with.
+OUTPUT, LOG, COMPLETE = "output.txt", "run.csv", "complete.json"
+
+#: A member whose process is killed so often without getting further in between is given up.
+MOST_KILLS = 5
+
+#: Seconds between two looks at how far members are.
+LOOK = 0.5
+
+
+class Member(NamedTuple):
+    """One simulation of an ensemble.
+
+    Attributes:
+        name: of its directory.
+        arguments: command line of `openmm-sier`, without the places of files that it writes.
+        length: simulated ps, where progress within it is to be shown; 0 otherwise.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    length: float = 0.0
+
+
+class Outcome(NamedTuple):
+    """The end of a member.
+
+    Attributes:
+        name: of the member.
+        error: the last line that it said, if it failed; empty if it is complete.
+        restarts: how often its process ended before its time and was started again.
+        seconds: wall time on the worker that ended it.
+    """
+
+    name: str
+    error: str
+    restarts: int
+    seconds: float
+
+
+class EnsembleError(RuntimeError):
+    """Members failed, or were stopped; all others are complete.
+
+    Attributes:
+        outcomes: of the members that came to an end.
+    """
+
+    def __init__(self, message: str, outcomes: Sequence[Outcome]):
+        super().__init__(message)
+        self.outcomes = tuple(outcomes)
+
+
+def ensemble(
+    members: Sequence[Member],
+    directory: str | Path,
+    executor: Executor | None = None,
+    processes: int | None = None,
+    threads: int | None = None,
+    report: Report = SILENT,
+) -> list[Outcome]:
+    """Carry out all members that are not complete yet.
+
+    Args:
+        members: with different names.
+        directory: in which each member has its own; workers must see it under this path.
+        executor: takes the members; None: as many processes of this machine as there are `processes`.
+        processes: at a time, without an executor; None: one for each core.
+        threads: of OpenMM in each process; None: one, or what the cores allow where members are fewer.
+        report: receives the progress.
+
+    Returns:
+        An outcome for each member, in their order, those that were complete before included.
+
+    Raises:
+        ValueError: names repeat, or a number is not positive.
+        EnsembleError: members failed. Those that did not are complete nevertheless.
+    """
+    names = [member.name for member in members]
+    if len(set(names)) < len(names):
+        raise ValueError(f"members need names of their own, got {max(names, key=names.count)} more than once")
+    for name, number in (("processes", processes), ("threads", threads)):
+        if number is not None and number < 1:
+            raise ValueError(f"{name} must be at least 1, got {number}")
+    cores = os.cpu_count() or 1
+    processes = processes or max(1, min(cores, len(members)))
+    threads = threads or max(1, cores // processes)
+    place = Path(directory).resolve()
+    if executor is not None:
+        return _sorted(members, _carry_out(executor, members, place, threads, report))
+    with _CHILDREN, ThreadPoolExecutor(processes) as pool:
+        try:
+            return _sorted(members, _carry_out(pool, members, place, threads, report))
+        except BaseException:
+            # Children end at their next step, with a checkpoint, before the pool is left.
+            _CHILDREN.stop()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _sorted(members: Sequence[Member], found: dict[str, Outcome]) -> list[Outcome]:
+    outcomes = [found[member.name] for member in members]
+    if failed := [outcome for outcome in outcomes if outcome.error]:
+        first = failed[0]
+        more = f", and {len(failed) - 1} more" if len(failed) > 1 else ""
+        raise EnsembleError(f"{first.name} failed: {first.error}{more}", outcomes)
+    return outcomes
+
+
+def _carry_out(
+    executor: Executor, members: Sequence[Member], place: Path, threads: int, report: Report
+) -> dict[str, Outcome]:
+    """Submit all members, and those again whose worker was lost."""
+    found = {m.name: Outcome(m.name, "", 0, 0.0) for m in members if is_complete(m, place)}
+    lost = dict.fromkeys((member.name for member in members), 0)
+    with report.progress(f"{len(members)} members", len(members)) as advance:
+        running = {_submit(executor, m, place, threads): m for m in members if m.name not in found}
+        while running:
+            ended = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED).done
+            for future in ended:
+                member = running.pop(future)
+                error = future.exception()
+                if error is None:
+                    found[member.name] = future.result()._replace(restarts=future.result().restarts + lost[member.name])
+                    continue
+                # The worker died, or its machine: an executor that lives on starts the member anew.
+                lost[member.name] += 1
+                if lost[member.name] > MOST_KILLS:
+                    raise EnsembleError(f"{member.name}: its worker was lost: {error!r}", list(found.values()))
+                running[_submit(executor, member, place, threads)] = member
+            _show(advance, members, found, place)
+    return found
+
+
+def _submit(executor: Executor, member: Member, place: Path, threads: int) -> Future[Outcome]:
+    return executor.submit(carry_out, member, str(place), threads)
+
+
+def _show(advance: Advance, members: Sequence[Member], found: dict[str, Outcome], place: Path) -> None:
+    parts = [fraction_done(member, place) for member in members if member.name not in found]
+    running = sum(0 < part < 1 for part in parts)
+    advance(len(found) + sum(parts), f"{len(found)} of {len(members)} members done, {running} running")
+
+
+def is_complete(member: Member, place: Path) -> bool:
+    """Whether a member has been carried out with these arguments."""
+    try:
+        return json.loads((place / member.name / COMPLETE).read_text()) == list(member.arguments)
+    except FileNotFoundError:
+        return False
+
+
+def fraction_done(member: Member, place: Path) -> float:
+    """How much of a member's length its log has; 0 without a log."""
+    if not member.length:
+        return 0.0
+    try:
+        with open(place / member.name / LOG, "rb") as file:
+            columns = file.readline().decode().rstrip().split(",")
+            file.seek(max(file.tell(), os.fstat(file.fileno()).st_size - 4096))
+            rows = [line.split(b",") for line in file.read().splitlines()]
+    except OSError:
+        return 0.0
+    times = [float(row[columns.index("Time (ps)")]) for row in rows if len(row) == len(columns)]
+    return min(1.0, times[-1] / member.length) if times else 0.0
+
+
+# --- on a worker ---
+
+
+class _Children:
+    """The processes of members that this process has started, so that it can stop them."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self.stopped = False
+
+    def __enter__(self) -> _Children:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stopped = False
+
+    def start(self, command: Sequence[str], **settings: Any) -> subprocess.Popen[bytes] | None:
+        """Start a process, unless all are to stop."""
+        with self._lock:
+            if self.stopped:
+                return None
+            child = subprocess.Popen(command, stdin=subprocess.PIPE, **settings)
+            self._running.add(child)
+            return child
+
+    def forget(self, child: subprocess.Popen[bytes]) -> None:
+        with self._lock:
+            self._running.discard(child)
+
+    def stop(self) -> None:
+        """Tell all children to stop, and start no more: they end where their standard input does."""
+        with self._lock:
+            self.stopped = True
+            for child in self._running:
+                if child.stdin is not None:
+                    child.stdin.close()
+
+
+_CHILDREN = _Children()
+
+
+def carry_out(member: Member, place: str, threads: int) -> Outcome:
+    """Execute a member in a process of its own, and again from its checkpoint where that process was killed.
+
+    Args:
+        member: of the ensemble.
+        place: directory of the ensemble.
+        threads: of OpenMM.
+
+    Returns:
+        Its end; it tells errors, and raises none of its own.
+    """
+    directory = Path(place) / member.name
+    directory.mkdir(parents=True, exist_ok=True)
+    begun, restarts, kills, reached = monotonic(), 0, 0, -1.0
+    command = [sys.executable, "-m", WORKER, *member.arguments]
+    environment = os.environ | {"OPENMM_CPU_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
+    while True:
+        code = _wait_for(command, directory, environment)
+        if code == 0:
+            return Outcome(member.name, "", restarts, monotonic() - begun)
+        if code is None:
+            return Outcome(member.name, "stopped", restarts, monotonic() - begun)
+        if not _was_killed(code):
+            return Outcome(member.name, _last_line(directory / OUTPUT), restarts, monotonic() - begun)
+        restarts += 1
+        now = fraction_done(member, Path(place))
+        kills = 0 if now > reached else kills + 1
+        reached = now
+        if kills == MOST_KILLS:
+            error = f"ended {MOST_KILLS} times without getting further, the last time with exit code {code}"
+            return Outcome(member.name, error, restarts, monotonic() - begun)
+
+
+def _wait_for(command: Sequence[str], directory: Path, environment: dict[str, str]) -> int | None:
+    """Exit code of a process in a directory; None if it was not to be started."""
+    with open(directory / OUTPUT, "ab") as output:
+        child = _CHILDREN.start(
+            command, cwd=directory, env=environment, stdout=output, stderr=subprocess.STDOUT, close_fds=True
+        )
+        if child is None:
+            return None
+        try:
+            return child.wait()
+        finally:
+            _CHILDREN.forget(child)
+            child.kill()
+            child.wait()
+
+
+def _was_killed(code: int) -> bool:
+    """Whether a signal ended a process, also one after which it wrote its files."""
+    return code < 0 or code > 128
+
+
+def _last_line(path: Path) -> str:
+    lines = path.read_text(errors="replace").split("\n")
+    return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")

@@ -1,0 +1,169 @@
+"""Plans of ensembles, and the command that carries them out."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from openmm_sier.cli.ensembles import PlanError, read_plan
+from openmm_sier.cli.main import main
+from openmm_sier.cli.member import NOTES, execute
+from openmm_sier.measure.ensemble import COMPLETE, WORKER, ensemble, fraction_done, is_complete
+from tests.support.commands import complaint, wait_for, write_lattice
+
+PLAN = """
+[options]
+time = 0.4
+ensemble = "nvt"
+platform = "Reference"
+equilibrate = 0.02
+report_every = 0.02
+checkpoint_every = 0.04
+every = 0.04
+[members]
+box = ["box.pdb"]
+scheme = ["sier2"]
+dt = [4]
+seed = [1, 2]
+"""
+
+
+@pytest.fixture
+def plan(tmp_path):
+    write_lattice(tmp_path / "box.pdb", 8)
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_members_are_all_combinations(plan):
+    plan.write_text(PLAN.replace("dt = [4]", "dt = [2, 4.5]\nminimize = [true, false]"))
+    members = read_plan(plan)
+    assert len(members) == 8
+    assert members[0].name == "box-sier2-dt2-minimizeTrue-seed1"
+    assert members[-1].name == "box-sier2-dt4.5-minimizeFalse-seed2"
+    assert members[-1].length == 0.4
+    command, box, *options = members[-1].arguments
+    assert (command, box) == ("run", str((plan.parent / "box.pdb").resolve()))
+    assert "--no-minimize" in options
+    assert options[options.index("--report-every") + 1] == "0.02"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[options]", "[option]", "expected command, options, members, got option"),
+        ("[options]", 'command = "bench"\n[options]', "command must be one of run, equipartition, schemes, paper"),
+        ("dt = [4]", "dt = 4", r"dt in \[members\] must be a list"),
+        ("dt = [4]", "dt = []", r"dt in \[members\] must be a list"),
+        ("dt = [4]", 'ensemble = ["nve"]', r"ensemble is in \[options\] and in \[members\]"),
+        ("dt = [4]", 'out = ["here"]', "out is set by the ensemble"),
+        ("dt = [4]", "dt = [-4]", "expected a number above 0, got '-4'"),
+        ("dt = [4]", "speed = [4]", "unrecognized arguments: --speed 4"),
+        ("dt = [4]", "temp = [4]", "run has no option temp"),
+        ("time = 0.4", "time = ", "is no TOML file"),
+    ],
+)
+def test_wrong_plans_are_refused_before_anything_runs(plan, capsys, old, new, message):
+    plan.write_text(PLAN.replace(old, new))
+    with pytest.raises(PlanError, match=message):
+        read_plan(plan)
+    assert str(plan) in complaint(capsys, "ensemble", plan)
+    assert not plan.with_suffix("").exists()
+
+
+def outputs(place):
+    return {path.name: path.read_bytes() for path in place.iterdir() if path.suffix in (".csv", ".dcd")}
+
+
+def carry_out(member, place, monkeypatch):
+    """Execute a member here, without a process of its own."""
+    place.mkdir(exist_ok=True)
+    monkeypatch.chdir(place)
+    return execute(list(member.arguments))
+
+
+@pytest.mark.slow
+def test_kills_leave_no_trace(plan, tmp_path, monkeypatch):
+    (first, *_) = read_plan(plan)
+    assert carry_out(first, tmp_path / "quiet", monkeypatch) == 0
+    place = tmp_path / "killed" / first.name
+
+    def kill(condition):
+        """Kill the process of the member once something is true."""
+        end = time.monotonic() + 300
+        while time.monotonic() < end:
+            running = subprocess.run(["pgrep", "-f", WORKER], capture_output=True, text=True).stdout.split()
+            for pid in map(int, running):
+                with contextlib.suppress(OSError):
+                    if Path(os.readlink(f"/proc/{pid}/cwd")) == place and condition():
+                        os.kill(pid, signal.SIGKILL)
+                        return
+            time.sleep(0.01)
+
+    def kill_twice():
+        # Before the first checkpoint, and with half of the run done.
+        kill(lambda: True)
+        kill(lambda: fraction_done(first, place.parent) >= 0.5)
+
+    thread = threading.Thread(target=kill_twice)
+    thread.start()
+    (outcome,) = ensemble([first], tmp_path / "killed")
+    thread.join()
+    assert outcome.restarts == 2
+    assert outputs(place) == outputs(tmp_path / "quiet")
+
+
+def test_a_member_does_what_is_left(plan, tmp_path, monkeypatch, capsys):
+    (first, *_) = read_plan(plan)
+    place = tmp_path / "member"
+    assert carry_out(first, place, monkeypatch) == 0
+    done = outputs(place)
+    assert set(done) == {"run.csv", "run.dcd"}
+    # It did not come to note that it was complete.
+    (place / COMPLETE).unlink()
+    assert carry_out(first, place, monkeypatch) == 0
+    assert is_complete(first, tmp_path) is False
+    assert is_complete(first._replace(name="member"), tmp_path)
+    assert outputs(place) == done
+
+    longer = first._replace(arguments=tuple("0.48" if word == "0.4" else word for word in first.arguments))
+    assert not is_complete(longer._replace(name="member"), tmp_path)
+    assert carry_out(longer, place, monkeypatch) == 0
+    assert outputs(place)["run.csv"].startswith(done["run.csv"])
+    assert len(outputs(place)["run.dcd"]) > len(done["run.dcd"])
+
+    other = first._replace(arguments=tuple("0.06" if word == "0.02" else word for word in first.arguments))
+    capsys.readouterr()
+    assert carry_out(other, place, monkeypatch) == 1
+    assert "has another member, with 0.02: choose another directory" in capsys.readouterr().err
+
+
+def test_the_command_lists_members_and_fails_with_them(plan, tmp_path, capsys):
+    plan.write_text(PLAN.replace("seed = [1, 2]", 'rigid = ["NONE"]'))
+    assert main(["ensemble", str(plan), "--list"]) == 0
+    assert "0 of them complete" in capsys.readouterr().out
+    assert not plan.with_suffix("").exists()
+    assert "NONE" in complaint(capsys, "ensemble", plan)
+
+
+def test_a_member_ends_with_the_process_that_started_it(plan, tmp_path):
+    (first, *_) = read_plan(plan)
+    place = tmp_path / "alone"
+    place.mkdir()
+    arguments = [argument.replace("0.4", "400") for argument in first.arguments]
+    child = subprocess.Popen(
+        [sys.executable, "-m", WORKER, *arguments], cwd=place, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
+    )
+    wait_for((place / "run.chk").exists, child)
+    child.stdin.close()
+    assert child.wait(120) == 128 + signal.SIGTERM
+    assert json.loads((place / NOTES).read_text())[0] == "run"
+    assert not (place / COMPLETE).exists()

@@ -1,0 +1,153 @@
+"""Members of an ensemble on the processes of an Executor."""
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from openmm_sier.measure import ensemble as module
+from openmm_sier.measure.ensemble import COMPLETE, LOG, EnsembleError, Member, ensemble, fraction_done
+from tests.support import members
+from tests.support.members import HEADING
+
+
+@pytest.fixture(autouse=True)
+def counting(monkeypatch):
+    monkeypatch.setattr(module, "WORKER", "tests.support.members")
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+
+
+def counters(*lasts):
+    return [Member(f"to{last}", (str(last),), float(last)) for last in lasts]
+
+
+def counted(last):
+    return HEADING + "".join(f"{n},{n}\n" for n in range(1, last + 1))
+
+
+@pytest.mark.parametrize("make", [lambda: None, lambda: ThreadPoolExecutor(2)])
+def test_all_members_are_carried_out_once(tmp_path, make):
+    outcomes = ensemble(counters(2, 3, 4), tmp_path, make(), processes=2)
+    assert [(o.name, o.error, o.restarts) for o in outcomes] == [(f"to{n}", "", 0) for n in (2, 3, 4)]
+    again = ensemble(counters(2, 3, 4, 5), tmp_path, make())
+    for last in (2, 3, 4, 5):
+        assert (tmp_path / f"to{last}" / LOG).read_text() == counted(last)
+    # Those that were complete have not been started.
+    assert [o.seconds > 0 for o in again] == [False, False, False, True]
+
+
+def killer(place, name, at, number):
+    """Kill the process of a member when it has come so far, as soon as it runs; returns the thread."""
+
+    def kill():
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            log = place / name / LOG
+            if log.exists() and log.read_text().count("\n") > at:
+                for pid in map(int, os.popen(f"pgrep -f 'tests.support.members {number}$'").read().split()):
+                    os.kill(pid, signal.SIGKILL)
+                return
+            time.sleep(0.005)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    return thread
+
+
+def test_a_killed_member_goes_on(tmp_path):
+    # A number that no other test counts to: processes are found by it.
+    thread = killer(tmp_path, "to97", 20, 97)
+    (outcome,) = ensemble(counters(97), tmp_path)
+    thread.join()
+    assert outcome.restarts == 1
+    assert (tmp_path / "to97" / LOG).read_text() == counted(97)
+
+
+def test_a_member_that_gets_nowhere_is_given_up(tmp_path, monkeypatch):
+    killed = tmp_path / "killed.sh"
+    killed.write_text("#!/bin/sh\nkill -9 $$\n")
+    killed.chmod(0o755)
+    monkeypatch.setattr(module.sys, "executable", str(killed))
+    with pytest.raises(EnsembleError, match="without getting further") as caught:
+        ensemble(counters(3), tmp_path)
+    assert caught.value.outcomes[0].restarts == module.MOST_KILLS + 1
+
+
+def test_a_member_that_fails_does_not_hinder_the_others(tmp_path):
+    with pytest.raises(EnsembleError, match="wrong failed: expected a number, got x") as caught:
+        ensemble([Member("wrong", ("x",)), *counters(3)], tmp_path, processes=1)
+    assert [bool(o.error) for o in caught.value.outcomes] == [True, False]
+    assert (tmp_path / "to3" / LOG).read_text() == counted(3)
+
+
+def test_a_lost_worker_is_replaced(tmp_path):
+    class Losing(ThreadPoolExecutor):
+        """Loses the first task that it is given."""
+
+        lost = False
+
+        def submit(self, function, *arguments):
+            if not self.lost:
+                self.lost = True
+                return super().submit(os.stat, "no such worker")
+            return super().submit(function, *arguments)
+
+    outcomes = ensemble(counters(2, 3), tmp_path, Losing(1))
+    assert sorted(o.restarts for o in outcomes) == [0, 1]
+    assert (tmp_path / "to2" / LOG).read_text() == counted(2)
+
+
+def test_an_interrupt_stops_the_children(tmp_path):
+    class Interrupting:
+        """A report whose progress is interrupted once the member runs."""
+
+        def progress(self, *_):
+            class Context:
+                def __enter__(self):
+                    return self.advance
+
+                def __exit__(self, *_):
+                    pass
+
+                @staticmethod
+                def advance(done, description=None):
+                    if done > 0:
+                        raise KeyboardInterrupt
+
+            return Context()
+
+    with pytest.raises(KeyboardInterrupt):
+        ensemble(counters(1000), tmp_path, report=Interrupting())
+    # It would take 20 s to count so far.
+    assert 1 < (tmp_path / "to1000" / LOG).read_text().count("\n") < 1000
+
+
+def test_wrong_arguments(tmp_path):
+    with pytest.raises(ValueError, match="to2 more than once"):
+        ensemble(counters(2, 3, 2), tmp_path)
+    with pytest.raises(ValueError, match="processes must be at least 1, got 0"):
+        ensemble(counters(2), tmp_path, processes=0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_progress_within_a_member(tmp_path):
+    member = Member("one", ("8",), 8.0)
+    assert fraction_done(member, tmp_path) == 0
+    (tmp_path / "one").mkdir()
+    # The last line is being written.
+    (tmp_path / "one" / LOG).write_text(HEADING + "1,1\n2,2\n3")
+    assert fraction_done(member, tmp_path) == 0.25
+
+
+def test_members_travel_to_other_processes(tmp_path):
+    with ProcessPoolExecutor(1) as pool:
+        ensemble(counters(3), tmp_path, pool)
+    assert (tmp_path / "to3" / LOG).read_text() == counted(3)
+
+
+def test_the_counting_member_writes_what_real_ones_do():
+    assert (members.LOG, members.COMPLETE) == (LOG, COMPLETE)
