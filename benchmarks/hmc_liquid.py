@@ -117,7 +117,8 @@ def table(options: argparse.Namespace) -> None:
         print(
             f"| {data['method']} {data['per_force']:g} fs | {time[-1] - time[0]:.0f} | {data['accepted']:.3f} | "
             f"{cell(potential, 1)} | {cell(translation, 2)} | {cell(rotation, 2)} | "
-            f"{cell(float(data['mass']) * DENSITY / volume, 4)} | {inefficiency * forces:.0f} | {turning * forces:.0f} |"
+            f"{cell(float(data['mass']) * DENSITY / volume, 4)} | "
+            f"{inefficiency * forces:.0f} | {turning * forces:.0f} |"
         )
 
 

@@ -103,7 +103,16 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog=streams.PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action="version", version=f"{streams.PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (_add_run, _add_ensemble, _add_info, _add_paper, _add_equipartition, _add_schemes, _add_bench):
+    for add in (
+        _add_run,
+        _add_ensemble,
+        _add_properties,
+        _add_info,
+        _add_paper,
+        _add_equipartition,
+        _add_schemes,
+        _add_bench,
+    ):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
@@ -223,6 +232,40 @@ def _ensemble(options: argparse.Namespace) -> None:
     from openmm_sier.cli import ensembles
 
     ensembles.run(options.plan, options.out, options.processes, options.threads, options.scheduler, options.list)
+
+
+# --- properties ---
+
+
+def _add_properties(commands: Commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "properties",
+        help="density, energy, dielectric constant, diffusion and more from runs of a liquid",
+        description="Properties of a liquid of one kind of molecule, from runs that differ in their seeds alone, with "
+        "their standard errors and beside those of water. Writes a figure.",
+    )
+    parser.add_argument(
+        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
+    )
+    parser.add_argument("--box", metavar="BOX.pdb", type=Path, help="default: the one that the run was of")
+    parser.add_argument(
+        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
+    )
+    parser.add_argument(
+        "--viscosity",
+        metavar="MPA*S",
+        type=positive,
+        help="of the same model: adds diffusion without the effect of the periodic box",
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out"), help="for the figure")
+    parser.set_defaults(execute=_properties)
+    return parser
+
+
+def _properties(options: argparse.Namespace) -> None:
+    from openmm_sier.cli import properties
+
+    properties.properties_of(options.runs, options.box, options.skip, options.viscosity, options.out)
 
 
 # --- info ---

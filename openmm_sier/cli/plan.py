@@ -45,7 +45,7 @@ CONTINUED = (
 )
 
 #: Fields of a plan that are files. A checkpoint notes them relative to itself.
-FILES = ("out", "report", "bodies")
+FILES = ("out", "report", "bodies", "box")
 
 
 class RunError(ValueError):
@@ -124,6 +124,7 @@ class Plan:
     bodies_every: float = 0.1
     unwrapped: bool = False
     steps_per_trial: int = 0
+    box: str | None = None
 
     @property
     def moves_volume(self) -> bool:
@@ -194,6 +195,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
         bodies=None if bodies is None else str(bodies),
         unwrapped=bool(options.unwrapped),
         steps_per_trial=_first(options.steps_per_trial, TRIAL) if ensemble == "hmc" else 0,
+        box=str(options.box),
     )
 
 
@@ -225,6 +227,16 @@ def _length(options: Options, dt: float) -> int | None:
     return max(1, round(options.time * 1000 / dt)) if options.time is not None else options.steps
 
 
+def noted_plan(checkpoint: Path, saved: dict[str, Any]) -> Plan:
+    """The plan that a checkpoint notes, its files as they are to be found from here."""
+    beside = {
+        name: os.path.normpath(os.path.join(os.path.dirname(checkpoint), saved[name]))
+        for name in FILES
+        if saved.get(name)
+    }
+    return Plan(**{**saved, **beside})
+
+
 def continued_plan(options: Options, checkpoint: Path, saved: dict[str, Any]) -> Plan:
     """The plan of a checkpoint, with another length if one is given.
 
@@ -233,12 +245,7 @@ def continued_plan(options: Options, checkpoint: Path, saved: dict[str, Any]) ->
     """
     if options.start:
         _check_combinations(options, saved["ensemble"])
-    beside = {
-        name: os.path.normpath(os.path.join(os.path.dirname(checkpoint), saved[name]))
-        for name in FILES
-        if saved.get(name)
-    }
-    plan = Plan(**{**saved, **beside})
+    plan = noted_plan(checkpoint, saved)
     for name in CONTINUED:
         given, noted = getattr(options, name), getattr(plan, name)
         given = os.path.normpath(given) if isinstance(given, Path) else given
@@ -246,4 +253,5 @@ def continued_plan(options: Options, checkpoint: Path, saved: dict[str, Any]) ->
             value = " ".join(given) if isinstance(given, list) else given
             option = f"--{name.replace('_', '-')}" + ("" if given is True else f" {value}")
             raise RunError(f"{option} differs from {noted} of {checkpoint}; leave it out")
-    return Plan(**{**asdict(plan), "steps": _length(options, plan.dt) or plan.steps})
+    longer = {"steps": _length(options, plan.dt) or plan.steps, "box": str(options.box)}
+    return Plan(**{**asdict(plan), **longer})

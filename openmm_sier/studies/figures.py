@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from openmm_sier.measure.properties import mean_square_displacements, orientation_correlation
 from openmm_sier.studies import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from openmm_sier.measure.liquid_samples import LiquidSamples
 
 
 def equipartition_figure(rows: Sequence[Any], ensemble: str, path: Path) -> None:
@@ -40,6 +43,35 @@ def equipartition_figure(rows: Sequence[Any], ensemble: str, path: Path) -> None
         axes.set_ylabel(r"$T_\mathrm{rot} - T_\mathrm{trans}$ (K)")
         axes.set_title(f"Equipartition in liquid water, {ensemble.upper()}")
         axes.legend()
+        figure.savefig(path)
+
+
+def property_figure(samples: Sequence[LiquidSamples], title: str, path: Path) -> None:
+    """Pair distribution, displacements and the decay of orientations of a liquid, the mean of all runs.
+
+    Args:
+        samples: of runs with the same interval between frames.
+        title: above the figure.
+        path: PNG file to write.
+    """
+    with style.context():
+        figure, (pairs, displacements, turning) = style.panels(3, title)
+        first = samples[0]
+        colour = style.of_method("SIER4G")["color"]
+        pairs.plot(first.distances, np.mean([run.pairs for run in samples], axis=0), color=colour)
+        pairs.set_xlabel("distance (nm)")
+        pairs.set_ylabel("pair distribution of first atoms")
+        longest = min(len(run.centres) for run in samples) // 4
+        times = np.arange(longest) * first.interval
+        squares = np.mean([mean_square_displacements(run.centres)[:longest] for run in samples], axis=0)
+        displacements.plot(times, squares, color=colour)
+        displacements.set_xlabel("time (ps)")
+        displacements.set_ylabel("mean square displacement (nm²)")
+        decay = np.mean([orientation_correlation(run.directions, longest) for run in samples], axis=0)[:longest]
+        shown = decay > 0.02
+        turning.semilogy(times[shown], decay[shown], color=colour)
+        turning.set_xlabel("time (ps)")
+        turning.set_ylabel(r"$\langle P_2 \rangle$ of orientations")
         figure.savefig(path)
 
 

@@ -1,0 +1,160 @@
+"""Samples of a liquid of rigid molecules from the trajectory of a run: centres, orientations and dipoles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import mdtraj
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.measure.forcefields import Box
+
+#: Unit of charges.
+CHARGE = unit.elementary_charge
+
+#: Frames that are read at a time.
+CHUNK = 200
+
+#: Bins of pair distributions in nm.
+BIN = 0.002
+
+
+class LiquidSamples(NamedTuple):
+    """Frames of a trajectory.
+
+    Attributes:
+        interval: ps between frames.
+        centres: (n, m, 3), nm, of the molecules' first atoms, unwrapped, without the motion of the whole.
+        directions: (n, m, 3), unit vectors from the second atom to the third, H to H in water.
+        dipoles: (n, 3) of the box, e nm; None where molecules are charged, so that it depends on their images.
+        volumes: (n,), nm^3.
+        distances: (b,), nm, middles of the bins of pair distances.
+        pairs: (b,), radial distribution of the first atoms.
+    """
+
+    interval: float
+    centres: np.ndarray
+    directions: np.ndarray
+    dipoles: np.ndarray | None
+    volumes: np.ndarray
+    distances: np.ndarray
+    pairs: np.ndarray
+
+
+class NoLiquidError(ValueError):
+    """A trajectory is not that of a periodic liquid of one kind of molecule with three atoms or more."""
+
+
+def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0) -> LiquidSamples:
+    """Read a trajectory of whole molecules.
+
+    Args:
+        trajectory: .dcd, .xtc or .h5.
+        box: the PDB file, whose listed atoms the trajectory has.
+        interval: ps between frames.
+        skip: ps to leave out at the beginning.
+
+    Raises:
+        NoLiquidError: there is more than one kind of molecule, or no periodic box.
+        OSError: the file cannot be read.
+    """
+    first = _first_atoms(box)
+    topology = mdtraj.Topology.from_openmm(box.topology).subset(box.listed)
+    place = np.full(box.topology.getNumAtoms(), -1)
+    place[box.listed] = np.arange(len(box.listed))
+    oxygens = place[first]
+    frames, lengths, directions, dipoles, pairs = [], [], [], [], []
+    sites = _Sites(box)
+    count = min(len(first), 512)
+    chosen = topology.select_pairs(oxygens[:count], oxygens)
+    settings = {} if trajectory.suffix == ".h5" else {"top": topology}
+    for chunk in mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=round(skip / interval), **settings):
+        if chunk.unitcell_lengths is None:
+            raise NoLiquidError(f"{trajectory} has no periodic box")
+        frames.append(chunk.xyz[:, oxygens].astype(float))
+        lengths.append(chunk.unitcell_lengths.astype(float))
+        arms = (chunk.xyz[:, oxygens + 2] - chunk.xyz[:, oxygens + 1]).astype(float)
+        directions.append(arms / np.linalg.norm(arms, axis=2, keepdims=True))
+        dipoles.append(sites.dipoles(chunk.xyz))
+        reach = 0.5 * chunk.unitcell_lengths.min()
+        distances, found = mdtraj.compute_rdf(chunk[::10], chosen, r_range=(0.0, min(1.0, reach)), bin_width=BIN)
+        pairs.append(found)
+    if not frames:
+        raise NoLiquidError(f"{trajectory} has no frames after {skip:g} ps")
+    edges = np.concatenate(lengths)
+    n = min(map(len, pairs))
+    return LiquidSamples(
+        interval,
+        unwrapped(np.concatenate(frames), edges),
+        np.concatenate(directions),
+        np.concatenate(dipoles) if sites.neutral else None,
+        edges.prod(axis=1),
+        distances[:n],
+        np.mean([found[:n] for found in pairs], axis=0),
+    )
+
+
+def _first_atoms(box: Box) -> np.ndarray:
+    residues = list(box.topology.residues())
+    kinds = sorted({residue.name for residue in residues})
+    sizes = {len(list(residue.atoms())) for residue in residues}
+    if len(kinds) > 1 or min(sizes) < 3:
+        raise NoLiquidError(
+            f"properties are those of one kind of molecule with three atoms or more, the box has residues "
+            f"{', '.join(kinds)}"
+        )
+    return np.array([next(iter(residue.atoms())).index for residue in residues])
+
+
+def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Places (n, m, 3) followed through the faces of rectangular boxes of edges (n, 3), without the mean motion.
+
+    Each step is the shortest one in the box at its end, which keeps diffusion right where the box changes.
+
+    Source: von Bülow, Bullerjahn and Hummer, J. Chem. Phys. 153, 021101 (2020).
+    """
+    steps = np.diff(wrapped, axis=0)
+    now = edges[1:, None]
+    steps -= now * np.round(steps / now)
+    steps -= steps.mean(axis=1, keepdims=True)
+    return np.concatenate([wrapped[:1], wrapped[:1] + np.cumsum(steps, axis=0)])
+
+
+class _Sites:
+    """Charges of a box and the places of its virtual sites, which a trajectory may leave out.
+
+    Attributes:
+        neutral: whether no molecule has a charge.
+    """
+
+    def __init__(self, box: Box):
+        force = next(f for f in box.system.getForces() if isinstance(f, openmm.NonbondedForce))
+        n = box.system.getNumParticles()
+        self._charges = np.array([force.getParticleParameters(i)[0].value_in_unit(CHARGE) for i in range(n)])
+        self._listed = box.listed
+        owners = np.array([atom.residue.index for atom in box.topology.atoms()])
+        self.neutral = bool(np.abs(np.bincount(owners, self._charges)).max() < 1e-6)
+        self._context = None
+        if len(box.listed) < n:
+            bare = openmm.XmlSerializer.clone(box.system)
+            for number in reversed(range(bare.getNumForces())):
+                bare.removeForce(number)
+            reference = openmm.Platform.getPlatformByName("Reference")
+            self._context = openmm.Context(bare, openmm.VerletIntegrator(0.001), reference)
+
+    def dipoles(self, frames: np.ndarray) -> np.ndarray:
+        """Dipole (n, 3) in e nm of frames (n, listed, 3)."""
+        if self._context is None:
+            return np.einsum("i,nix->nx", self._charges, frames.astype(float))
+        found = []
+        for frame in frames:
+            places = np.zeros((len(self._charges), 3))
+            places[self._listed] = frame
+            self._context.setPositions(places)
+            self._context.computeVirtualSites()
+            places = self._context.getState(positions=True).getPositions(asNumpy=True)
+            found.append(self._charges @ places.value_in_unit(unit.nanometer))
+        return np.array(found)

@@ -1,0 +1,248 @@
+"""Properties of liquids from samples of a run: averages, fluctuations and correlations, each with its standard error.
+
+Errors come from the number of independent samples in a series (`pymbar.timeseries`), and where a property is no mean
+of a series, from the scatter between parts of the run, which must be longer than what relaxes in it.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+
+#: Vacuum permittivity, e^2 mol/(kJ nm) (CODATA 2018).
+PERMITTIVITY = 5.72765723e-4
+
+#: 1 nm^2/ps in 10^-9 m^2/s, and kJ/mol/(nm^3) ps in mPa s.
+NM2_PER_PS, KJ_PER_NM3_PS = 1e3, 1.66053907e-3
+
+#: Of a cubic lattice with a neutralizing background (Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004), Eq. 12).
+YEH_HUMMER = 2.837297
+
+#: Parts of a run whose scatter is the error of what is no mean of a series.
+PARTS = 8
+
+
+class Estimate(NamedTuple):
+    """A value and its standard error, NaN where there is none."""
+
+    value: float
+    error: float
+
+    def __str__(self) -> str:
+        if not (self.error > 0 and math.isfinite(self.error)):
+            return f"{self.value:.4g}"
+        digits = max(0, 1 - math.floor(math.log10(self.error)))
+        return f"{self.value:.{digits}f} ± {self.error:.{digits}f}"
+
+    def times(self, factor: float) -> Estimate:
+        """In another unit."""
+        return Estimate(self.value * factor, self.error * abs(factor))
+
+
+def mean(series: np.ndarray) -> Estimate:
+    """Mean of a correlated series (n,), the error from its statistical inefficiency.
+
+    Source: Chodera et al., J. Chem. Theory Comput. 3, 26 (2007).
+    """
+    values = np.asarray(series, dtype=float)
+    spread = float(values.std())
+    if spread <= 1e-13 * abs(values.mean()):
+        return Estimate(float(values.mean()), 0.0)
+    return Estimate(float(values.mean()), spread * math.sqrt(inefficiency(values) / len(values)))
+
+
+def inefficiency(values: np.ndarray) -> float:
+    """How many samples of a series (n,) are worth one independent sample."""
+    try:
+        # It advises at each import to install JAX.
+        logging.getLogger("pymbar").setLevel(logging.ERROR)
+        from pymbar.timeseries import statistical_inefficiency
+    except ModuleNotFoundError as error:
+        message = "properties need pymbar; install it with: pip install 'openmm-sier[properties]'"
+        raise ModuleNotFoundError(message) from error
+    return float(statistical_inefficiency(values))
+
+
+def pooled(estimates: Sequence[Estimate]) -> Estimate:
+    """Mean over independent runs of one length; the error from their scatter where there are five or more."""
+    values, errors = np.array(estimates, dtype=float).T
+    n = len(values)
+    error = values.std(ddof=1) / math.sqrt(n) if n >= 5 else math.sqrt((errors**2).sum()) / n
+    return Estimate(float(values.mean()), float(error))
+
+
+def of_parts(estimate: Callable[[np.ndarray], float], n: int, parts: int = PARTS) -> Estimate:
+    """An estimate from all of n samples, and its standard error by the jackknife over equal parts of the run.
+
+    Args:
+        estimate: from indices of samples to a number.
+        n: number of samples.
+        parts: how many; each must be longer than the correlation time.
+    """
+    if n < 2 * parts:
+        return Estimate(estimate(np.arange(n)), math.nan)
+    edges = np.linspace(0, n, parts + 1).astype(int)
+    left_out = np.array([estimate(np.r_[0:a, b:n]) for a, b in pairwise(edges)])
+    error = math.sqrt((parts - 1) / parts * ((left_out - left_out.mean()) ** 2).sum())
+    return Estimate(estimate(np.arange(n)), error)
+
+
+def heat_capacity(energy: np.ndarray, temperature: float, molecules: int) -> Estimate:
+    """Heat capacity per mole of molecules, J/mol/K, from the fluctuations of an energy.
+
+    Args:
+        energy: (n,), kJ/mol: the total energy at constant volume, the enthalpy at constant pressure.
+        temperature: K, of the ensemble.
+        molecules: their number.
+    """
+    scale = 1e3 / (GAS_CONSTANT * temperature**2 * molecules)
+    return of_parts(lambda part: float(np.var(energy[part])) * scale, len(energy))
+
+
+def dielectric_constant(dipoles: np.ndarray, volumes: np.ndarray, temperature: float) -> Estimate:
+    """Static dielectric constant with conducting boundaries, from the fluctuations of the dipole of the box.
+
+    Args:
+        dipoles: (n, 3), e nm, of whole molecules.
+        volumes: (n,), nm^3.
+        temperature: K.
+
+    Source: Neumann, Mol. Phys. 50, 841 (1983). Means of the dipole, which vanish by symmetry, are not subtracted.
+    """
+    scale = 1 / (3 * PERMITTIVITY * GAS_CONSTANT * temperature)
+    squares = (dipoles**2).sum(axis=1)
+    return of_parts(lambda part: 1 + scale * float(squares[part].mean() / volumes[part].mean()), len(squares))
+
+
+def vaporization_enthalpy(potential: Estimate, temperature: float, molecules: int) -> Estimate:
+    """Enthalpy of vaporization of rigid molecules to an ideal gas, kJ/mol.
+
+    The gas has no potential energy, and the volume of the liquid is left out. No correction for the polarization of the
+    liquid is added: SPC/E, TIP4P/2005 and others were made with one.
+
+    Args:
+        potential: mean of the potential energy of the liquid, kJ/mol.
+        temperature: K.
+        molecules: their number.
+    """
+    return Estimate(GAS_CONSTANT * temperature - potential.value / molecules, potential.error / molecules)
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+
+
+def mean_square_displacements(centres: np.ndarray) -> np.ndarray:
+    """Mean over molecules and origins of the squared displacement, (n,) by the number of frames between.
+
+    Args:
+        centres: (n, m, 3), unwrapped.
+
+    Source: Kneller et al., Comput. Phys. Commun. 91, 191 (1995), by fast Fourier transforms.
+    """
+    n = len(centres)
+    counts = n - np.arange(n)
+    squares = (centres**2).sum(axis=2)
+    transform = np.fft.rfft(centres, 2 * n, axis=0)
+    products = np.fft.irfft((np.abs(transform) ** 2).sum(axis=(1, 2)), 2 * n)[:n] / counts
+    ends = np.concatenate([squares, np.zeros((1, squares.shape[1]))]).sum(axis=1)
+    # Sums of the squares at both ends of all intervals of one length, from those of the intervals that are one shorter.
+    sums = 2 * ends[:-1].sum() - np.concatenate([[0], np.cumsum(ends[: n - 1])])
+    sums -= np.concatenate([[0], np.cumsum(ends[n - 1 : 0 : -1])])
+    return (sums / counts - 2 * products) / centres.shape[1]
+
+
+def self_diffusion(
+    centres: np.ndarray, interval: float, first: float = 2.0, last: float = 10.0, parts: int = PARTS
+) -> Estimate:
+    """Coefficient of self-diffusion in the periodic box, 10^-9 m^2/s, by Einstein's relation.
+
+    The run is cut into parts, each of which gives a slope of the mean square displacement.
+
+    Args:
+        centres: (n, m, 3) of molecules, nm, unwrapped, without drift of the whole.
+        interval: ps between frames.
+        first, last: ps between which the slope is taken; below, molecules rattle in their cages.
+        parts: of the run, each longer than `last`; fewer where it is too short.
+
+    Raises:
+        ValueError: the run is not longer than `last`.
+    """
+    n, begin, end = len(centres), round(first / interval), round(last / interval)
+    parts = min(parts, (n - 1) // max(1, end))
+    if parts < 1 or end - begin < 2:
+        raise ValueError(
+            f"self-diffusion needs a run of more than {last:g} ps with frames {last / 10:g} ps apart or less, got "
+            f"{n * interval:g} ps with frames {interval:g} ps apart"
+        )
+    lags = np.arange(begin, end + 1)
+    slopes = [
+        np.polyfit(lags * interval, mean_square_displacements(part)[lags], 1)[0] / 6
+        for part in np.array_split(centres, parts)
+    ]
+    error = np.std(slopes, ddof=1) / math.sqrt(parts) if parts > 1 else math.nan
+    return Estimate(float(np.mean(slopes)), float(error)).times(NM2_PER_PS)
+
+
+def without_finite_size(diffusion: Estimate, temperature: float, edge: float, viscosity: float) -> Estimate:
+    """Coefficient of self-diffusion of an infinite liquid from that of a cubic box, both in 10^-9 m^2/s.
+
+    Args:
+        diffusion: in the box.
+        temperature: K.
+        edge: of the box, nm.
+        viscosity: of the same model, mPa s.
+
+    Source: Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004), Eq. 12.
+    """
+    eta = viscosity / KJ_PER_NM3_PS
+    shift = YEH_HUMMER * GAS_CONSTANT * temperature / (6 * math.pi * eta * edge) * NM2_PER_PS
+    return Estimate(diffusion.value + shift, diffusion.error)
+
+
+def orientation_correlation(directions: np.ndarray, longest: int) -> np.ndarray:
+    """<P2(u(0) u(t))> over molecules and origins, (longest + 1,) by the number of frames between.
+
+    Args:
+        directions: (n, m, 3), unit vectors.
+        longest: number of frames, less than n.
+    """
+    products = directions[..., [0, 1, 2, 0, 0, 1]] * directions[..., [0, 1, 2, 1, 2, 2]]
+    products *= np.array([1, 1, 1, *[math.sqrt(2)] * 3])
+    n = len(products)
+    transform = np.fft.rfft(products, 2 * n, axis=0)
+    squares = np.fft.irfft((np.abs(transform) ** 2).sum(axis=(1, 2)), 2 * n)[: longest + 1]
+    cosines2 = squares / (n - np.arange(longest + 1)) / products.shape[1]
+    return 1.5 * cosines2 - 0.5
+
+
+def rotation_time(directions: np.ndarray, interval: float, parts: int = PARTS) -> Estimate:
+    """Integral of <P2>, ps: by trapezoids down to 0.1, and the exponential tail that follows from there.
+
+    Args:
+        directions: (n, m, 3), unit vectors fixed in molecules.
+        interval: ps between frames.
+        parts: of the run, whose scatter gives the error.
+
+    Raises:
+        ValueError: the correlation does not come down to 0.1 in a part of the run.
+    """
+    found = []
+    for part in np.array_split(directions, parts):
+        correlation = orientation_correlation(part, len(part) // 2)
+        low = np.flatnonzero(correlation < 0.1)
+        if not low.size or low[0] < 2:
+            raise ValueError(
+                f"orientations must lose their correlation within {len(part) // 2 * interval:g} ps, and not within "
+                f"two frames, {2 * interval:g} ps"
+            )
+        k = int(low[0])
+        tail = correlation[k] * k * interval / math.log(correlation[k // 2] / correlation[k]) / 2
+        found.append(interval * (correlation[: k + 1].sum() - 0.5 * (correlation[0] + correlation[k])) + tail)
+    return Estimate(float(np.mean(found)), float(np.std(found, ddof=1) / math.sqrt(parts)))

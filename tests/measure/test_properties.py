@@ -1,0 +1,122 @@
+"""Properties of liquids from series whose answers are known."""
+
+import math
+
+import numpy as np
+import pytest
+from openmm import unit
+
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.measure import properties
+from openmm_sier.measure.properties import Estimate
+
+pytest.importorskip("pymbar")
+
+
+def agrees(estimate, expected, errors=4):
+    """Whether an estimate is within so many of its errors; four are passed by one of 16000 right ones."""
+    return abs(estimate.value - expected) < errors * estimate.error
+
+
+def autoregressive(rng, n, keep, *shape):
+    """Series of unit variance with correlation keep^t."""
+    series = rng.normal(size=(n, *shape))
+    for i in range(1, n):
+        series[i] = keep * series[i - 1] + math.sqrt(1 - keep**2) * series[i]
+    return series
+
+
+def test_error_of_a_mean_is_the_scatter_of_replicas():
+    rng = np.random.default_rng(1)
+    estimates = [properties.mean(5 + series) for series in autoregressive(rng, 4000, 0.9, 40).T]
+    scatter = np.std([estimate.value for estimate in estimates], ddof=1)
+    told = np.sqrt(np.mean([estimate.error**2 for estimate in estimates]))
+    # The scatter of 40 values is known to 11 %, their errors to about as much.
+    assert told == pytest.approx(scatter, rel=0.45)
+    assert agrees(properties.pooled(estimates), 5)
+    # (1 + keep)/(1 - keep) = 19 samples are worth one.
+    assert scatter == pytest.approx(math.sqrt(19 / 4000), rel=0.45)
+    assert properties.mean(np.full(100, 2.5)) == (2.5, 0)
+
+
+def test_few_runs_are_pooled_by_their_errors():
+    assert properties.pooled([Estimate(1, 0.3), Estimate(3, 0.4)]) == (2, 0.25)
+    values = [1.0, 2.0, 3.0, 4.0, 5.0]
+    many = properties.pooled([Estimate(value, 100) for value in values])
+    assert many == (3, pytest.approx(math.sqrt(2.5 / 5)))
+
+
+def test_estimates_are_written_to_two_digits_of_their_error():
+    assert str(Estimate(0.123456, 0.00123)) == "0.1235 ± 0.0012"
+    assert str(Estimate(1234.5, 17.0)) == "1234 ± 17"
+    assert str(Estimate(2.5, math.nan)) == "2.5"
+
+
+def test_heat_capacity_of_oscillators():
+    # The potential energy of 3 N classical oscillators is a gamma distribution: its heat capacity is 3 N R/2.
+    rng, T, n = np.random.default_rng(2), 300.0, 50
+    energy = rng.gamma(1.5 * n, GAS_CONSTANT * T, 20000)
+    found = properties.heat_capacity(energy, T, n)
+    assert agrees(found, 1.5e3 * GAS_CONSTANT)
+    assert found.error < 0.03 * found.value
+
+
+def test_dielectric_constant_of_free_dipoles():
+    # Dipoles mu without interactions: epsilon - 1 = rho mu^2/(3 epsilon_0 kT), here in SI by openmm.unit.
+    rng, n, T, V, mu = np.random.default_rng(3), 100, 300.0, 3.0, 0.049
+    directions = rng.normal(size=(4000, n, 3))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    found = properties.dielectric_constant(mu * directions.sum(axis=1), np.full(4000, V), T)
+    charge = (1 * unit.elementary_charge).value_in_unit(unit.coulomb)
+    kT = 1.380649e-23 * T
+    expected = 1 + n / (V * 1e-27) * (mu * 1e-9 * charge) ** 2 / (3 * 8.8541878128e-12 * kT)
+    assert agrees(found, expected)
+    assert found.error < 0.05 * (expected - 1)
+
+
+def test_vaporization():
+    found = properties.vaporization_enthalpy(Estimate(-4000.0, 10.0), 300, 100)
+    assert found == (pytest.approx(40 + 8.31446e-3 * 300), 0.1)
+
+
+def test_mean_square_displacement_is_that_of_all_pairs():
+    x = np.random.default_rng(4).normal(size=(7, 3, 3)).cumsum(axis=0)
+    expected = [np.mean([((x[i + k] - x[i]) ** 2).sum(axis=1).mean() for i in range(7 - k)]) for k in range(7)]
+    # Rounding of the transforms.
+    np.testing.assert_allclose(properties.mean_square_displacements(x), expected, atol=1e-12)
+
+
+def test_diffusion_of_brownian_motion():
+    rng, D, interval = np.random.default_rng(5), 2.3e-3, 0.2
+    steps = rng.normal(scale=math.sqrt(2 * D * interval), size=(2000, 60, 3))
+    found = properties.self_diffusion(steps.cumsum(axis=0), interval)
+    assert agrees(found, 2.3)
+    assert found.error < 0.1
+    with pytest.raises(ValueError, match=r"a run of more than 10 ps .*, got 8 ps with frames 0.2 ps apart"):
+        properties.self_diffusion(steps[:40].cumsum(axis=0), interval)
+
+
+def test_correction_for_the_size_of_the_box():
+    # In SI, for 1 mPa s, 2.5 nm and 300 K.
+    shift = 2.837297 * 1.380649e-23 * 300 / (6 * math.pi * 1e-3 * 2.5e-9)
+    found = properties.without_finite_size(Estimate(2, 0.1), 300, 2.5, 1.0)
+    assert found == (pytest.approx(2 + shift * 1e9, rel=1e-6), 0.1)
+
+
+def test_orientations_of_a_random_walk_on_the_sphere():
+    # Small rotations about random axes: <P2> decays as exp(-6 D t), with D = step^2/4 a frame for two angles.
+    rng, step, n, m = np.random.default_rng(6), 0.15, 3000, 40
+    u = np.zeros((n, m, 3))
+    u[0, :, 2] = 1
+    for i in range(1, n):
+        push = rng.normal(scale=step / math.sqrt(2), size=(m, 3))
+        push -= (push * u[i - 1]).sum(axis=1, keepdims=True) * u[i - 1]
+        u[i] = u[i - 1] + push
+        u[i] /= np.linalg.norm(u[i], axis=1, keepdims=True)
+    found = properties.rotation_time(u, 0.05)
+    # Normalizing shortens steps by a part of step^2, 2 %; the tail leaves a part of its 10 %.
+    assert found.value == pytest.approx(0.05 / (6 * step**2 / 4), abs=4 * found.error + 0.03 * found.value)
+    direct = [np.mean(1.5 * (u[: n - k] * u[k:]).sum(axis=2) ** 2 - 0.5) for k in range(4)]
+    np.testing.assert_allclose(properties.orientation_correlation(u, 3), direct, atol=1e-12)
+    with pytest.raises(ValueError, match="must lose their correlation"):
+        properties.rotation_time(u[:80], 0.05)
