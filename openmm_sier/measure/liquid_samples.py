@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,31 +73,53 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     sites = _Sites(box)
     count = min(len(first), 512)
     chosen = topology.select_pairs(oxygens[:count], oxygens)
+    # The same bins in all runs, whose boxes may become smaller than that of the PDB file.
+    reach = min(1.0, 0.45 * float(np.diag(_vectors(box, trajectory)).min()))
     settings = {} if trajectory.suffix == ".h5" else {"top": topology}
-    for chunk in mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=round(skip / interval), **settings):
-        if chunk.unitcell_lengths is None:
-            raise NoLiquidError(f"{trajectory} has no periodic box")
+    for chunk in _chunks(mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=round(skip / interval), **settings)):
         frames.append(chunk.xyz[:, oxygens].astype(float))
         lengths.append(chunk.unitcell_lengths.astype(float))
         arms = (chunk.xyz[:, oxygens + 2] - chunk.xyz[:, oxygens + 1]).astype(float)
         directions.append(arms / np.linalg.norm(arms, axis=2, keepdims=True))
         dipoles.append(sites.dipoles(chunk.xyz))
-        reach = 0.5 * chunk.unitcell_lengths.min()
-        distances, found = mdtraj.compute_rdf(chunk[::10], chosen, r_range=(0.0, min(1.0, reach)), bin_width=BIN)
+        distances, found = mdtraj.compute_rdf(chunk[::10], chosen, r_range=(0.0, reach), bin_width=BIN)
         pairs.append(found)
     if not frames:
         raise NoLiquidError(f"{trajectory} has no frames after {skip:g} ps")
     edges = np.concatenate(lengths)
-    n = min(map(len, pairs))
     return LiquidSamples(
         interval,
         unwrapped(np.concatenate(frames), edges),
         np.concatenate(directions),
         np.concatenate(dipoles) if sites.neutral else None,
         edges.prod(axis=1),
-        distances[:n],
-        np.mean([found[:n] for found in pairs], axis=0),
+        distances,
+        np.mean(pairs, axis=0),
     )
+
+
+def _chunks(chunks: Iterator[mdtraj.Trajectory]) -> Iterator[mdtraj.Trajectory]:
+    """The chunks, without the lines that MDTraj's reader of DCD files prints."""
+    while True:
+        sys.stdout.flush()
+        kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        try:
+            chunk = next(chunks, None)
+        finally:
+            os.dup2(kept, 1)
+            os.close(kept)
+            os.close(nowhere)
+        if chunk is None:
+            return
+        yield chunk
+
+
+def _vectors(box: Box, trajectory: Path) -> np.ndarray:
+    vectors = box.topology.getPeriodicBoxVectors()
+    if vectors is None:
+        raise NoLiquidError(f"{trajectory} has no periodic box")
+    return np.array(vectors.value_in_unit(unit.nanometer))
 
 
 def _first_atoms(box: Box) -> np.ndarray:
