@@ -77,6 +77,7 @@ def browser(tmp_path_factory):
         options.add_argument(f"--{switch}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     browser = webdriver.Chrome(options, webdriver.ChromeService(driver))
-    browser.set_page_load_timeout(60)
+    browser.set_page_load_timeout(300)  # on the busiest machine
+    browser.set_script_timeout(300)
     yield browser
     browser.quit()

@@ -101,7 +101,7 @@ def test_questions_are_answered_by_a_page_that_the_search_finds(browser, address
     wrong = []
     for question, words, page in QUESTIONS:
         browser.get(f"{address}search.html?q={words.replace(' ', '+')}")
-        WebDriverWait(browser, 30).until(
+        WebDriverWait(browser, 300).until(
             lambda driver: "found" in driver.find_element("css selector", "#search-results p").text
         )
         results = browser.execute_script(
