@@ -38,8 +38,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
     """Symplectic integrator for rigid bodies that uses the exact solution of free rotation.
 
     A drop-in for OpenMM's integrators: give it to a `Simulation` or a `Context`, and call nothing else. Rigid
-    molecules are found in the System's constraints when the Context is created; a System with constraints that form
-    no rigid bodies is refused there. Velocities in the Context are those at the end of the step.
+    molecules are found in the System's constraints when the Context is created; molecules that constraints do not make
+    rigid are points with these constraints between them. Velocities in the Context are those at the end of the step.
 
     Two engines execute the scheme. The exact one is a layer of Python over the Context and has the exact rotation. The
     native one is the integrator's own program, which OpenMM executes on any platform, with steps of RATTLE for the

@@ -24,7 +24,7 @@ class Scheme:
 
     Attributes:
         name: for messages and output.
-        stages: `Stage`s, or tuples (operator name, fraction of the step) that become such.
+        stages: each a `Stage`, or a tuple (operator name, fraction of the step) that becomes one.
         source: publication of the scheme.
 
     Raises:
@@ -124,7 +124,7 @@ class Scheme:
 
     @cached_property
     def stability_limit(self) -> float:
-        """Product of angular frequency and step below which a harmonic mode stays bounded: 2 for SIER2."""
+        """Product of angular frequency and step below which a harmonic mode stays bounded, 2 for SIER2."""
         return stability.stability_limit(self.stages)
 
     @cached_property

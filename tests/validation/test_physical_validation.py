@@ -22,9 +22,9 @@ MOLECULES, FRAMES = 27, 300
 #: ps; 2 * FRICTION * INTERVAL = 4, so that a frame remembers exp(-4) of the kinetic energy of the one before.
 INTERVAL = 0.1
 
-#: Standard errors. The rotation of SIER2 at 2 fs is colder by 2.8 K (README), which is one of them here: the error of
-#: its temperature is 297 K * sqrt(2/81/300) = 2.7 K. Chance adds the other four once in 3 * 10^4 machines; the schemes
-#: of fourth order have no bias to be seen, and their 32 independent numbers exceed the limit once in 5 * 10^4.
+#: Standard errors. The rotation of SIER2 at 2 fs is colder by 2.8 K (docs/accuracy.md), which is one of them here: the
+#: error of its temperature is 297 K * sqrt(2/81/300) = 2.7 K. Chance adds the other four once in 3 * 10^4 machines; the
+#: schemes of fourth order have no bias to be seen, and their 32 independent numbers exceed the limit once in 5 * 10^4.
 LIMIT = 5.0
 
 STEPS = {

@@ -1,0 +1,73 @@
+"""Configuration of the documentation site.
+
+    python -m sphinx -W --keep-going -n docs build/site
+
+builds it with warnings as errors. Notebooks are shown as they were stored: `python docs/notebooks/execute.py` executes
+them anew.
+"""
+
+from __future__ import annotations
+
+import re
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+
+from openmm_sier.version import __version__
+
+project = "openmm_sier"
+author = "The openmm_sier developers"
+project_copyright = author
+version = release = __version__
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+]
+exclude_patterns = ["_build", "**.ipynb_checkpoints"]
+
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 3
+nb_execution_mode = "off"
+
+# Docstrings put code between single backquotes.
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+autodoc_preserve_defaults = True
+autoclass_content = "both"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+# Classes of other packages, of which no inventory is at hand, and errors that have no page of their own.
+nitpick_ignore_regex = [("py:class", r"(openmm|numpy|collections)\..*"), ("py:exc", r".*(Error|Exception)")]
+
+html_theme = "furo"
+html_title = f"openmm_sier {version}"
+html_static_path = ["_static"]
+html_css_files = ["wide.css"]
+html_favicon = "_static/favicon.svg"
+html_show_sphinx = False
+html_math_renderer = "mathml"
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+
+def _formula(translator, node: nodes.Element, block: bool) -> None:
+    """A formula as MathML, which browsers show by themselves: no script is loaded, from here or from elsewhere."""
+    source = re.sub(r"\s+", " ", node.astext()).strip()
+    formula = tex2mathml(source, as_block=block)
+    translator.body.append(f'<div class="formula">{formula}</div>' if block else formula)
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    app.add_html_math_renderer(
+        "mathml",
+        (lambda translator, node: _formula(translator, node, False), None),
+        (lambda translator, node: _formula(translator, node, True), None),
+    )

@@ -1,0 +1,58 @@
+"""Version and metadata agree in all files that state them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from openmm_sier.version import __version__
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def stated(path, pattern):
+    return re.findall(pattern, (ROOT / path).read_text(), re.MULTILINE)
+
+
+def test_the_recipe_has_the_version_and_the_dependencies():
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.10 has no tomllib")
+    assert stated("recipe/recipe.yaml", r'^  version: "(.*)"$') == [__version__]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    run = (ROOT / "recipe" / "recipe.yaml").read_text().split("  run:\n")[1].split("\ntests:")[0]
+    listed = {line.strip().removeprefix("- ").replace(" ", "") for line in run.splitlines() if "- " in line}
+    assert listed - {"python>=${{python_min}}"} == {*project["dependencies"], *extras["cli"], *extras["fast"]}
+    assert stated("recipe/recipe.yaml", r'python_min: "(.*)"') == [project["requires-python"].removeprefix(">=")]
+
+
+def test_a_tag_of_this_commit_is_the_version():
+    """Checkouts without tags or without git have nothing to compare."""
+    found = subprocess.run(
+        ["git", "tag", "--points-at", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+    ).stdout.split()
+    assert [tag for tag in found if re.fullmatch(r"v\d+\.\d+\.\d+", tag) and tag != f"v{__version__}"] == []
+
+
+def test_the_changelog_knows_the_version():
+    assert __version__ in stated("CHANGELOG.md", r"^## (.*)$")
+
+
+def test_the_paper_cites_what_its_bibliography_has():
+    """No entry is missing, and none stands there uncited."""
+    text = (ROOT / "paper" / "paper.md").read_text().split("---\n", 2)[2]
+    cited = set(re.findall(r"@(\w+)", text))
+    assert cited == set(stated("paper/paper.bib", r"^@\w+\{(\w+),$"))
+
+
+@pytest.mark.slow
+def test_the_noxfile_lists_a_session_for_each_python_claimed():
+    classifiers = stated("pyproject.toml", r"Python :: (3\.\d+)")
+    namespace = {}
+    pytest.importorskip("nox", reason="no nox")
+    exec((ROOT / "noxfile.py").read_text(), namespace)
+    assert classifiers == namespace["PYTHONS"]
+    assert sys.version_info[:2] in [tuple(map(int, version.split("."))) for version in classifiers]

@@ -1,0 +1,39 @@
+"""The code that README, guides and how-tos show runs as it stands, with fewer steps."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent.parent
+PAGES = ["README.md", "docs/getting-started.md", *sorted(f"docs/howto/{p.name}" for p in ROOT.glob("docs/howto/*.md"))]
+
+#: Steps that are made instead of more: one trial of hybrid Monte Carlo.
+FEWER = 10
+
+
+def code(page):
+    """The Python blocks of a page, joined."""
+    return "\n".join(re.findall(r"^```python\n(.*?)^```$", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if code(page)])
+def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
+    (tmp_path / "systems").symlink_to(ROOT / "systems")
+    fewer = re.sub(r"\.step\((\d+)\)", lambda found: f".step({min(int(found[1]), FEWER)})", code(page))
+    exec(compile(fewer, page, "exec"), {"__name__": "__main__"})
+
+
+def test_pages_with_code_are_found():
+    """One each for README, the tutorial and the how-tos, so that a changed layout cannot leave them all out."""
+    assert len([page for page in PAGES if code(page)]) >= 8
+
+
+def test_readme_is_short():
+    """A stranger decides in one screen or two; what is measured stands in the documentation."""
+    assert len((ROOT / "README.md").read_text().splitlines()) < 120
