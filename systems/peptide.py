@@ -4,6 +4,7 @@
     python peptide.py                                                  the file that is shipped
     python peptide.py --sequence ALA SER PHE VAL --torsions -65 -40 --out helix.pdb     another one, as a helix
     python peptide.py --long --time 3 --out long.pdb                   51 residues, 20000 atoms, a file of 1.6 MB
+    python peptide.py --sequence VAL --dry --out valine.pdb            ACE-VAL-NME without water
 
 The chain is capped by ACE and NME. Bond lengths and angles are those of Engh and Huber, Acta Cryst. A 47, 392 (1991),
 rounded; hydrogens and water come from OpenMM's Modeller. The PDB file names its force field.
@@ -109,7 +110,7 @@ RINGS = {"PHE": [("CE2", "CZ")], "TYR": [("CE2", "CZ")]}
 LETTERS = dict(
     zip(
         "GADNEQKMISVTLFY",
-        "GLY ALA ASP ASN GLU GLN LYS MET ILE SER VAL THR LEU PHE TYR".split(),
+        ["GLY", "ALA", "ASP", "ASN", "GLU", "GLN", "LYS", "MET", "ILE", "SER", "VAL", "THR", "LEU", "PHE", "TYR"],
         strict=True,
     )
 )
@@ -191,6 +192,15 @@ def solvated(sequence, phi: float, psi: float, padding: float, brick: bool = Fal
     return modeller
 
 
+def dry(sequence, phi: float, psi: float) -> app.Modeller:
+    """The chain with hydrogens, without water and box."""
+    topology, positions = chain(sequence, phi, psi)
+    modeller = app.Modeller(topology, positions * unit.nanometer)
+    modeller.addHydrogens(app.ForceField(*FORCE_FIELD))
+    modeller.topology.setPeriodicBoxVectors(None)
+    return modeller
+
+
 def equilibrated(modeller: app.Modeller, temperature: float, time: float, seed: int) -> openmm.State:
     """State after minimization and a time in ps at 1 bar, with hydrogens held by constraints."""
     system = app.ForceField(*FORCE_FIELD).createSystem(
@@ -212,13 +222,12 @@ def equilibrated(modeller: app.Modeller, temperature: float, time: float, seed: 
     return simulation.context.getState(positions=True)
 
 
-def write(path: Path, topology, state: openmm.State) -> None:
+def write(path: Path, topology, positions) -> None:
     """Write a PDB file that names its force field, molecules whole."""
-    topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
     with path.open("w") as file:
         for name in FORCE_FIELD:
             file.write(f"REMARK  99 FORCEFIELD {name}\n")
-        app.PDBFile.writeFile(topology, state.getPositions(), file, keepIds=True)
+        app.PDBFile.writeFile(topology, positions, file, keepIds=True)
 
 
 def main(arguments=None) -> int:
@@ -227,18 +236,24 @@ def main(arguments=None) -> int:
     parser.add_argument("--torsions", nargs=2, type=float, default=TORSIONS, metavar=("PHI", "PSI"), help="degrees")
     parser.add_argument("--padding", type=float, default=PADDING, help="nm of water around the chain")
     parser.add_argument("--long", action="store_true", help=f"{LONG_SEQUENCE} as a helix, in a brick of water")
+    parser.add_argument("--dry", action="store_true", help="the chain alone, as it is built")
     parser.add_argument("--temperature", type=float, default=TEMPERATURE, help="K")
     parser.add_argument("--time", type=float, default=40.0, help="of the equilibration, ps")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=HERE / SHIPPED)
     options = parser.parse_args(arguments)
+    if options.dry:
+        modeller = dry(options.sequence, *options.torsions)
+        write(options.out, modeller.topology, modeller.positions)
+        return 0
     shape = options.sequence, *options.torsions, options.padding
     if options.long:
         shape = [LETTERS[letter] for letter in LONG_SEQUENCE], *LONG_TORSIONS, LONG_PADDING, True
     modeller = solvated(*shape)
     print(f"{modeller.topology.getNumAtoms()} atoms, {modeller.topology.getNumResidues()} residues")
     state = equilibrated(modeller, options.temperature, options.time, options.seed)
-    write(options.out, modeller.topology, state)
+    modeller.topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
+    write(options.out, modeller.topology, state.getPositions())
     print(f"wrote {options.out}, a box of {state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3):.2f} nm^3")
     return 0
 

@@ -174,7 +174,7 @@ class _Sample(NamedTuple):
 
 def _observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> _Sample:
     state = context.getState(energy=True)
-    found = temperatures(bodies, _body_state(context, bodies), conserved)
+    found = temperatures(bodies, body_state(context, bodies), conserved)
     return _Sample(
         state.getTime().value_in_unit(unit.picosecond),
         state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
@@ -185,8 +185,8 @@ def _observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> _
     )
 
 
-def _body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
-    """The state of the bodies at a whole step, for any integrator."""
+def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
+    """The state of the bodies at a whole step, for any integrator; see `sample`."""
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
         return integrator.getBodyState()
