@@ -30,20 +30,10 @@ from tests.support.flexible import cage, chains, ring, rotor
 from tests.support.flexible_systems import FAST, farthest, started, system_of, total_energy
 from tests.support.methanols import GEOMETRY, positions_of, topology_of
 from tests.support.methanols import system_of as methanols_of
-from tests.support.restarts import assert_same, everything
+from tests.support.restarts import assert_restart_is_the_same, assert_same, everything
 from tests.support.waters import context_at, platform
 
 X_H = ((0, 1), (0, 2), (0, 3), (4, 5))
-
-
-def assert_restart_is_the_same(system, context, other, steps):
-    """A checkpoint continued by another integrator ends, bit for bit, where its own one does."""
-    saved = context.createCheckpoint()
-    context.getIntegrator().step(steps)
-    again = openmm.Context(system, other, platform())
-    again.loadCheckpoint(saved)
-    other.step(steps)
-    assert_same(everything(context), everything(again))
 
 
 def end_of(system, positions, h, steps, scheme=SIER4G, **options):
