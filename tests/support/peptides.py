@@ -14,6 +14,7 @@ from tests.support.waters import platform
 PROGRAM = Path(__file__).parents[2] / "systems" / "peptide.py"
 
 
+@functools.cache
 def capped_alanine_box(waters):
     """Topology and positions (N, 3) in nm of ACE-ALA-NME and the waters nearest to it, without a periodic box."""
     maker = load_program(PROGRAM)
