@@ -125,7 +125,7 @@ def constrained_gradient_kick(
         F = constraints.project(q, F)
         arm = q - state.q
         turn = np.array(cross(arm, F))
-        F = lost.restore(state.q, turn, constraints.project(state.q, F))
+        F = lost.restore(state.q, turn, F)
         turn[:, grouped] = 0.0
         p = constraints.project(state.q, state.p + h * F)
         return BodyState(state.q, p, state.A, state.L + h * (tau + turn), state.heat, state.draws)
@@ -295,7 +295,7 @@ def point_operators(
         q = constraints.displaced(state.q, constraints.project(state.q, forces(state.q)), shift)
         F = constraints.project(q, forces.at(q))
         torques = np.array(cross(q - state.q, F))
-        F = lost.restore(state.q, torques, constraints.project(state.q, F))
+        F = lost.restore(state.q, torques, F)
         return moved(state, state.q, constraints.project(state.q, state.p + h * F))
 
     def drift(state: BodyState, h: float) -> BodyState:
