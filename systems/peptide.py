@@ -171,6 +171,12 @@ def chain(sequence, phi: float, psi: float):
     return topology, np.array(positions)
 
 
+def lying(positions: np.ndarray) -> np.ndarray:
+    """Positions (N, 3) turned so that they are longest along x."""
+    axes = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)[2]
+    return positions @ (axes * np.linalg.det(axes)).T  # The determinant makes a reflection a rotation.
+
+
 def solvated(sequence, phi: float, psi: float, padding: float, brick: bool = False) -> app.Modeller:
     """The chain with hydrogens in a box of water, and ions where it has a charge.
 
@@ -180,8 +186,7 @@ def solvated(sequence, phi: float, psi: float, padding: float, brick: bool = Fal
     topology, positions = chain(sequence, phi, psi)
     forcefield = app.ForceField(*FORCE_FIELD)
     if brick:
-        axes = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)[2]
-        positions = positions @ (axes * np.linalg.det(axes)).T  # A rotation, no reflection.
+        positions = lying(positions)
     modeller = app.Modeller(topology, positions * unit.nanometer)
     modeller.addHydrogens(forcefield)
     if brick:
