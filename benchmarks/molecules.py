@@ -4,10 +4,11 @@
     python benchmarks/molecules.py start systems/peptide.pdb --out start.xml      equilibrate, and keep the phase point
     python benchmarks/molecules.py energy systems/peptide.pdb --start start.xml --time 2 --step 1.5 2
     python benchmarks/molecules.py cost systems/peptide.pdb --start start.xml     time of a step over its force calls
-    python benchmarks/molecules.py temperatures systems/peptide.pdb --start start.xml --methods sier4g langevin-sier4g \
+    python benchmarks/molecules.py temperatures systems/peptide.pdb --start start.xml --methods sier4g langevin-sier4g \\
         langevinmiddle --step 2 --time 60                                         by kind of motion
     python systems/peptide.py --sequence VAL --dry --out valine.pdb
-    python benchmarks/molecules.py dihedrals valine.pdb --time 2000 --temperature 400 --platform Reference
+    python benchmarks/molecules.py dihedrals valine.pdb --time 1000 --settle 20 --every 60 --temperature 400 \\
+        --platform Reference
 
 Steps are in fs for each force evaluation; `dihedrals` compares SIER4G at 2 fs with LangevinMiddle at 0.5 fs. Bonds of
 hydrogen are constrained, PME is balanced (`--tolerance` is its ewaldErrorTolerance), and bonded forces act within the
@@ -35,9 +36,6 @@ from openmm_sier.measure.sampling import body_state
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import block_means, mean_and_error
 
-#: 1/ps, of the baths under which samples are taken.
-FRICTION = 2.0
-
 #: Bins of a dihedral's distribution, and the blocks that its errors are from.
 BINS, BLOCKS = 24, 40
 
@@ -55,17 +53,20 @@ def start(options) -> None:
     box, prepared = box_of(options)
     integrator = SIERLangevinIntegrator(options.temperature, 5.0, 0.006, fastForceGroups=prepared.fastForceGroups)
     integrator.setRandomNumberSeed(options.seed)
-    context = make_context(box.system, integrator, options.platform)
-    context.setPositions(box.positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
-    context.setVelocitiesToTemperature(options.temperature, options.seed)
+    context = context_of(options, box, integrator)
     integrator.step(round(options.time / 0.006))
     print(integrator.computeTemperatures())
     options.out.write_text(openmm.XmlSerializer.serialize(context.getState(positions=True, velocities=True)))
 
 
 def context_of(options, box, integrator):
+    """A Context at the start, or minimized and with drawn velocities where there is none."""
     context = make_context(box.system, integrator, options.platform)
+    if options.start is None:
+        context.setPositions(box.positions)
+        openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
+        context.setVelocitiesToTemperature(options.temperature, options.seed)
+        return context
     state = openmm.XmlSerializer.deserialize(options.start.read_text())
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
     context.setPositions(state.getPositions())
@@ -78,7 +79,7 @@ def integrator_of(name: str, per_force: float, options, groups):
     if name in ("verlet", "langevinmiddle"):
         integrator = openmm.VerletIntegrator(per_force)
         if name == "langevinmiddle":
-            integrator = openmm.LangevinMiddleIntegrator(options.temperature, FRICTION, per_force)
+            integrator = openmm.LangevinMiddleIntegrator(options.temperature, options.friction, per_force)
             integrator.setRandomNumberSeed(options.seed)
         integrator.setConstraintTolerance(1e-8)
         return integrator, per_force
@@ -87,7 +88,7 @@ def integrator_of(name: str, per_force: float, options, groups):
     nested = {"substeps": options.substeps, "fastForceGroups": None if options.kicks else groups}
     if not name.startswith("langevin-"):
         return SIERIntegrator(step, scheme, **nested), step
-    integrator = SIERLangevinIntegrator(options.temperature, FRICTION, step, scheme, **nested)
+    integrator = SIERLangevinIntegrator(options.temperature, options.friction, step, scheme, **nested)
     integrator.setRandomNumberSeed(options.seed)
     return integrator, step
 
@@ -155,6 +156,7 @@ def by_kind(options) -> None:
             context = context_of(options, box, integrator)
             conserved = MomentumConservation.of_system(box.system, bodies).holds(integrator)
             every = max(1, round(options.every / 1000 / step))
+            integrator.step(round(options.settle / step))
             rows, count = [], round(options.time / (every * step))
             for done in range(1, count + 1):
                 integrator.step(every)
@@ -172,7 +174,7 @@ def _kinds(rows: np.ndarray, conserves: bool) -> str:
     kinds = {"water translation": translation, "water rotation": rotation, "others": flexible}
     kinds |= {"rotation - translation": rotation - translation, "others - translation": flexible - translation}
     averages = ((kind, *mean_and_error(values)) for kind, values in kinds.items())
-    told = [f"{kind} {mean:.2f} +- {error:.2f} K" for kind, mean, error in averages]
+    told = [f"{kind} {mean:.2f} +- {error:.2f} K" for kind, mean, error in averages if not np.isnan(mean)]
     if conserves:
         drift, uncertainty = energy_drift(time, total)
         told.append(f"drift {drift:+.3f} +- {uncertainty:.3f} kJ/mol/ps")
@@ -209,13 +211,10 @@ def dihedrals(options) -> None:
 
 
 def _frames(options, box, integrator, step: float) -> np.ndarray:
-    """Positions (frames, N, 3) at equal intervals, after an equilibration of a twentieth of the time."""
-    context = make_context(box.system, integrator, options.platform)
-    context.setPositions(box.positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
-    context.setVelocitiesToTemperature(options.temperature, options.seed)
+    """Positions (frames, N, 3) at equal intervals, after the time to settle."""
+    context = context_of(options, box, integrator)
     every, frames = max(1, round(options.every / 1000 / step)), []
-    integrator.step(round(options.time / 20 / step))
+    integrator.step(round(options.settle / step))
     for _ in range(round(options.time / (every * step))):
         integrator.step(every)
         frames.append(context.getState(positions=True).getPositions(asNumpy=True)._value.astype(np.float32))
@@ -250,17 +249,19 @@ def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=COMMANDS)
     parser.add_argument("box", type=Path)
-    parser.add_argument("--start", type=Path, help="phase point to start from")
+    parser.add_argument("--start", type=Path, help="phase point to start from; without it a minimum, with velocities")
     parser.add_argument("--out", type=Path, default=Path("start.xml"))
     parser.add_argument("--methods", nargs="+", default=["verlet", "sier4g", "sier4p"])
     parser.add_argument("--step", nargs="+", type=float, default=[1.5, 2.0], help="fs for each force evaluation")
     parser.add_argument("--time", type=float, default=2.0, help="ps")
+    parser.add_argument("--settle", type=float, default=0.0, help="ps before the first sample of temperatures, angles")
     parser.add_argument("--every", type=float, default=12.0, help="fs between two samples")
     parser.add_argument("--substeps", type=int, help="inner steps in the longest drift")
     parser.add_argument("--kicks", action="store_true", help="leave bonded forces in the kicks")
     parser.add_argument("--tolerance", type=float, default=1e-5, help="of PME")
     parser.add_argument("--turns", type=int, default=30)
     parser.add_argument("--temperature", type=float, default=297.0, help="K")
+    parser.add_argument("--friction", type=float, default=2.0, help="1/ps, of the baths under which samples are taken")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--platform")
     options = parser.parse_args(arguments)
