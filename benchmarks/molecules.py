@@ -4,8 +4,8 @@
     python benchmarks/molecules.py start systems/peptide.pdb --out start.xml      equilibrate, and keep the phase point
     python benchmarks/molecules.py energy systems/peptide.pdb --start start.xml --time 2 --step 1.5 2
     python benchmarks/molecules.py cost systems/peptide.pdb --start start.xml     time of a step over its force calls
-    python benchmarks/molecules.py temperatures systems/peptide.pdb --start start.xml --methods sier4g langevin-sier4g \\
-        langevinmiddle --step 2 --time 60                                         by kind of motion
+    python benchmarks/molecules.py temperatures systems/peptide.pdb --start start.xml --step 2 --time 60 \\
+        --methods sier4g langevin-sier4g langevinmiddle                           by kind of motion
     python systems/peptide.py --sequence VAL --dry --out valine.pdb
     python benchmarks/molecules.py dihedrals valine.pdb --time 1000 --settle 20 --every 60 --temperature 400 \\
         --platform Reference
@@ -18,7 +18,7 @@ drifts (`--kicks` leaves them in the kicks).
 import argparse
 import sys
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import mdtraj
 import numpy as np
@@ -124,21 +124,22 @@ def energy(options) -> None:
 def cost(options) -> None:
     """Time of steps over that of the force calls in them: medians over short turns."""
     box, prepared = box_of(options)
+    now = process_time if options.processor_time else perf_counter
     for name in options.methods:
         if name == "verlet":
             continue
-        integrator, _ = integrator_of(name, 0.002, options, prepared.fastForceGroups)
+        integrator, step = integrator_of(name, options.step[-1] / 1000, options, prepared.fastForceGroups)
         context = context_of(options, box, integrator)
         integrator.step(3)
-        clock = ForceClock(context)
+        clock = ForceClock(context, now)
         ratios = []
         for _ in range(options.turns):
-            before, begun = clock.seconds, perf_counter()
+            before, begun = clock.seconds, now()
             integrator.step(4)
-            ratios.append((perf_counter() - begun) / (clock.seconds - before))
+            ratios.append((now() - begun) / (clock.seconds - before))
         quartiles = np.percentile(ratios, [25, 50, 75])
         print(
-            f"{name:8} {backend.active().name}: a step takes {quartiles[1]:.3f} of its force calls "
+            f"{name:8} {backend.active().name}: a step of {1000 * step:g} fs takes {quartiles[1]:.3f} of its force calls "
             f"({quartiles[0]:.3f} to {quartiles[2]:.3f} for half of the turns)"
         )
 
@@ -259,6 +260,7 @@ def main(arguments=None) -> int:
     parser.add_argument("--substeps", type=int, help="inner steps in the longest drift")
     parser.add_argument("--kicks", action="store_true", help="leave bonded forces in the kicks")
     parser.add_argument("--tolerance", type=float, default=1e-5, help="of PME")
+    parser.add_argument("--processor-time", action="store_true", help="for `cost`, with OPENMM_CPU_THREADS=1")
     parser.add_argument("--turns", type=int, default=30)
     parser.add_argument("--temperature", type=float, default=297.0, help="K")
     parser.add_argument("--friction", type=float, default=2.0, help="1/ps, of the baths under which samples are taken")

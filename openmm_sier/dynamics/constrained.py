@@ -150,20 +150,16 @@ class GroupTorques:
             masses: (n,).
             groups: number of each point's group, (n,); -1 for those that are in none.
         """
-        groups = np.asarray(groups)
-        part = np.flatnonzero(groups >= 0)
-        self._part = part[np.argsort(groups[part], kind="stable")]
-        _, self._starts, self._group = np.unique(groups[self._part], return_index=True, return_inverse=True)
-        self._m = masses[self._part]
-        self._mass = self._summed(self._m) if len(part) else self._m
-
-    def _summed(self, rows: np.ndarray) -> np.ndarray:
-        return np.add.reduceat(rows, self._starts, axis=-1)
+        numbers, group, size = np.unique(groups, return_inverse=True, return_counts=True)
+        part = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
+        self._part = part[np.argsort(group[part], kind="stable")]
+        self._edges = np.append(np.flatnonzero(np.diff(group[self._part], prepend=-1)), len(part))
+        self._masses = masses[self._part]
 
     def restore(self, q: np.ndarray, torques: np.ndarray, F: np.ndarray) -> np.ndarray:
         """Forces (3, n), plus those of a rigid rotation of each group, which exert the group's torque.
 
-        About a line that the whole group lies on there is no such rotation, and the torque of a single body is lost;
+        About a line that the whole group lies on there is no such rotation, and the torque of a single point is lost;
         both are of second order in the displacement.
 
         Args:
@@ -171,26 +167,11 @@ class GroupTorques:
             torques: on each body, (3, n).
             F: forces, (3, n).
         """
-        part, m = self._part, self._m
-        if not len(part):
+        if not len(self._part):
             return F
-        x = q[:, part]
-        arms = x - (self._summed(m * x) / self._mass)[:, self._group]
-        second = self._summed((m * arms)[:, None] * arms)
-        inertia = (np.trace(second) * np.eye(3)[:, :, None] - second).transpose(2, 0, 1)
-        turning = _solved(inertia, self._summed(torques[:, part]))
         F = F.copy()
-        F[:, part] += m * np.array(cross(turning[:, self._group], arms))
+        backend.active().turn_groups(self._edges, self._part, self._masses, q, torques, F)
         return F
-
-
-def _solved(inertia: np.ndarray, torques: np.ndarray) -> np.ndarray:
-    """Angular accelerations (3, g) of moments of inertia (g, 3, 3) under torques (3, g); none about a line."""
-    # No moment is larger than the other two together, so that the determinant tells the smallest one.
-    line = np.linalg.det(inertia) <= 1e-8 * (0.5 * np.trace(inertia, axis1=1, axis2=2)) ** 3
-    if not line.any():
-        return np.linalg.solve(inertia, torques.T[:, :, None])[:, :, 0].T
-    return np.einsum("gab,bg->ag", np.linalg.pinv(inertia, rcond=1e-8, hermitian=True), torques)
 
 
 # --- drifts ---
