@@ -139,7 +139,7 @@ def cost(options) -> None:
             ratios.append((now() - begun) / (clock.seconds - before))
         quartiles = np.percentile(ratios, [25, 50, 75])
         print(
-            f"{name:8} {backend.active().name}: a step of {1000 * step:g} fs takes {quartiles[1]:.3f} of its force calls "
+            f"{name:8} {backend.active().name}: a step of {1000 * step:g} fs takes {quartiles[1]:.3f} of its forces "
             f"({quartiles[0]:.3f} to {quartiles[2]:.3f} for half of the turns)"
         )
 
