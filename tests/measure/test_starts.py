@@ -94,7 +94,7 @@ def test_a_time_that_is_given_is_kept(tethered, time):
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_the_step_follows_the_bonds(fast):
-    """Springs with a period of 11.6 fs: SIER4G follows them at 4.2 fs, and kicks should come more than twice a period."""
+    """Springs with a period of 11.6 fs: SIER4G follows them at 4.2 fs, and kicks should come twice in it."""
     system, positions = system_of([spc(), spc()])
     groups = prepare_system(system).fastForceGroups if fast else None
     told = Told()
