@@ -10,6 +10,9 @@ from __future__ import annotations
 #: Largest angle of `small_sine_cosine`: its truncation error is below 2e-17 there.
 SMALL_ANGLE = 0.75
 
+#: A determinant of moments of inertia below this share of the cube of half their sum is that of points on a line.
+LINE = 1e-8
+
 
 def plus(a, b):
     """The sum of two vectors."""
@@ -85,10 +88,6 @@ def displacing_rotation(x, y, z, torque, inverses, shift):
     j = half * inverses[1] * combine(torque, y[0], y[1], y[2])
     k = half * inverses[2] * combine(torque, z[0], z[1], z[2])
     return rotation_matrix(1.0, i, j, k)
-
-
-#: Share of the largest moment of inertia, cubed, below which a determinant is that of points on a line.
-LINE = 1e-8
 
 
 def spin(moments, torque):
