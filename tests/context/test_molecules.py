@@ -24,6 +24,7 @@ from openmm_sier import (
     SIERLangevinIntegrator,
     prepare_system,
 )
+from openmm_sier.context import motion
 from openmm_sier.context.solute import SoluteError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.flexible import cage, chains, ring, rotor
@@ -510,6 +511,25 @@ def test_peptide_in_water_runs_on_the_cpu_platform(peptide):
     integrator.step(20)
     assert 100 < integrator.computeTemperatures().flexible < 900
     assert integrator.forceEvaluations < 20 * 3 + 10
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+@pytest.mark.parametrize("small", [0, 1000])
+def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(peptide, monkeypatch, threads, small):
+    """On the CPU platform or on Reference, by the number of threads and of atoms."""
+    monkeypatch.setattr(motion, "SMALL_SOLUTE", small)
+    system, positions = copy.deepcopy(peptide[0]), peptide[1]
+    integrator = SIER4GIntegrator(0.002, fastForceGroups=prepare_system(system).fastForceGroups)
+    context = openmm.Context(system, integrator, platform("CPU"), {"Threads": threads})
+    context.setPositions(positions)
+    integrator.step(0)
+    q = integrator.getBodyState().q
+    members = np.flatnonzero(integrator.bodies.flexible)
+    atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
+    expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
+    found = integrator._engine._motion.fast.forces.at(q[:, members])
+    # Forces of the CPU platform pass through single precision where they are summed.
+    assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
 
 
 def test_an_engine_with_fast_forces_needs_no_garbage_collector():
