@@ -102,6 +102,18 @@ class Vibrations:
                 f"{_fs(RESONANCE * bond.period)}, or {CONSTRAIN}"
             )
 
+    def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
+        """The longest step without a warning, ps; infinite where no bond vibrates.
+
+        Args:
+            scheme: the scheme that makes the step.
+            groups: bit mask of the force groups that act in its kicks.
+            fast: of those that act within its drifts, by inner steps that are short enough.
+        """
+        slow, within = self._fastest_of(groups), self._fastest_of(fast)
+        limits = [scheme.accuracy_limit * slow.period / (2 * math.pi)] if slow else []
+        return min([*limits, *([RESONANCE * within.period] if within else [])], default=math.inf)
+
     def _check(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
         bond = self._fastest_of(groups)
         if bond is None:

@@ -21,20 +21,21 @@ The algebra of kicks is unchanged too: kicks commute, and T is quadratic in the 
 Schemes have the order that `Scheme.order` derives, provided that the geodesic has it.
 
 Forces at displaced points exert a torque about the points before displacement that differs in second order in s from
-that about the displaced ones. `restore_torques` makes up for it by a rigid rotation of each group of atoms, so that
-the total angular momentum is exact.
+that about the displaced ones. `GroupTorques` makes up for it by a rigid rotation of each group of atoms, so that the
+total angular momentum is exact.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend, operators
+from openmm_sier.dynamics.backend.formulas import cross
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.geodesic import SUZUKI, TRIPLE_JUMP, Composition
@@ -62,7 +63,7 @@ def constrained_operators(
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
         composition: of the geodesic.
-        groups: of `restore_torques`; None: one for each connected component of the constraints.
+        groups: of `GroupTorques`; None: one for each connected component of the constraints.
     """
     members = constraints.members
     drift = operators.drift(bodies, rotation)
@@ -112,7 +113,7 @@ def constrained_gradient_kick(
     The operator raises ConstraintError where no positions near the displaced ones satisfy the constraints.
     """
     groups = component_groups(constraints) if groups is None else np.asarray(groups)
-    grouped = groups >= 0
+    grouped, lost = groups >= 0, GroupTorques(constraints.masses, groups)
 
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
         F, tau = forces(state)
@@ -123,12 +124,11 @@ def constrained_gradient_kick(
         F, tau = forces.at(q, A)
         F = constraints.project(q, F)
         arm = q - state.q
-        turn = np.cross(arm, F, axis=0)
-        F = constraints.project(state.q, F)
-        F = restore_torques(state.q, turn, F, constraints.masses, groups)
+        turn = np.array(cross(arm, F))
+        F = lost.restore(state.q, turn, F)
         turn[:, grouped] = 0.0
         p = constraints.project(state.q, state.p + h * F)
-        return replace(state, p=p, L=state.L + h * (tau + turn))
+        return BodyState(state.q, p, state.A, state.L + h * (tau + turn), state.heat, state.draws)
 
     return apply
 
@@ -141,40 +141,37 @@ def component_groups(constraints: Constraints) -> np.ndarray:
     return groups
 
 
-def restore_torques(
-    q: np.ndarray, torques: np.ndarray, F: np.ndarray, masses: np.ndarray, groups: np.ndarray
-) -> np.ndarray:
-    """Forces (3, n), plus those of a rigid rotation of each group, which exert the group's torque.
+class GroupTorques:
+    """Torques on groups of points, exerted by forces that satisfy all constraints between members of a group."""
 
-    They satisfy all constraints between members of a group. About a line that the whole group lies on there is no such
-    rotation, and the torque of a single body is lost; both are of second order in the displacement.
+    def __init__(self, masses: np.ndarray, groups: ArrayLike):
+        """
+        Args:
+            masses: (n,).
+            groups: number of each point's group, (n,); -1 for those that are in none.
+        """
+        numbers, group, size = np.unique(groups, return_inverse=True, return_counts=True)
+        part = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
+        self._part = part[np.argsort(group[part], kind="stable")]
+        self._edges = np.append(np.flatnonzero(np.diff(group[self._part], prepend=-1)), len(part))
+        self._masses = masses[self._part]
 
-    Args:
-        q: positions, (3, n).
-        torques: on each body, (3, n).
-        F: forces, (3, n).
-        masses: (n,).
-        groups: number of each body's group, (n,); -1 for bodies that are in none.
-    """
-    part = np.flatnonzero(groups >= 0)
-    if not len(part):
+    def restore(self, q: np.ndarray, torques: np.ndarray, F: np.ndarray) -> np.ndarray:
+        """Forces (3, n), plus those of a rigid rotation of each group, which exert the group's torque.
+
+        About a line that the whole group lies on there is no such rotation, and the torque of a single point is lost;
+        both are of second order in the displacement.
+
+        Args:
+            q: positions, (3, n).
+            torques: on each body, (3, n).
+            F: forces, (3, n).
+        """
+        if not len(self._part):
+            return F
+        F = F.copy()
+        backend.active().turn_groups(self._edges, self._part, self._masses, q, torques, F)
         return F
-    group = groups[part]
-    m = masses[part]
-
-    def summed(rows: Iterable[np.ndarray]) -> np.ndarray:
-        return np.array([np.bincount(group, row, group.max() + 1) for row in rows])
-
-    mass = np.maximum(summed([m])[0], 1e-300)
-    arms = q[:, part] - (summed(m * q[:, part]) / mass)[:, group]
-    x, y, z = arms
-    xx, yy, zz, xy, yz, zx = summed(m * np.array([x * x, y * y, z * z, x * y, y * z, z * x]))
-    inertia = np.array([[yy + zz, -xy, -zx], [-xy, xx + zz, -yz], [-zx, -yz, xx + yy]]).transpose(2, 0, 1)
-    inverse = np.linalg.pinv(inertia, rcond=1e-8, hermitian=True)
-    turning = np.einsum("gab,bg->ag", inverse, summed(torques[:, part]))
-    F = F.copy()
-    F[:, part] += m * np.cross(turning[:, group], arms, axis=0)
-    return F
 
 
 # --- drifts ---
@@ -264,24 +261,26 @@ def point_operators(
         constraints: in the numbering of the points, with the masses of all of them.
         forces: on the points.
         composition: of the geodesic.
-        groups: of `restore_torques`; None: one for each connected component of the constraints.
+        groups: of `GroupTorques`; None: one for each connected component of the constraints.
     """
     groups = component_groups(constraints) if groups is None else np.asarray(groups)
-    advance = geodesic(constraints, composition)
+    advance, lost = geodesic(constraints, composition), GroupTorques(constraints.masses, groups)
+
+    def moved(state: BodyState, q: np.ndarray, p: np.ndarray) -> BodyState:
+        return BodyState(q, p, state.A, state.L, state.heat, state.draws)
 
     def kick(state: BodyState, h: float) -> BodyState:
-        return replace(state, p=constraints.project(state.q, state.p + h * forces(state.q)))
+        return moved(state, state.q, constraints.project(state.q, state.p + h * forces(state.q)))
 
     def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
         q = constraints.displaced(state.q, constraints.project(state.q, forces(state.q)), shift)
         F = constraints.project(q, forces.at(q))
-        torques = np.cross(q - state.q, F, axis=0)
-        F = restore_torques(state.q, torques, constraints.project(state.q, F), constraints.masses, groups)
-        return replace(state, p=constraints.project(state.q, state.p + h * F))
+        torques = np.array(cross(q - state.q, F))
+        F = lost.restore(state.q, torques, F)
+        return moved(state, state.q, constraints.project(state.q, state.p + h * F))
 
     def drift(state: BodyState, h: float) -> BodyState:
-        q, p = advance(state.q, state.p, h)
-        return replace(state, q=q, p=p)
+        return moved(state, *advance(state.q, state.p, h))
 
     return {KICK: kick, GRADIENT_KICK: gradient_kick, DRIFT: drift}
 

@@ -173,8 +173,15 @@ class Sample(NamedTuple):
 
 
 def observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> Sample:
+    """Energies and temperatures of a Context at a whole step.
+
+    Args:
+        context: with positions and velocities.
+        bodies: its rigid bodies.
+        conserved: whether the total momentum is, see `MomentumConservation`.
+    """
     state = context.getState(energy=True)
-    found = temperatures(bodies, _body_state(context, bodies), conserved)
+    found = temperatures(bodies, body_state(context, bodies), conserved)
     return Sample(
         state.getTime().value_in_unit(unit.picosecond),
         state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
@@ -185,8 +192,8 @@ def observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> Sa
     )
 
 
-def _body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
-    """The state of the bodies at a whole step, for any integrator."""
+def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
+    """The state of the bodies at a whole step, for any integrator; see `sample`."""
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
         return integrator.getBodyState()

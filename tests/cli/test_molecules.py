@@ -25,19 +25,24 @@ def box(tmp_path_factory):
     return path
 
 
-FIELDS = ["--forcefield", "amber14-all.xml", "amber14/tip3p.xml", "--constraints", "hbonds"]
+FILES = ["--forcefield", "amber14-all.xml", "amber14/tip3p.xml"]
+FIELDS = [*FILES, "--constraints", "hbonds"]
 
 
-def test_run_and_restart(box, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("constraints", ["hbonds", "none"])
+def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
+    """From the start on: without constraints the equilibration's usual step of 6 fs would be refused."""
     monkeypatch.chdir(tmp_path)
     settings = ["--scheme", "sier4g", "--dt", "3", "--platform", "Reference", "--report-every", "0.003"]
     settings += ["--equilibrate", "0.006", "--minimize"]
-    assert main(["run", str(box), *FIELDS, *settings, "--steps", "4"]) == 0
+    assert main(["run", str(box), *FILES, "--constraints", constraints, *settings, "--steps", "4"]) == 0
     assert main(["run", str(box), "--restart", "alanine.chk", "--steps", "8"]) == 0
     rows = log("alanine.csv")
     assert rows["Step"].tolist() == list(range(9))
     assert np.isfinite(rows["Flexible Temperature (K)"]).all()
-    assert "T of flexible molecules" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "T of flexible molecules" in out
+    assert ("equilibrates in steps of" in out) == (constraints == "none")
 
 
 def test_info(box, capsys):

@@ -81,6 +81,23 @@ def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
         openmm.Context(system, SIER2Integrator(0.001), platform())
 
 
+@pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)
+def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
+    _, _, system = flexible
+    vibrations = Vibrations(system, RigidBodies.from_system(system))
+    assert vibrations.longest_step(scheme, 0, 0) == math.inf
+    slow, fast = vibrations.longest_step(scheme, 1, 0), vibrations.longest_step(scheme, 0, 1)
+    assert vibrations.longest_step(scheme, 1, 1) == min(slow, fast)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        vibrations.check(scheme, 0.999 * slow, 1)
+        vibrations.check_nested(SIER4G, 1e-4, 0.999 * fast, 1)
+    with pytest.warns(UserWarning, match="is long"):
+        vibrations.check(scheme, 1.001 * slow, 1)
+    with pytest.warns(UserWarning, match="resonates"):
+        Vibrations(system, RigidBodies.from_system(system)).check_nested(SIER4G, 1e-4, 1.001 * fast, 1)
+
+
 def test_bonds_inside_bodies_do_not_count(flexible):
     _, positions, system = flexible
     named = SIERIntegrator(0.006, SIER4G, bodies=[[0, 1, 2], [3, 4, 5], [6, 7, 8]])

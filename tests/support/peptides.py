@@ -14,14 +14,15 @@ from tests.support.waters import platform
 PROGRAM = Path(__file__).parents[2] / "systems" / "peptide.py"
 
 
+@functools.cache
 def capped_alanine_box(waters):
     """Topology and positions (N, 3) in nm of ACE-ALA-NME and the waters nearest to it, without a periodic box."""
     maker = load_program(PROGRAM)
     topology, positions = maker.chain(["ALA"], -75.0, 145.0)
-    forcefield = _forcefield()
+    field = forcefield()
     modeller = app.Modeller(topology, positions * unit.nanometer)
-    modeller.addHydrogens(forcefield, platform=platform())
-    modeller.addSolvent(forcefield, padding=0.5 * unit.nanometer)
+    modeller.addHydrogens(field, platform=platform())
+    modeller.addSolvent(field, padding=0.5 * unit.nanometer)
     x = np.array(modeller.positions.value_in_unit(unit.nanometer))
     chain = [atom.index for atom in modeller.topology.atoms() if atom.residue.name != "HOH"]
     solvent = [residue for residue in modeller.topology.residues() if residue.name == "HOH"]
@@ -34,9 +35,9 @@ def capped_alanine_box(waters):
 def capped_alanine(waters):
     """System without a cut-off, bonds of hydrogen constrained, and positions (N, 3) in nm, of the same."""
     topology, positions = capped_alanine_box(waters)
-    return _forcefield().createSystem(topology, constraints=app.HBonds, removeCMMotion=False), positions
+    return forcefield().createSystem(topology, constraints=app.HBonds, removeCMMotion=False), positions
 
 
 @functools.cache
-def _forcefield():
+def forcefield():
     return app.ForceField("amber14/protein.ff14SB.xml", "amber14/tip3p.xml")

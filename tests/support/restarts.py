@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import openmm
 from openmm import app
 
 from tests.support.waters import phase_point, platform
@@ -27,6 +28,16 @@ def everything(context):
 def assert_same(one, two):
     for a, b in zip(one, two, strict=True):
         assert np.array_equal(a, b)
+
+
+def assert_restart_is_the_same(system, context, other, steps):
+    """A checkpoint continued by another integrator ends, bit for bit, where its own one does."""
+    saved = context.createCheckpoint()
+    context.getIntegrator().step(steps)
+    again = openmm.Context(system, other, platform())
+    again.loadCheckpoint(saved)
+    other.step(steps)
+    assert_same(everything(context), everything(again))
 
 
 def by_checkpoint(simulation, path):

@@ -10,6 +10,9 @@ from __future__ import annotations
 #: Largest angle of `small_sine_cosine`: its truncation error is below 2e-17 there.
 SMALL_ANGLE = 0.75
 
+#: A determinant of moments of inertia below this share of the cube of half their sum is that of points on a line.
+LINE = 1e-8
+
 
 def plus(a, b):
     """The sum of two vectors."""
@@ -85,3 +88,26 @@ def displacing_rotation(x, y, z, torque, inverses, shift):
     j = half * inverses[1] * combine(torque, y[0], y[1], y[2])
     k = half * inverses[2] * combine(torque, z[0], z[1], z[2])
     return rotation_matrix(1.0, i, j, k)
+
+
+def spin(moments, torque):
+    """Angular acceleration of points as one rigid body, times the determinant, by Cramer's rule; and the determinant.
+
+    The third result is half the trace: about axes across a line both moments have that value. No moment of points is
+    larger than the other two together, so that the determinant over the cube of this tells how small the smallest is.
+
+    Args:
+        moments: second moments xx, yy, zz, xy, yz, zx of the masses about their centre.
+        torque: of all forces.
+    """
+    xx, yy, zz, xy, yz, zx = moments
+    a, d, f = yy + zz, zz + xx, xx + yy
+    b, c, e = -xy, -zx, -yz
+    aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
+    dd, ee, ff = a * f - c * c, b * c - a * e, a * d - b * b
+    turned = (
+        aa * torque[0] + bb * torque[1] + cc * torque[2],
+        bb * torque[0] + dd * torque[1] + ee * torque[2],
+        cc * torque[0] + ee * torque[1] + ff * torque[2],
+    )
+    return turned, a * aa + b * bb + c * cc, xx + yy + zz

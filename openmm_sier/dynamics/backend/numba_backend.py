@@ -103,6 +103,11 @@ class NumbaBackend(NumpyBackend):
         _loop("displace")(_all(q), q, A, F, tau, shift, inverse_masses, inverse_moments, new_q, new_A)
         return new_q, new_A
 
+    def turn_groups(
+        self, edges: np.ndarray, part: np.ndarray, m: np.ndarray, q: np.ndarray, torques: np.ndarray, F: np.ndarray
+    ) -> None:
+        _loop("turn_groups")(slice(0, len(edges) - 1), edges, part, m, q, torques, F)
+
     def place(self, kinds: Sequence[Sites], q: np.ndarray, A: np.ndarray, positions: np.ndarray) -> bool:
         loop = _loop("place")
         return not sum(loop(s.part, s.part.start, q, A, s.places, s.atoms, positions) for s in kinds)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import combine, cross, displacing_rotation, rotation_matrix
+from openmm_sier.dynamics.backend.formulas import LINE, combine, cross, displacing_rotation, rotation_matrix, spin
 
 #: Bodies that are rotated together, and numbers that each needs for it: 22 kB, for the nearest cache.
 TILE, ROWS = 128, 22
@@ -139,6 +139,32 @@ def kick_from(start, stop, p, L, F, torque, arm, h, new_p, new_L):
         for x in range(3):
             new_p[x, n] = p[x, n] + h * force[x]
             new_L[x, n] = L[x, n] + h * (torque[x, n] + lever[x])
+
+
+def turn_groups(start, stop, edges, part, m, q, torques, F):
+    """As `NumpyBackend.turn_groups`, for a range of the groups."""
+    for g in span(start, stop):
+        members = span(edges[g], edges[g + np.uint64(1)])
+        mass = cx = cy = cz = tx = ty = tz = 0.0
+        for k in members:
+            n = np.uint64(part[k])
+            mass, cx, cy, cz = mass + m[k], cx + m[k] * q[0, n], cy + m[k] * q[1, n], cz + m[k] * q[2, n]
+            tx, ty, tz = tx + torques[0, n], ty + torques[1, n], tz + torques[2, n]
+        cx, cy, cz = cx / mass, cy / mass, cz / mass
+        xx = yy = zz = xy = yz = zx = 0.0
+        for k in members:
+            n = np.uint64(part[k])
+            x, y, z = q[0, n] - cx, q[1, n] - cy, q[2, n] - cz
+            xx, yy, zz = xx + m[k] * x * x, yy + m[k] * y * y, zz + m[k] * z * z
+            xy, yz, zx = xy + m[k] * x * y, yz + m[k] * y * z, zx + m[k] * z * x
+        turned, determinant, half = spin((xx, yy, zz, xy, yz, zx), (tx, ty, tz))
+        if determinant <= LINE * half**3:
+            turned, determinant = (tx, ty, tz), half
+        for k in members:
+            n = np.uint64(part[k])
+            force = cross(turned, (q[0, n] - cx, q[1, n] - cy, q[2, n] - cz))
+            for axis in range(3):
+                F[axis, n] += m[k] / determinant * force[axis]
 
 
 def place(start, stop, first, q, A, sites, atoms, positions):

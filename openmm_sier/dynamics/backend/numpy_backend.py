@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import (
+    LINE,
     angular_velocity,
     body_frame,
     combine,
     cross,
     displacing_rotation,
     rotation_matrix,
+    spin,
 )
 from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.backend.top import Top
@@ -131,6 +133,28 @@ class NumpyBackend:
         x, y, z = A
         rows = displacing_rotation(x, y, z, tau, inverse_moments, shift)
         return q + (shift * inverse_masses) * F, np.stack([combine(row, x, y, z) for row in rows])
+
+    def turn_groups(
+        self, edges: np.ndarray, part: np.ndarray, m: np.ndarray, q: np.ndarray, torques: np.ndarray, F: np.ndarray
+    ) -> None:
+        """Add to forces, (3, n), those that turn groups of points rigidly and exert the torques of their members.
+
+        Args:
+            edges: of the groups in `part`, (g + 1,).
+            part: columns of the points, (m,), group by group.
+            m: their masses, (m,).
+            q: positions, (3, n).
+            torques: (3, n).
+            F: forces, (3, n), changed.
+        """
+        starts, group = edges[:-1], np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+        x, y, z = (row - (np.add.reduceat(m * row, starts) / np.add.reduceat(m, starts))[group] for row in q[:, part])
+        products = m * np.array([x * x, y * y, z * z, x * y, y * z, z * x])
+        torque = np.add.reduceat(torques[:, part], starts, axis=1)
+        turned, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
+        line = determinant <= LINE * half**3
+        rates = np.where(line, torque / half, np.array(turned) / np.where(line, 1.0, determinant))
+        F[:, part] += m * np.array(cross(rates[:, group], (x, y, z)))
 
     # --- atoms ---
 

@@ -6,6 +6,7 @@ import contextlib
 import os
 import subprocess
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -65,6 +66,33 @@ def test_sums_and_places_agree(mixture):
     ):
         plain, fast = both(function)
         assert np.abs(plain - fast).max() < ROUNDING * max(1.0, np.abs(plain).max())
+
+
+def test_turned_groups_agree_and_have_their_torques(rng):
+    """Of points in space, in a plane and on a line, of which two in a row have no torque about it."""
+    edges, n = np.array([0, 2, 5, 9, 15]), 17
+    part = rng.permutation(n)[:15]
+    q, m, torques = rng.normal(size=(3, n)), rng.uniform(1, 16, 15), rng.normal(size=(3, n))
+    q[2, part[2:9]] = 0.3
+    q[:, part[5:9]] = np.outer([0.1, -0.2, 0.4], rng.normal(size=4))
+
+    def turned():
+        F = np.ones((3, n))
+        backend.active().turn_groups(edges, part, m, q, torques, F)
+        return F - 1
+
+    plain, fast = both(turned)
+    # Rounding of inverses with condition numbers of up to a hundred.
+    assert np.abs(plain - fast).max() < 100 * ROUNDING * np.abs(plain).max()
+    for low, high in pairwise(edges):
+        members = part[low:high]
+        assert np.abs(fast[:, members].sum(axis=1)).max() < 1e-12
+        wanted = torques[:, members].sum(axis=1)
+        if high in (2, 9):
+            along = q[:, members[1]] - q[:, members[0]]
+            wanted -= along * (along @ wanted) / (along @ along)
+        assert np.cross(q[:, members].T, fast[:, members].T).sum(axis=0) == pytest.approx(wanted, abs=1e-11)
+    assert not fast[:, np.setdiff1d(np.arange(n), part)].any()
 
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G], ids=lambda scheme: scheme.name)
