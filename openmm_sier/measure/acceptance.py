@@ -1,18 +1,16 @@
-"""Acceptance of hybrid Monte Carlo from the spread of energy errors, and the largest box that it allows.
+"""The largest box in which hybrid Monte Carlo accepts a fraction of its trials.
 
-Where many molecules contribute, errors are normal. <exp(-error/kT)> = 1, which holds for every map that reverses and
-keeps the volume of phase space, then makes their mean half their variance in kT, and the acceptance erfc(sd/sqrt(8)).
-Molecules that are far from each other contribute independently, so that the variance grows as their number.
-
-Source: S. Gupta, A. Irbaeck, F. Karsch and B. Petersson, Phys. Lett. B 242, 437 (1990).
+Molecules that are far from each other contribute to the energy error independently, so that its variance grows as
+their number; `openmm_sier.dynamics.metropolis` has the acceptance that follows.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from statistics import NormalDist
 from typing import NamedTuple
+
+from openmm_sier.dynamics.metropolis import spread_at
 
 
 class Spread(NamedTuple):
@@ -23,20 +21,6 @@ class Spread(NamedTuple):
 
     value: float
     error: float
-
-
-def acceptance(spread: float) -> float:
-    """Mean of min(1, exp(-error)) of normal errors with this standard deviation in kT."""
-    return math.erfc(spread / math.sqrt(8))
-
-
-def spread_at(accepted: float) -> float:
-    """The standard deviation of energy errors in kT at which a fraction of trials is accepted; inverse of `acceptance`.
-
-    >>> round(spread_at(0.5), 3)
-    1.349
-    """
-    return -2 * NormalDist().inv_cdf(accepted / 2)
 
 
 def pooled(molecules: Sequence[int], trials: Sequence[int], spreads: Sequence[float]) -> Spread:

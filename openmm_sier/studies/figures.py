@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from openmm_sier.measure.acceptance import Spread, acceptance
+from openmm_sier.dynamics.metropolis import expected_acceptance
+from openmm_sier.measure.acceptance import Spread
 from openmm_sier.studies import style
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def acceptance_figure(rows: Sequence[Any], spreads: Sequence[tuple[str, float, S
             spread.errorbar(n, *np.array([row.spread for row in mine]).T, **points)
             along = np.geomspace(n.min(), max(LARGEST_DRAWN, n.max()), 200)
             spread.plot(along, of_one.value * np.sqrt(along), **look | {"marker": ""})
-            accepted.plot(along, [acceptance(of_one.value * x**0.5) for x in along], **look | {"marker": ""})
+            accepted.plot(along, [expected_acceptance(of_one.value * x**0.5) for x in along], **look | {"marker": ""})
             accepted.plot([], [], label=label, **look)
         accepted.axhline(0.5, color=style.GREY, lw=1, zorder=0)
         accepted.set_xscale("log")
@@ -141,7 +142,7 @@ def acceptance_figure(rows: Sequence[Any], spreads: Sequence[tuple[str, float, S
         spread.set_title("Energy error, and sd ~ √N")
         for axes in (accepted, spread):
             axes.set_xlabel("molecules of water")
-            style.plain_ticks(axes.xaxis, 8 ** np.arange(2, 8))
+            style.plain_ticks(axes.xaxis, [8**n for n in range(2, 8)])
         figure.legend(*accepted.get_legend_handles_labels(), loc="outside right upper")
         figure.savefig(path)
 
