@@ -8,6 +8,7 @@ from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.named_integrators import SIER2Integrator, SIER4GIntegrator, SIER4Integrator, SIER4PIntegrator
 from openmm_sier.context.pme import balance_pme
 from openmm_sier.context.preparation import Preparation, prepare_system
+from openmm_sier.context.tuning import Tuning, tune
 from openmm_sier.dynamics.bodies import BodyState, RigidityError
 from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, SIER4V, Scheme
 from openmm_sier.version import __version__
@@ -32,7 +33,9 @@ __all__ = [
     "SIERIntegrator",
     "SIERLangevinIntegrator",
     "Scheme",
+    "Tuning",
     "__version__",
     "balance_pme",
     "prepare_system",
+    "tune",
 ]

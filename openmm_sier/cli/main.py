@@ -111,6 +111,7 @@ def build_parser() -> argparse.ArgumentParser:
         _add_paper,
         _add_equipartition,
         _add_schemes,
+        _add_acceptance,
         _add_bench,
     ):
         added = add(commands)
@@ -403,6 +404,36 @@ def _schemes(options: argparse.Namespace) -> None:
     from openmm_sier.studies import scheme_comparison
 
     scheme_comparison.run(_settings(scheme_comparison.SchemesSettings, options), options.out, REPORT)
+
+
+def _add_acceptance(commands: Commands) -> argparse.ArgumentParser:
+    parser = _add_comparison(
+        commands,
+        "acceptance",
+        "measure the acceptance of hybrid Monte Carlo against the number of molecules",
+        "Energy errors of trajectories and their acceptance with every scheme, and with Verlet by RATTLE, in boxes of "
+        "several sizes. Boxes and trials are kept in --out as they are done, and are not made again. The default takes "
+        "an hour or two of one core.",
+    )
+    parser.add_argument("--sizes", metavar="N", type=whole, nargs="+", help="in molecules (default: 64 512 4096 32768)")
+    parser.add_argument("--schemes", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
+    parser.add_argument("--dt", metavar="FS", type=positive, nargs="+", help="per force evaluation (default: 2)")
+    parser.add_argument(
+        "--trials", metavar="N", type=whole, nargs="+", help="of each, or for each size (default: 400 to 10)"
+    )
+    parser.add_argument("--time", metavar="PS", type=positive, help="of a trajectory (default: 0.06)")
+    parser.add_argument("--equilibrate", metavar="PS", type=positive, help="at each size (default: 1)")
+    parser.add_argument("--temperature", metavar="K", type=positive, help="default: 297")
+    parser.add_argument("--seed", type=whole, help="default: 1")
+    parser.set_defaults(execute=_acceptance)
+    return parser
+
+
+def _acceptance(options: argparse.Namespace) -> None:
+    from openmm_sier.cli.console import REPORT
+    from openmm_sier.studies import acceptance
+
+    acceptance.run(_settings(acceptance.AcceptanceSettings, options), options.out, REPORT)
 
 
 def _add_bench(commands: Commands) -> argparse.ArgumentParser:

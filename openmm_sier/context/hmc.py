@@ -60,8 +60,9 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
     begins another one from its start. A temperature set in mid-trial holds from the next one on. A trajectory that
     cannot be followed to its end, since a force is not finite or constraints cannot be satisfied, is rejected.
 
-    The first trajectory is followed back to its start before it counts, once for each step size, and the integrator
-    refuses to go on if it does not come back; `reversalError` says how close it came.
+    The first trajectory is followed back to its start before it counts, once for each step size and again where
+    trials become longer, and the integrator refuses to go on if it does not come back; `reversalError` says how close
+    it came.
 
     Random numbers are as with `SIERLangevinIntegrator`, and a restart is bit-identical in mid-trial too. The total
     energy less the heat changes by the energy errors of accepted trials alone.
@@ -130,6 +131,9 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             raise ValueError("temperature must be above zero for hybrid Monte Carlo, got 0 K")
         return found
 
+    #: Until the settings are in place.
+    _steps_per_trial = 0
+
     # --- what users ask ---
 
     def getStepsPerTrial(self) -> int:
@@ -140,6 +144,8 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         """Set the steps of trials that begin from now on."""
         if (steps := whole_number("stepsPerTrial", steps)) == 0:
             raise ValueError("stepsPerTrial must be at least 1, got 0")
+        if steps > self._steps_per_trial:
+            self.setGlobalVariableByName(CHECKED_STEP, 0)
         self._steps_per_trial = steps
         stored_settings.store(self, "trial", [steps])
 
@@ -187,6 +193,24 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         """Count trials from zero again."""
         for name in (TRIALS, ACCEPTED):
             self.setGlobalVariableByName(name, 0)
+
+    def finishTrial(self) -> None:
+        """Go on to the next sample, at a multiple of `stepsPerTrial`; a Context that is at one stays there."""
+        engine = self._adopted()
+        while (trial := SampledState.of(engine.state).trial) is not None or engine.steps % self._steps_per_trial:
+            self.step(trial.left if trial else self._steps_per_trial - engine.steps % self._steps_per_trial)
+
+    def _sampled_energy(self) -> float:
+        """Potential energy of the bodies now, kJ/mol; that of a sample is known from its trial, and costs nothing."""
+        engine = self._adopted()
+        return engine.potential_energy(engine.state)
+
+    def _adopted(self) -> Engine:
+        """The engine, in agreement with the Context."""
+        engine = self._bound()
+        assert isinstance(engine, Engine)
+        engine.adopt()
+        return engine
 
     # --- for the engine ---
 

@@ -10,8 +10,13 @@ kick leaves out the motion of the centre of mass that it would cause. That is a 
 the samples are those of the canonical ensemble with the centre of mass at rest. A removal between steps would not
 reverse wherever forces do not sum to zero.
 
+Where many molecules contribute, energy errors are normal. <exp(-error/kT)> = 1, which holds for every map that reverses
+and keeps the volume of phase space, then makes their mean half their variance in kT^2, and the acceptance
+erfc(sd/sqrt(8)).
+
 Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247 (1991)
-for momenta that are refreshed in part, whose reversal after a rejection detailed balance needs.
+for momenta that are refreshed in part, whose reversal after a rejection detailed balance needs; Gupta, Irbaeck, Karsch
+and Petersson, Phys. Lett. B 242, 437 (1990) for the acceptance.
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -217,6 +223,20 @@ def without_total_momentum(bodies: RigidBodies, state: BodyState) -> BodyState:
     velocity = bodies.centre_velocity(state.p)
     energy = 0.5 * float(bodies.masses.sum() * (velocity**2).sum())
     return replace(state, p=state.p - bodies.masses * velocity, heat=state.heat - energy)
+
+
+def expected_acceptance(spread: float) -> float:
+    """Mean of min(1, exp(-error)) of normal energy errors with this standard deviation in kT."""
+    return math.erfc(spread / math.sqrt(8))
+
+
+def spread_at(acceptance: float) -> float:
+    """The standard deviation of energy errors in kT at which a fraction of trials is accepted.
+
+    >>> round(spread_at(0.5), 3)
+    1.349
+    """
+    return -2 * NormalDist().inv_cdf(acceptance / 2)
 
 
 def reversal_error(bodies: RigidBodies, advance: Stepper, start: BodyState, steps: int) -> float:

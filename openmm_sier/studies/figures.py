@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from openmm_sier.dynamics.metropolis import expected_acceptance
+from openmm_sier.measure.acceptance import Spread
 from openmm_sier.measure.properties import mean_square_displacements, orientation_correlation
 from openmm_sier.studies import style
 
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from openmm_sier.measure.liquid_samples import LiquidSamples
+
+#: Number of molecules up to which lines of acceptance are drawn.
+LARGEST_DRAWN = 262144
 
 
 def equipartition_figure(rows: Sequence[Any], ensemble: str, path: Path) -> None:
@@ -132,6 +137,45 @@ def cost_figure(points: Sequence[Any], path: Path) -> None:
         for axes in (cost, speed):
             _logarithmic(axes)
         figure.legend(*cost.get_legend_handles_labels(), loc="outside right upper")
+        figure.savefig(path)
+
+
+def acceptance_figure(rows: Sequence[Any], spreads: Sequence[tuple[str, float, Spread]], path: Path) -> None:
+    """Acceptance and spread of the energy error against the number of molecules, one line a method and step.
+
+    Args:
+        rows: of `openmm_sier.studies.acceptance.run`.
+        spreads: method, time per force evaluation in fs, and spread of the energy error for one molecule, kT, by which
+            lines are drawn.
+        path: PNG file to write.
+    """
+    with style.context():
+        figure, (accepted, spread) = style.panels(2)
+        steps = sorted({row.fs_per_force for row in rows})
+        for method, dt, of_one in spreads:
+            mine = [r for r in rows if (r.method, r.fs_per_force) == (method, dt) and not r.broken]
+            look = style.of_method(method) | {"ls": ("-", "--", ":", "-.")[steps.index(dt) % 4]}
+            points = look | {"ls": "", "capsize": 3}
+            label = method if len(steps) == 1 else f"{method}, {dt:g} fs per force"
+            n = np.array([row.molecules for row in mine])
+            accepted.errorbar(n, *np.array([row.acceptance for row in mine]).T, **points)
+            spread.errorbar(n, *np.array([row.spread for row in mine]).T, **points)
+            along = np.geomspace(n.min(), max(LARGEST_DRAWN, n.max()), 200)
+            spread.plot(along, of_one.value * np.sqrt(along), **look | {"marker": ""})
+            accepted.plot(along, [expected_acceptance(of_one.value * x**0.5) for x in along], **look | {"marker": ""})
+            accepted.plot([], [], label=label, **look)
+        accepted.axhline(0.5, color=style.GREY, lw=1, zorder=0)
+        accepted.set_xscale("log")
+        accepted.set_ylim(0, 1.03)
+        accepted.set_ylabel("acceptance")
+        accepted.set_title("Acceptance, and erfc(sd/√8)")
+        _logarithmic(spread)
+        spread.set_ylabel("standard deviation of the energy error (kT)")
+        spread.set_title("Energy error, and sd ~ √N")
+        for axes in (accepted, spread):
+            axes.set_xlabel("molecules of water")
+            style.plain_ticks(axes.xaxis, [8**n for n in range(2, 8)])
+        figure.legend(*accepted.get_legend_handles_labels(), loc="outside right upper")
         figure.savefig(path)
 
 

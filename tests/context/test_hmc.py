@@ -279,6 +279,35 @@ def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch):
     assert phase_point(context)[0] == pytest.approx(cluster[1][0], abs=1e-6)
 
 
+def test_longer_trajectories_are_checked_again(cluster, monkeypatch):
+    """Chaos makes the error of reversal grow with the length: what a short trajectory showed says nothing."""
+    integrator = sampler(n=2)
+    context = context_at(cluster[0], integrator, cluster[1])
+    integrator.step(2)
+    monkeypatch.setattr("openmm_sier.dynamics.metropolis.reversal_error", lambda *_: 2e-4)
+    integrator.setStepsPerTrial(1)
+    integrator.step(2)
+    integrator.setStepsPerTrial(2)
+    with pytest.raises(openmm.OpenMMException, match=r"2 steps .* missed its start"):
+        integrator.step(1)
+    assert context.getStepCount() == 4
+
+
+def test_a_trial_is_finished_at_the_next_multiple(cluster):
+    integrator = sampler(0.0005)
+    context = context_at(cluster[0], integrator, cluster[1])
+    integrator.step(6)
+    integrator.setStepsPerTrial(7)
+    integrator.finishTrial()
+    # The trial in progress ends at step 8, and a shorter one leads to step 14.
+    assert (context.getStepCount(), integrator.trials) == (14, 3)
+    before = context.createCheckpoint()
+    integrator.finishTrial()
+    assert context.createCheckpoint() == before
+    # The energy of the sample is that of its trial.
+    assert integrator._sampled_energy() == pytest.approx(energies(context)[0], rel=1e-12)
+
+
 CROOKED = Scheme("Euler", (("kick", 1.0), ("drift", 1.0)))
 
 

@@ -94,6 +94,7 @@ class Chain:
     friction: float = math.inf
     at_rest: bool = False
     rotation: operators.Rotation = exact
+    seed: int = 17
 
     @property
     def operations(self):
@@ -113,7 +114,7 @@ class Chain:
 
     @property
     def bath(self):
-        return OrnsteinUhlenbeck(TEMPERATURE, self.friction, self.friction, seed=17)
+        return OrnsteinUhlenbeck(TEMPERATURE, self.friction, self.friction, self.seed)
 
     def samples(self, trials, start=None):
         """The states after each of so many trials."""

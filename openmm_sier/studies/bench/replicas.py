@@ -1,8 +1,9 @@
-"""Boxes of many sizes, from one that is repeated."""
+"""Boxes of many sizes, from one that is repeated or cut."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from openmm_sier.measure.forcefields import Box, load, pme_system
 
 
 class Replica(NamedTuple):
-    """A box repeated along its edges.
+    """A box repeated along its edges, or a part of one.
 
     Attributes:
         molecules: their number.
@@ -56,20 +57,64 @@ def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica
     places = np.array(list(itertools.product(*map(range, copies))))
     topology = app.Topology()
     for _ in places:
-        _add(box.topology, topology)
+        _add(list(box.topology.residues()), box.topology, topology)
     topology.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
     system = pme_system(topology, load(box.choice.files, directory))
     return Replica(topology.getNumResidues(), ((places @ vectors)[:, None] + positions).reshape(-1, 3), system)
 
 
-def _add(box: app.Topology, topology: app.Topology) -> None:
-    """Add the molecules of a box once more."""
-    atoms = {}
-    for chain in box.chains():
-        added = topology.addChain()
-        for residue in chain.residues():
-            place = topology.addResidue(residue.name, added)
-            for atom in residue.atoms():
-                atoms[atom] = topology.addAtom(atom.name, atom.element, place)
-    for first, second in box.bonds():
-        topology.addBond(atoms[first], atoms[second])
+def cropped(box: Box, directory: Path, molecules: int) -> Replica:
+    """Molecules around a corner of a box, in a smaller box of the same shape and density.
+
+    They are those that the smallest box around them holds. Molecules touch anew across its faces: minimize, and
+    equilibrate.
+
+    Args:
+        box: the box, rectangular.
+        directory: see `repeated`.
+        molecules: how many.
+
+    Raises:
+        ValueError: the box has no more molecules than that.
+    """
+    positions = np.array(box.positions.value_in_unit(unit.nanometer))
+    residues = list(box.topology.residues())
+    if not 0 < molecules < len(residues):
+        raise ValueError(f"a part of a box of {len(residues)} molecules has 1 to {len(residues) - 1}, got {molecules}")
+    edges = np.diag(np.array(box.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer)))
+    atoms = [np.array([atom.index for atom in residue.atoms()]) for residue in residues]
+    centres = np.array([positions[each].mean(axis=0) for each in atoms]) % edges
+    reach = (centres / edges).max(axis=1)
+    chosen = np.argsort(reach, kind="stable")[:molecules]
+    share = (molecules / len(residues)) ** (1 / 3)
+    topology = app.Topology()
+    _add([residues[i] for i in chosen], box.topology, topology)
+    topology.setPeriodicBoxVectors(np.diag(share * edges) * unit.nanometer)
+    # Centres fill the smaller box as they filled their part of the larger one.
+    shifts = centres[chosen] * share / reach[chosen[-1]] - [positions[atoms[i]].mean(axis=0) for i in chosen]
+    found = np.concatenate([positions[atoms[i]] + shift for i, shift in zip(chosen, shifts, strict=True)])
+    return Replica(molecules, found, pme_system(topology, load(box.choice.files, directory)))
+
+
+def of_size(box: Box, directory: Path, molecules: int) -> Replica:
+    """A box of so many molecules: `cropped` where it is smaller than the one given, else `repeated`.
+
+    Raises:
+        ValueError: the number is neither smaller than that of the box nor a multiple of it.
+    """
+    there = box.topology.getNumResidues()
+    if molecules < there:
+        return cropped(box, directory, molecules)
+    return repeated(box, directory, copies_for(molecules, there))
+
+
+def _add(residues: Iterable[app.topology.Residue], bonded: app.Topology, topology: app.Topology) -> None:
+    """Add molecules of a topology to another one, with their bonds, in a chain of their own."""
+    atoms, chain = {}, topology.addChain()
+    for residue in residues:
+        place = topology.addResidue(residue.name, chain)
+        for atom in residue.atoms():
+            atoms[atom] = topology.addAtom(atom.name, atom.element, place)
+    for first, second in bonded.bonds():
+        if first in atoms:
+            topology.addBond(atoms[first], atoms[second])
