@@ -39,7 +39,7 @@ else:
 KEYS = ("command", "options", "members")
 
 #: Commands whose members an ensemble may have, each with a run that can be repeated to the byte.
-COMMANDS = ("run", "equipartition", "schemes", "paper")
+COMMANDS = ("run", "equipartition", "schemes", "acceptance", "paper")
 
 #: Positional arguments, in place of options.
 POSITIONAL = ("box", "experiment")

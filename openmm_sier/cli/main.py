@@ -8,20 +8,17 @@ import signal
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, TypeVar
+from typing import TYPE_CHECKING
 
-from openmm_sier.cli import streams
+from openmm_sier.cli import streams, study_commands
+from openmm_sier.cli.parser import FORCEFIELD_HELP, Parser, UsageError
 from openmm_sier.cli.plan import RECOMMENDED, Options, usual_step
 from openmm_sier.cli.values import any_number, not_negative, positive, whole
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.version import __version__
 
 if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-    #: The action to which commands are added.
-    Commands = argparse._SubParsersAction["Parser"]
-    Settings = TypeVar("Settings", bound=DataclassInstance)
+    from openmm_sier.cli.parser import Commands
 
 SCHEMES = tuple(CATALOGUE)
 
@@ -49,24 +46,7 @@ CONSTRAINTS_HELP = (
     "(default: none)"
 )
 
-FORCEFIELD_HELP = (
-    "force-field files, OpenMM's or your own. Without it the file named in a record 'REMARK  99 FORCEFIELD file.xml' "
-    "of the PDB file; without such a record the water model whose geometry the file has, if only one has it. Otherwise "
-    "the error lists the models to choose from"
-)
-
 STEP_HELP = "step in fs (default: " + ", ".join(f"{usual_step(name):g} for {name}" for name in SCHEMES) + ")"
-
-
-class UsageError(ValueError):
-    """Arguments are wrong; the message begins with the command."""
-
-
-class Parser(argparse.ArgumentParser):
-    """Reports errors in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{self.prog}: {message} (see {self.prog} --help)")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -103,17 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog=streams.PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action="version", version=f"{streams.PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (
-        _add_run,
-        _add_ensemble,
-        _add_properties,
-        _add_info,
-        _add_paper,
-        _add_equipartition,
-        _add_schemes,
-        _add_acceptance,
-        _add_bench,
-    ):
+    for add in (_add_run, _add_ensemble, _add_properties, _add_info, *study_commands.ADDED):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
@@ -290,181 +260,6 @@ def _info(options: argparse.Namespace) -> None:
     from openmm_sier.cli import info
 
     info.info(options.box, options.forcefield, options.rigid, options.constraints)
-
-
-# --- paper ---
-
-
-def _add_paper(commands: Commands) -> argparse.ArgumentParser:
-    parser = commands.add_parser(
-        "paper",
-        help="repeat the paper's experiments",
-        description="Repeat the numerical experiments of van Zon and Schofield (2007).",
-    )
-    parser.add_argument("experiment", choices=("free-rotation", "dipole", "water", "all"))
-    parser.add_argument("--quick", action="store_true", help="less of everything, to see it work")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where tables and figures go")
-    parser.add_argument("--seed", type=whole, default=1, help="default: 1")
-    parser.set_defaults(execute=_paper)
-    return parser
-
-
-def _paper(options: argparse.Namespace) -> None:
-    from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import paper
-
-    paper.run(options.experiment, options.quick, options.out, options.seed, REPORT)
-
-
-# --- comparisons ---
-
-
-def _add_comparison(commands: Commands, name: str, title: str, description: str) -> argparse.ArgumentParser:
-    """A parser with the arguments that all comparisons of integrators share."""
-    parser = commands.add_parser(name, help=title, description=description)
-    parser.add_argument("box", metavar="BOX.pdb", type=Path, nargs="?", help="default: 512 molecules of TIP3P water")
-    parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
-    parser.add_argument("--platform", help="of OpenMM (default: the fastest)")
-    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out"), help="for the numbers and the figure")
-    return parser
-
-
-def _settings(cls: type[Settings], options: argparse.Namespace) -> Settings:
-    """The settings of a comparison from the options of its command; what was not given keeps its default."""
-    given = {field.name: getattr(options, field.name, None) for field in dataclasses.fields(cls)}
-    given = {
-        name: tuple(value) if isinstance(value, list) and name != "forcefield" else value
-        for name, value in given.items()
-        if value is not None
-    }
-    if "box" not in given:
-        from openmm_sier.measure.forcefields import shipped_box
-
-        given["box"] = shipped_box()
-    return cls(**given)
-
-
-def _add_equipartition(commands: Commands) -> argparse.ArgumentParser:
-    parser = _add_comparison(
-        commands,
-        "equipartition",
-        "compare the temperatures of rotation and translation",
-        "T_trans, T_rot, mean potential energy and density with OpenMM's integrators and ours, at several steps.",
-    )
-    parser.add_argument("--dt", metavar="FS", type=positive, nargs="+", help="per force evaluation (default: 0.5 to 4)")
-    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), help="default: nve")
-    parser.add_argument("--methods", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
-    parser.add_argument("--time", metavar="PS", type=positive, help="of each run (default: 20)")
-    parser.add_argument("--replicas", type=whole, help="runs of each, with seeds that follow --seed (default: 1)")
-    parser.add_argument(
-        "--pool",
-        metavar="DIR",
-        type=Path,
-        nargs="+",
-        help="instead of runs: pool those of earlier --out directories",
-    )
-    parser.add_argument("--equilibrate", metavar="PS", type=positive, help="default: 10")
-    parser.add_argument("--temperature", metavar="K", type=positive, help="default: 297")
-    parser.add_argument("--friction", metavar="1/PS", type=positive, help="default: 1")
-    parser.add_argument("--pressure", metavar="BAR", type=any_number, help="default: 1")
-    parser.add_argument("--seed", type=whole, help="default: 1")
-    parser.set_defaults(execute=_equipartition)
-    return parser
-
-
-def _equipartition(options: argparse.Namespace) -> None:
-    from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import equipartition
-
-    if options.pool:
-        if options.box is not None:
-            raise ValueError(f"--pool reads what earlier runs wrote: it takes no box, got {options.box}")
-        equipartition.pool(options.pool, options.out, REPORT)
-    else:
-        equipartition.run(_settings(equipartition.EquipartitionSettings, options), options.out, REPORT)
-
-
-def _add_schemes(commands: Commands) -> argparse.ArgumentParser:
-    parser = _add_comparison(
-        commands,
-        "schemes",
-        "compare the energy conservation of all schemes",
-        "Energy error and long-run drift of every scheme and of OpenMM's Verlet, against force evaluations per ps.",
-    )
-    parser.add_argument("--dt", metavar="FS", type=positive, nargs="+", help="per force evaluation (default: 1 to 2.5)")
-    parser.add_argument("--time", metavar="PS", type=positive, help="of each run (default: 4)")
-    parser.add_argument("--schemes", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
-    parser.add_argument("--seed", type=whole, help="default: 1")
-    parser.set_defaults(execute=_schemes)
-    return parser
-
-
-def _schemes(options: argparse.Namespace) -> None:
-    from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import scheme_comparison
-
-    scheme_comparison.run(_settings(scheme_comparison.SchemesSettings, options), options.out, REPORT)
-
-
-def _add_acceptance(commands: Commands) -> argparse.ArgumentParser:
-    parser = _add_comparison(
-        commands,
-        "acceptance",
-        "measure the acceptance of hybrid Monte Carlo against the number of molecules",
-        "Energy errors of trajectories and their acceptance with every scheme, and with Verlet by RATTLE, in boxes of "
-        "several sizes. Boxes and trials are kept in --out as they are done, and are not made again. The default takes "
-        "an hour or two of one core.",
-    )
-    parser.add_argument("--sizes", metavar="N", type=whole, nargs="+", help="in molecules (default: 64 512 4096 32768)")
-    parser.add_argument("--schemes", metavar="NAME", nargs="+", help="default: all; see the error for a wrong one")
-    parser.add_argument("--dt", metavar="FS", type=positive, nargs="+", help="per force evaluation (default: 2)")
-    parser.add_argument(
-        "--trials", metavar="N", type=whole, nargs="+", help="of each, or for each size (default: 400 to 10)"
-    )
-    parser.add_argument("--time", metavar="PS", type=positive, help="of a trajectory (default: 0.06)")
-    parser.add_argument("--equilibrate", metavar="PS", type=positive, help="at each size (default: 1)")
-    parser.add_argument("--temperature", metavar="K", type=positive, help="default: 297")
-    parser.add_argument("--seed", type=whole, help="default: 1")
-    parser.set_defaults(execute=_acceptance)
-    return parser
-
-
-def _acceptance(options: argparse.Namespace) -> None:
-    from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import acceptance
-
-    acceptance.run(_settings(acceptance.AcceptanceSettings, options), options.out, REPORT)
-
-
-def _add_bench(commands: Commands) -> argparse.ArgumentParser:
-    parser = _add_comparison(
-        commands,
-        "bench",
-        "measure what a step and what accuracy cost",
-        "Cost of a step over that of its forces and over OpenMM's integrators, of the free rotation and of the layer "
-        "above the forces alone; energy error against cost, beside LAMMPS (lmp) and GROMACS (gmx) where they are on "
-        "the PATH. Takes some 10 minutes of two cores; --parts and --copies make it shorter. With --platform, instead: "
-        "steps and forces per second, cost over the forces, and simulated time per second at equal energy error on "
-        "that platform, by --molecules.",
-    )
-    parser.add_argument("--parts", nargs="+", help="of steps, rotations, layer, accuracy (default: all)")
-    parser.add_argument("--copies", type=whole, nargs="+", help="of the box along each edge (default: 1 2 4)")
-    parser.add_argument(
-        "--molecules", type=whole, nargs="+", help="with --platform: multiples of the box (default: 512 to 98304)"
-    )
-    parser.add_argument("--bodies", type=whole, nargs="+", help="without forces (default: 512 4096 32768 131072)")
-    parser.add_argument("--rounds", type=whole, help="default: 8")
-    parser.add_argument("--time", metavar="PS", type=positive, help="of runs for the energy error (default: 1)")
-    parser.add_argument("--seed", type=whole, help="default: 1")
-    parser.set_defaults(execute=_bench)
-    return parser
-
-
-def _bench(options: argparse.Namespace) -> None:
-    from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import bench
-
-    bench.run(_settings(bench.BenchSettings, options), options.out, REPORT)
 
 
 if __name__ == "__main__":
