@@ -262,7 +262,7 @@ def table_of_limits(found: Sequence[Limit], largest: int) -> Table:
                 f"{limit.fs_per_force:g}",
                 _with_error(limit.spread, 5),
                 str(limit.measured or "none"),
-                "{:.2g} ± {:.1g}".format(*limit.extrapolated),
+                f"{float(f'{limit.extrapolated[0]:.2g}'):.0f} ± {float(f'{limit.extrapolated[1]:.1g}'):.0f}",
             ]
             for limit in found
         ],
