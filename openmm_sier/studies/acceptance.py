@@ -155,9 +155,13 @@ def _check(settings: AcceptanceSettings) -> None:
         raise ValueError(f"trials must be at least 2, got {min(settings.trials)}")
 
 
+def _shared(settings: AcceptanceSettings) -> dict[str, Any]:
+    return {name: getattr(settings, name) for name in SHARED} | {"box": settings.box.name}
+
+
 def _share(settings: AcceptanceSettings, path: Path) -> None:
     """Note the settings of a directory's files, or refuse others than those noted."""
-    mine = {name: getattr(settings, name) for name in SHARED} | {"box": settings.box.name}
+    mine = _shared(settings)
     if not path.exists():
         path.write_text(json.dumps(mine, indent=1))
         return
@@ -200,7 +204,7 @@ def _publish(rows: list[Row], settings: AcceptanceSettings, out: Path, report: R
     record = {
         "version": __version__,
         "openmm": openmm.__version__,
-        "settings": asdict(settings) | {"box": settings.box.name},
+        "settings": _shared(settings),
         "rows": [asdict(row) for row in rows],
         "limits": [asdict(limit) for limit in found],
     }
