@@ -22,11 +22,12 @@ Promise.allSettled(images.map(image => image.decode())).then(() =>
     done(images.filter(image => !image.naturalWidth).map(image => image.src)));
 """
 
-#: Elements that stick out of the window, the narrowest first.
+#: Elements that stick out of the window, the least wide first, where the page or its text has to be scrolled sideways.
+#: Tables and listings that scroll by themselves are right.
 TOO_WIDE = """
-const width = document.documentElement.clientWidth;
-if (document.documentElement.scrollWidth <= width) return [];
-return [...document.querySelectorAll('main *')].filter(e => e.getBoundingClientRect().right > width + 1)
+const frames = document.querySelectorAll('html, body, .page, .main, .content'), width = window.innerWidth;
+if ([...frames].every(frame => frame.scrollWidth <= frame.clientWidth + 1)) return [];
+return [...document.querySelectorAll('article *')].filter(e => e.getBoundingClientRect().right > width + 1)
     .sort((a, b) => a.getBoundingClientRect().right - b.getBoundingClientRect().right).slice(0, 3)
     .map(e => e.outerHTML.slice(0, 120));
 """
