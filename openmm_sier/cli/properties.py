@@ -82,20 +82,12 @@ def _dielectric(run: Run) -> Estimate | None:
     return properties.dielectric_constant(run.samples.dipoles, run.samples.volumes, run.plan.temperature)
 
 
-def _diffusion(run: Run) -> Estimate | None:
-    try:
-        return properties.self_diffusion(run.samples.centres, run.samples.interval)
-    except ValueError as error:
-        REPORT.note(f"{run.plan.out}: {error}")
-        return None
+def _diffusion(run: Run) -> Estimate:
+    return properties.self_diffusion(run.samples.centres, run.samples.interval)
 
 
-def _rotation(run: Run) -> Estimate | None:
-    try:
-        return properties.rotation_time(run.samples.directions, run.samples.interval)
-    except ValueError as error:
-        REPORT.note(f"{run.plan.out}: {error}")
-        return None
+def _rotation(run: Run) -> Estimate:
+    return properties.rotation_time(run.samples.directions, run.samples.interval)
 
 
 ROWS = (
@@ -130,7 +122,7 @@ def properties_of(
         RecordError, NoLiquidError, OSError: as their messages say.
     """
     runs = _read(checkpoints, box, skip)
-    found = {row: [row.estimate(run) for run in runs] for row in ROWS}
+    found = {row: [_estimated(row, run) for run in runs] for row in ROWS}
     rows = []
     for row, estimates in found.items():
         given = [estimate for estimate in estimates if estimate is not None]
@@ -150,6 +142,14 @@ def properties_of(
         out.mkdir(parents=True, exist_ok=True)
         property_figure([run.samples for run in runs], title, out / "properties.png")
         REPORT.note(f"wrote {out / 'properties.png'}")
+
+
+def _estimated(row: Row, run: Run) -> Estimate | None:
+    try:
+        return row.estimate(run)
+    except properties.TooShortError as error:
+        REPORT.note(f"{run.plan.out}: {error}")
+        return None
 
 
 def _corrected(runs: Sequence[Run], found: Estimate, viscosity: float) -> list[str]:

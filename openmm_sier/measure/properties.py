@@ -29,6 +29,10 @@ YEH_HUMMER = 2.837297
 PARTS = 8
 
 
+class TooShortError(ValueError):
+    """A run is too short, or has too few frames, for a property."""
+
+
 class Estimate(NamedTuple):
     """A value and its standard error, NaN where there is none."""
 
@@ -172,12 +176,12 @@ def self_diffusion(
         parts: of the run, each longer than `last`; fewer where it is too short.
 
     Raises:
-        ValueError: the run is not longer than `last`.
+        TooShortError: the run is not longer than `last`.
     """
     n, begin, end = len(centres), round(first / interval), round(last / interval)
     parts = min(parts, (n - 1) // max(1, end))
     if parts < 1 or end - begin < 2:
-        raise ValueError(
+        raise TooShortError(
             f"self-diffusion needs a run of more than {last:g} ps with frames {last / 10:g} ps apart or less, got "
             f"{n * interval:g} ps with frames {interval:g} ps apart"
         )
@@ -231,14 +235,14 @@ def rotation_time(directions: np.ndarray, interval: float, parts: int = PARTS) -
         parts: of the run, whose scatter gives the error.
 
     Raises:
-        ValueError: the correlation does not come down to 0.1 in a part of the run.
+        TooShortError: the correlation does not come down to 0.1 in a part of the run.
     """
     found = []
     for part in np.array_split(directions, parts):
         correlation = orientation_correlation(part, len(part) // 2)
         low = np.flatnonzero(correlation < 0.1)
         if not low.size or low[0] < 2:
-            raise ValueError(
+            raise TooShortError(
                 f"orientations must lose their correlation within {len(part) // 2 * interval:g} ps, and not within "
                 f"two frames, {2 * interval:g} ps"
             )

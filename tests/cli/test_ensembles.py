@@ -60,7 +60,11 @@ def test_members_are_all_combinations(plan):
     ("old", "new", "message"),
     [
         ("[options]", "[option]", "expected command, options, members, got option"),
-        ("[options]", 'command = "bench"\n[options]', "command must be one of run, equipartition, schemes, acceptance, paper"),
+        (
+            "[options]",
+            'command = "bench"\n[options]',
+            "command must be one of run, equipartition, schemes, acceptance, paper",
+        ),
         ("dt = [4]", "dt = 4", r"dt in \[members\] must be a list"),
         ("dt = [4]", "dt = []", r"dt in \[members\] must be a list"),
         ("dt = [4]", 'ensemble = ["nve"]', r"ensemble is in \[options\] and in \[members\]"),
