@@ -18,7 +18,8 @@ ORTHOGONAL = 1e-14
 
 def random_attitudes(rng, n):
     """Uniformly distributed attitudes."""
-    return np.ascontiguousarray(Rotation.random(n, rng=rng).as_matrix().transpose(1, 2, 0))
+    # SciPy before 1.16 makes no empty Rotation.
+    return np.ascontiguousarray(Rotation.random(max(n, 1), rng=rng).as_matrix()[:n].transpose(1, 2, 0))
 
 
 def matmul(P, A):
