@@ -83,7 +83,8 @@ class Tuning:
         stepSize: ps.
         stepsPerTrial: of a trial.
         wanted: the acceptance that was asked for.
-        steps, lengths: what was tried, in order.
+        steps: the steps that were tried, in order.
+        lengths: the lengths that were compared.
         forceEvaluations: of the whole tuning.
     """
 

@@ -24,7 +24,7 @@ from openmm_sier.measure.report import SILENT, Advance, Report
 #: The module that executes a member in a process of its own, see there for its arguments.
 WORKER = "openmm_sier.cli.member"
 
-#: Files in the directory of a member: the output of its commands, the log of an `openmm-sier run`, and the arguments
+#: Files in the directory of a member, which are the output of its commands, the log of an `openmm-sier run`, and the arguments
 #: that it is complete with.
 OUTPUT, LOG, COMPLETE = "output.txt", "run.csv", "complete.json"
 

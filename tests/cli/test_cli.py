@@ -16,6 +16,7 @@ from openmm import app, unit
 
 from openmm_sier import SIER2Integrator
 from openmm_sier.cli import main, records
+from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__
 from tests.support.commands import SMALL, SYSTEMS, complaint, frames, load_program, log, wait_for, write_lattice
@@ -358,7 +359,8 @@ def test_failed_checkpoint_leaves_the_old_one(box, monkeypatch):
 
 def test_continuations_that_are_refused(box, whole_run, capsys):
     chk, platform = whole_run / "whole.chk", ["--platform", "Reference"]
-    assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk)
+    assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk, code=NothingLeft.exit_code)
+    assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk, "--steps", 50)
     assert "is no checkpoint" in complaint(capsys, "run", box, *platform, "--restart", whole_run / "whole.csv")
     assert "none.chk: No such file" in complaint(capsys, "run", box, "--restart", "none.chk")
     for option, value in (("--dt", "2"), ("--scheme", "sier4"), ("--out", "other.dcd"), ("--every", "0.5")):
