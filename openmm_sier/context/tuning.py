@@ -68,7 +68,7 @@ class LengthFound:
 
     @property
     def bound(self) -> tuple[int, float]:
-        """By which lengths are compared: the cost and its error, after these costs without one, and refused lengths."""
+        """The number by which lengths are compared, the cost and its error, after these costs without one, and refused lengths."""
         cost, error = self.cost
         if self.refused:
             return 2, math.inf

@@ -24,8 +24,8 @@ from openmm_sier.measure.report import SILENT, Advance, Report
 #: The module that executes a member in a process of its own, see there for its arguments.
 WORKER = "openmm_sier.cli.member"
 
-#: Files in the directory of a member, which are the output of its commands, the log of an `openmm-sier run`, and the arguments
-#: that it is complete with.
+#: Files in the directory of a member, which are the output of its commands, the log of an `openmm-sier run`, and the
+#: arguments that it is complete with.
 OUTPUT, LOG, COMPLETE = "output.txt", "run.csv", "complete.json"
 
 #: A member whose process is killed so often without getting further in between is given up.
