@@ -68,7 +68,7 @@ class LengthFound:
 
     @property
     def bound(self) -> tuple[int, float]:
-        """The number by which lengths are compared, the cost and its error, after these costs without one, and refused lengths."""
+        """Orders lengths: by the cost and its error, then those whose cost has no error, then refused ones."""
         cost, error = self.cost
         if self.refused:
             return 2, math.inf
