@@ -68,7 +68,7 @@ class LengthFound:
 
     @property
     def bound(self) -> tuple[int, float]:
-        """Orders lengths: by the cost and its error, then those whose cost has no error, then refused ones."""
+        """Orders lengths by the cost and its error, then come those whose cost has no error, and refused ones."""
         cost, error = self.cost
         if self.refused:
             return 2, math.inf
