@@ -44,7 +44,11 @@ napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 # Classes of other packages, of which no inventory is at hand, and errors that have no page of their own.
-nitpick_ignore_regex = [("py:class", r"(openmm|numpy|collections)\..*"), ("py:exc", r".*(Error|Exception)")]
+nitpick_ignore_regex = [
+    ("py:class", r"(openmm|numpy|collections)\..*"),
+    ("py:class", r".*\.tuning\..*Found"),
+    ("py:exc", r".*(Error|Exception)"),
+]
 
 html_theme = "furo"
 html_title = f"openmm_sier {version}"

@@ -83,8 +83,8 @@ class Tuning:
         stepSize: ps.
         stepsPerTrial: of a trial.
         wanted: the acceptance that was asked for.
-        steps: the steps that were tried, in order.
-        lengths: the lengths that were compared.
+        steps: the steps that were tried, in order; each has `step` in ps, `spread` and `acceptance`.
+        lengths: the lengths that were compared; each has `steps`, `acceptance`, `forces`, `inefficiency` and `refused`.
         forceEvaluations: of the whole tuning.
     """
 
