@@ -1,8 +1,9 @@
 """A member of an ensemble in a process of its own: `python -m openmm_sier.cli.member COMMAND ...`.
 
 The arguments are a command line of `openmm-sier`, which is executed in the current directory, and goes on from where an
-earlier process was when it ended. The process stops, with a checkpoint, where its standard input ends: so it does not
-outlive the one that started it.
+earlier process was when it ended. The process ends where its standard input does: so it does not outlive the one that
+started it. Other signals than SIGKILL are ignored: a run that they stop writes a checkpoint at once, and on the CPU
+platform a checkpoint at another step than those of the undisturbed run changes the last bits of what follows.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from filelock import FileLock
 from openmm_sier.cli import records
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import NothingLeft
+from openmm_sier.cli.stopping import SIGNALS
 from openmm_sier.measure.ensemble import COMPLETE
 
 #: Files of a member: the lock that one process holds, and what it is.
@@ -81,14 +83,16 @@ def _write(path: str, content: list[str]) -> None:
     os.replace(temporary, path)
 
 
-def _stop_with_parent() -> None:
-    """Ask this process to stop when its standard input ends."""
+def _end_with_parent() -> None:
+    """End this process when its standard input ends; its files are good at any moment."""
     # Not through sys.stdin, whose lock the interpreter would want when it ends.
     while os.read(0, 1024):
         pass
-    os.kill(os.getpid(), signal.SIGTERM)
+    os._exit(128 + signal.SIGTERM)
 
 
 if __name__ == "__main__":
-    threading.Thread(target=_stop_with_parent, daemon=True).start()
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     sys.exit(execute(sys.argv[1:]))

@@ -136,7 +136,8 @@ def properties_of(
     rows.append(["first maximum of the pair distribution, nm", place, EXPERIMENT["peak"]])
     plan = runs[0].plan
     length = sum(float(np.ptp(run.log["Time (ps)"])) for run in runs)
-    title = f"{plan.title}, {len(runs)} runs, {length:.4g} ps in all"
+    number = f"{len(runs)} runs" if len(runs) > 1 else "one run"
+    title = f"{plan.title}, {number}, {length:.4g} ps in all"
     table(title, ("", "", "water, 298.15 K, 1 bar"), rows)
     if style.can_draw(REPORT):
         out.mkdir(parents=True, exist_ok=True)

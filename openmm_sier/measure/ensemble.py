@@ -118,7 +118,7 @@ def ensemble(
         try:
             return _sorted(members, _carry_out(pool, members, place, threads, report))
         except BaseException:
-            # Children end at their next step, with a checkpoint, before the pool is left.
+            # Children end before the pool is left; their last checkpoints are what they go on from.
             _CHILDREN.stop()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
