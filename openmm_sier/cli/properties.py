@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -126,10 +125,12 @@ def properties_of(
     rows = []
     for row, estimates in found.items():
         given = [estimate for estimate in estimates if estimate is not None]
-        if given:
-            rows.append([row.name, str(properties.pooled(given)), EXPERIMENT.get(row.key, "")])
-        if row.key == "diffusion" and given and viscosity is not None:
-            rows.append(_corrected(runs, properties.pooled(given), viscosity))
+        if not given:
+            continue
+        value = properties.pooled(given)
+        rows.append([row.name, str(value), EXPERIMENT.get(row.key, "")])
+        if row.key == "diffusion" and viscosity is not None:
+            rows.append(_corrected(runs, value, viscosity))
     pairs = np.mean([run.samples.pairs for run in runs], axis=0)
     peak = int(pairs.argmax())
     place = f"{pairs[peak]:.2f} at {runs[0].samples.distances[peak]:.3f}"
@@ -194,10 +195,8 @@ def _check_alike(plan: Plan, first: Plan, checkpoint: Path, reference: Path) -> 
 
 
 def _log(path: Path, skip: float) -> dict[str, np.ndarray]:
-    with open(path) as file:
-        columns = file.readline().rstrip().split(",")
-    rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-    kept = rows[rows[:, columns.index("Time (ps)")] >= skip]
-    if len(kept) < 2 or not math.isfinite(kept[0, 0]):
+    log = records.read_log(path)
+    kept = log["Time (ps)"] >= skip
+    if kept.sum() < 2:
         raise RunError(f"{path} has no rows after {skip:g} ps")
-    return {name: kept[:, i] for i, name in enumerate(columns)}
+    return {name: values[kept] for name, values in log.items()}

@@ -144,8 +144,19 @@ class Log(GrowingFile):
 
     def read(self) -> dict[str, np.ndarray]:
         """All rows, by column."""
-        rows = np.loadtxt(self.path, delimiter=",", skiprows=1, ndmin=2)
-        return {name: rows[:, i] for i, name in enumerate(self.columns)}
+        return read_log(self.path)
+
+
+def read_log(path: Path) -> dict[str, np.ndarray]:
+    """All rows of a `Log`, by column.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with open(path) as file:
+        columns = file.readline().rstrip().split(",")
+        rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))
+    return dict(zip(columns, rows.T, strict=True))
 
 
 class DCDTrajectory(GrowingFile):

@@ -269,9 +269,7 @@ def carry_out(member: Member, place: str, threads: int) -> Outcome:
 def _wait_for(command: Sequence[str], directory: Path, environment: dict[str, str]) -> int | None:
     """Exit code of a process in a directory; None if it was not to be started."""
     with open(directory / OUTPUT, "ab") as output:
-        child = _CHILDREN.start(
-            command, cwd=directory, env=environment, stdout=output, stderr=subprocess.STDOUT, close_fds=True
-        )
+        child = _CHILDREN.start(command, cwd=directory, env=environment, stdout=output, stderr=subprocess.STDOUT)
         if child is None:
             return None
         try:

@@ -51,8 +51,7 @@ def frames(path, box):
 
 
 def log(path):
-    columns = Path(path).read_text().splitlines()[0].split(",")
-    return records.Log(Path(path), columns, Path(path).stat().st_size).read()
+    return records.read_log(Path(path))
 
 
 def datasets(path):
