@@ -61,7 +61,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         skip: ps to leave out at the beginning.
 
     Raises:
-        NoLiquidError: there is more than one kind of molecule, or no periodic box.
+        NoLiquidError: there is more than one kind of molecule, or no rectangular periodic box.
         OSError: the file cannot be read.
     """
     first = _first_atoms(box)
@@ -74,7 +74,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     count = min(len(first), 512)
     chosen = topology.select_pairs(oxygens[:count], oxygens)
     # The same bins in all runs, whose boxes may become smaller than that of the PDB file.
-    reach = min(1.0, 0.45 * float(np.diag(_vectors(box, trajectory)).min()))
+    reach = min(1.0, 0.45 * float(_edges(box, trajectory).min()))
     settings = {} if trajectory.suffix == ".h5" else {"top": topology}
     for chunk in _chunks(mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=round(skip / interval), **settings)):
         frames.append(chunk.xyz[:, oxygens].astype(float))
@@ -115,11 +115,15 @@ def _chunks(chunks: Iterator[mdtraj.Trajectory]) -> Iterator[mdtraj.Trajectory]:
         yield chunk
 
 
-def _vectors(box: Box, trajectory: Path) -> np.ndarray:
+def _edges(box: Box, trajectory: Path) -> np.ndarray:
     vectors = box.topology.getPeriodicBoxVectors()
     if vectors is None:
         raise NoLiquidError(f"{trajectory} has no periodic box")
-    return np.array(vectors.value_in_unit(unit.nanometer))
+    lengths = np.array(vectors.value_in_unit(unit.nanometer))
+    edges = np.diag(lengths)
+    if (lengths != np.diag(edges)).any():
+        raise NoLiquidError(f"the box of {trajectory} is not rectangular: its molecules cannot be followed through it")
+    return edges
 
 
 def _first_atoms(box: Box) -> np.ndarray:

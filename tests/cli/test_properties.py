@@ -8,7 +8,7 @@ from openmm import unit
 from openmm_sier.cli.main import main
 from openmm_sier.cli.records import read_checkpoint
 from openmm_sier.measure.forcefields import read_box
-from openmm_sier.measure.liquid_samples import read_samples, unwrapped
+from openmm_sier.measure.liquid_samples import NoLiquidError, read_samples, unwrapped
 from tests.support.commands import SYSTEMS, complaint, log, run
 
 pytest.importorskip("pymbar")
@@ -54,6 +54,13 @@ def test_samples_are_those_of_all_charges(runs):
     assert samples.volumes[-1] == pytest.approx(state.getPeriodicBoxVolume()._value, rel=1e-5)
     np.testing.assert_allclose(np.linalg.norm(samples.directions, axis=2), 1)
     assert len(read_samples(runs[0].with_suffix(".dcd"), box, 0.004, skip=0.04).volumes) == 20
+
+
+def test_boxes_that_are_not_rectangular_are_refused(runs):
+    box = read_box(BOX)
+    box.topology.setPeriodicBoxVectors([[2.5, 0, 0], [0.8, 2.5, 0], [0, 0, 2.5]] * unit.nanometer)
+    with pytest.raises(NoLiquidError, match="is not rectangular"):
+        read_samples(runs[0].with_suffix(".dcd"), box, 0.004)
 
 
 def test_places_are_followed_through_faces():
