@@ -3,7 +3,7 @@
     python benchmarks/hmc_liquid.py run hmc --step 2 --time 400 --out hmc-2.npz
     python benchmarks/hmc_liquid.py run sier2 --step 4 --time 400 --out sier2-4.npz
     python benchmarks/hmc_liquid.py run langevin --step 0.25 --time 400 --out langevin-0.25.npz
-    python benchmarks/hmc_liquid.py table *.npz
+    python benchmarks/hmc_liquid.py table *.npz        runs with several seeds are put together
 
 Steps are in fs for each force evaluation. `hmc` and `sier4g` make steps of SIER4G, `langevin` is OpenMM's
 LangevinMiddleIntegrator with its MonteCarloBarostat. All have the same System: PME with a cut-off of 0.7 nm, so that
@@ -98,27 +98,44 @@ def run(options: argparse.Namespace) -> None:
             )
 
 
-def cell(values: np.ndarray, digits: int) -> str:
-    """Mean and standard error, from the number of independent samples."""
-    inefficiency = statistical_inefficiency(values)
-    return f"{values.mean():.{digits}f} ± {values.std() * (inefficiency / len(values)) ** 0.5:.{digits}f}"
+def mean(series: list[np.ndarray]) -> tuple[float, float]:
+    """Mean and standard error over all samples of independent runs, from the number of independent samples in each."""
+    lengths = np.array([len(values) for values in series])
+    variances = [values.var() * statistical_inefficiency(values) / len(values) for values in series]
+    weights = lengths / lengths.sum()
+    return float(weights @ [values.mean() for values in series]), float(np.sqrt(weights**2 @ variances))
+
+
+def inefficiency(series: list[np.ndarray]) -> float:
+    """Samples for an independent one, averaged over the runs by their lengths."""
+    return float(np.average([statistical_inefficiency(x) for x in series], weights=[len(x) for x in series]))
 
 
 def table(options: argparse.Namespace) -> None:
-    """A row for each run."""
+    """A row for each method and step; runs that differ in their seeds are put together."""
+    runs: dict[tuple[str, float], list[dict[str, np.ndarray]]] = {}
+    for path in options.files:
+        with np.load(path) as data:
+            runs.setdefault((str(data["method"]), float(data["per_force"])), []).append(dict(data))
     print("| run | ps | accepted | V, kJ/mol | T_trans, K | T_rot, K | g/cm³ | forces per independent V | per dipole |")
     print("|---|---|---|---|---|---|---|---|---|")
-    for path in options.files:
-        data = np.load(path)
-        rows, forces = data["rows"], EVERY * 1000 / float(data["per_force"])
-        time, potential, _, translation, rotation, volume, *dipole = rows.T
-        inefficiency = statistical_inefficiency(potential)
-        turning = np.mean([statistical_inefficiency(component) for component in dipole])
+    for (method, per_force), several in sorted(runs.items()):
+        columns = [[run["rows"][:, i] for run in several] for i in range(several[0]["rows"].shape[1])]
+        time, potential, _, translation, rotation, volume, *dipole = columns
+        mass, forces = float(several[0]["mass"]), EVERY * 1000 / per_force
+        density = [mass * DENSITY / values for values in volume]
+        cells = " | ".join(
+            f"{value:.{digits}f} ± {error:.{digits}f}"
+            for digits, (value, error) in zip(
+                (1, 2, 2, 4), map(mean, (potential, translation, rotation, density)), strict=True
+            )
+        )
+        lengths = [values[-1] - values[0] for values in time]
+        accepted = np.average([run["accepted"] for run in several], weights=lengths)
+        turning = np.mean([inefficiency(component) for component in dipole])
         print(
-            f"| {data['method']} {data['per_force']:g} fs | {time[-1] - time[0]:.0f} | {data['accepted']:.3f} | "
-            f"{cell(potential, 1)} | {cell(translation, 2)} | {cell(rotation, 2)} | "
-            f"{cell(float(data['mass']) * DENSITY / volume, 4)} | "
-            f"{inefficiency * forces:.0f} | {turning * forces:.0f} |"
+            f"| {method} {per_force:g} fs | {sum(lengths):.0f} | {accepted:.3f} | {cells} | "
+            f"{inefficiency(potential) * forces:.0f} | {turning * forces:.0f} |"
         )
 
 
