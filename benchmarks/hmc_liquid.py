@@ -131,10 +131,10 @@ def table(options: argparse.Namespace) -> None:
             )
         )
         lengths = [values[-1] - values[0] for values in time]
-        accepted = np.average([run["accepted"] for run in several], weights=lengths)
+        accepted = f"{np.average([run['accepted'] for run in several], weights=lengths):.3f}" if method == "hmc" else ""
         turning = np.mean([inefficiency(component) for component in dipole])
         print(
-            f"| {method} {per_force:g} fs | {sum(lengths):.0f} | {accepted:.3f} | {cells} | "
+            f"| {method} {per_force:g} fs | {sum(lengths):.0f} | {accepted} | {cells} | "
             f"{inefficiency(potential) * forces:.0f} | {turning * forces:.0f} |"
         )
 
