@@ -22,7 +22,7 @@ def tests(session: nox.Session, dependencies: str) -> None:
     resolution = "lowest-direct" if dependencies == "oldest" else "highest"
     wanted = Path(session.create_tmp()) / "requirements.txt"
     # Releases without a wheel for this Python count as not admitted: nobody builds NumPy or OpenMM here.
-    session.run(
+    session.run_install(
         *("uv", "pip", "compile", "--quiet", "--resolution", resolution, "--only-binary", ":all:", "--extra", "test"),
         *("--python-version", str(session.python), "--output-file", str(wanted), "pyproject.toml"),
     )

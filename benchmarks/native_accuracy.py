@@ -1,6 +1,6 @@
 """The native engine beside the exact one: rms(H)/rms(V) of liquids by scheme, platform and number of substeps.
 
-    python benchmarks/native_accuracy.py [--box systems/tip3p-512.pdb | co2] [--schemes sier4g ...] [--substeps 2 3 5]
+    python benchmarks/native_accuracy.py [--box systems/tip3p-512.pdb | systems/peptide.pdb | co2] [--schemes sier4g ...] [--substeps 2 3 5]
         [--fs 1 2] [--on CPU OpenCL:double OpenCL:mixed] [--time 0.3] [--molecules 64]
 
 prints one line a run: the exact engine's on the CPU first, then the native engine's with the ratio of both. All runs of
@@ -17,7 +17,7 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier import SIERIntegrator, balance_pme
+from openmm_sier import SIERIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.observables import energy_drift, energy_error
@@ -95,19 +95,22 @@ def small_box(path: str, molecules: int) -> tuple[openmm.System, unit.Quantity]:
     return forcefields.pme_system(modeller.topology, field), modeller.positions
 
 
-def start(path: str, molecules: int | None, tolerance: float = 1e-5) -> tuple[openmm.System, openmm.State]:
-    """System and State of a box; with the usual tolerance PME is exact enough to see the schemes' errors."""
+def start(path: str, molecules: int | None, tolerance: float = 1e-5) -> tuple[openmm.System, openmm.State, frozenset]:
+    """System, State and fast force groups of a box; hydrogens of solutes are constrained.
+
+    With the usual tolerance PME is exact enough to see the schemes' errors.
+    """
     if path == "co2":
         system, positions = carbon_dioxide()
     elif molecules is not None:
         system, positions = small_box(path, molecules)
     else:
-        box = forcefields.read_box(path)
+        box = forcefields.read_box(path, constraints="hbonds")
         system, positions = box.system, box.positions
     for force in system.getForces():
         if isinstance(force, openmm.NonbondedForce):
             force.setEwaldErrorTolerance(tolerance)
-    balance_pme(system)
+    fast = prepare_system(system).fastForceGroups
     bath = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
     bath.setRandomNumberSeed(SEED)
     bath.setConstraintTolerance(1e-9)
@@ -121,7 +124,7 @@ def start(path: str, molecules: int | None, tolerance: float = 1e-5) -> tuple[op
         bath.step(MELTING)
         bath.setStepSize(0.002)
     bath.step(EQUILIBRATION)
-    return system, context.getState(positions=True, velocities=True)
+    return system, context.getState(positions=True, velocities=True), fast
 
 
 def context_on(place: str, system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
@@ -146,18 +149,20 @@ def run(context: openmm.Context, state: openmm.State, step: float, time: float) 
     return 100 * energy_error(times, potential + kinetic, potential, None), energy_drift(times, potential + kinetic)[0]
 
 
-def compare(system: openmm.System, state: openmm.State, scheme: Scheme, options: argparse.Namespace) -> None:
+def compare(
+    system: openmm.System, state: openmm.State, fast: frozenset, scheme: Scheme, options: argparse.Namespace
+) -> None:
     """Print the lines of one scheme."""
     cases = [("exact", options.exact_on, None)]
     cases += [("native", place, k) for place in options.on for k in options.substeps]
     exact: dict[float, float] = {}
     for engine, place, k in cases:
-        integrator = SIERIntegrator(0.001, scheme, engine=engine, substeps=k)
+        integrator = SIERIntegrator(0.001, scheme, engine=engine, substeps=k, fastForceGroups=fast)
         context = context_on(place, system, integrator)
         for fs in options.fs:
             error, drift = run(context, state, 1e-3 * fs * scheme.force_evaluations, options.time)
             ratio = f"{error / exact.setdefault(fs, error):6.3f}"
-            name = f"{engine} on {place}" + ("" if engine == "exact" else f", {integrator.substeps} substeps")
+            name = f"{engine} on {place}" + ("" if k is None else f", {k} substeps")
             print(f"{scheme.name:7} {fs:g} fs  {name:36} {error:9.5f} %  {ratio}  {drift:+8.3f} kJ/mol/ps", flush=True)
         del context, integrator
 
@@ -173,10 +178,10 @@ def main() -> None:
     parser.add_argument("--exact-on", default="CPU")
     parser.add_argument("--time", type=float, default=0.3)
     options = parser.parse_args()
-    system, state = start(options.box, options.molecules)
+    system, state, fast = start(options.box, options.molecules)
     print(f"{Path(options.box).stem}, {options.molecules or 'all'} molecules, {options.time:g} ps", flush=True)
     for name in options.schemes:
-        compare(system, state, CATALOGUE[name], options)
+        compare(system, state, fast, CATALOGUE[name], options)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ TOLERANCE = 1e-4
 
 def run(engine: str, options: argparse.Namespace) -> None:
     """Print the line of one engine."""
-    system, state = start(options.box, options.molecules, TOLERANCE)
+    system, state, _ = start(options.box, options.molecules, TOLERANCE)
     pressure = None
     if options.ensemble == "npt" and engine == "native":
         system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, TEMPERATURE, MOVES))
