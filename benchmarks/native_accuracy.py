@@ -1,7 +1,7 @@
 """The native engine beside the exact one: rms(H)/rms(V) of liquids by scheme, platform and number of substeps.
 
-    python benchmarks/native_accuracy.py [--box systems/tip3p-512.pdb | systems/peptide.pdb | co2] [--schemes sier4g ...] [--substeps 2 3 5]
-        [--fs 1 2] [--on CPU OpenCL:double OpenCL:mixed] [--time 0.3] [--molecules 64]
+    python benchmarks/native_accuracy.py [--box systems/tip3p-512.pdb | systems/peptide.pdb | co2] [--time 0.3]
+        [--schemes sier4g ...] [--substeps 2 3 5] [--fs 1 2] [--on CPU OpenCL:double OpenCL:mixed] [--molecules 64]
 
 prints one line a run: the exact engine's on the CPU first, then the native engine's with the ratio of both. All runs of
 a box start from one phase point. The step is `--fs` times the force evaluations of the scheme. `--molecules` takes that
