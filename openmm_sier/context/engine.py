@@ -14,6 +14,7 @@ from openmm_sier.context import checks, neighbour_list, stored_state
 from openmm_sier.context.actors import Actors, VolumeMoves, act
 from openmm_sier.context.atoms import Atoms, PotentialEnergies
 from openmm_sier.context.host import Host
+from openmm_sier.context.interrupts import whatever_interrupts
 from openmm_sier.context.motion import Motion, inner_step
 from openmm_sier.context.reconciliation import Reconciliation
 from openmm_sier.context.snapshot import Snapshot
@@ -179,7 +180,7 @@ class Engine:
             self._complete(self._acted_on(h), step, h)
         except BaseException:
             if self._point is before:
-                _whatever_interrupts(lambda: self._atoms.rewind(mark))
+                whatever_interrupts(lambda: self._atoms.rewind(mark))
             raise
 
     def _complete(self, state: BodyState, step: operators.Stepper, h: float) -> None:
@@ -236,7 +237,7 @@ class Engine:
 
     def restore(self) -> None:
         """Write the last completed step to the Context, even if Ctrl-C comes meanwhile."""
-        _whatever_interrupts(self._recover)
+        whatever_interrupts(self._recover)
 
     def _recover(self) -> None:
         self._forget_forces()
@@ -384,12 +385,3 @@ def _weakly(method: Callable[..., Any]) -> Callable[..., Any]:
         return found(*arguments)
 
     return call
-
-
-def _whatever_interrupts(action: Callable[[], None]) -> None:
-    """Run an action to its end: after a Ctrl-C it is run once more before the interrupt is passed on."""
-    try:
-        action()
-    except KeyboardInterrupt:
-        action()
-        raise

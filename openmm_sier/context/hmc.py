@@ -15,28 +15,31 @@ from openmm_sier.context.arguments import whole_number
 from openmm_sier.context.constant_temperature import ConstantTemperatureIntegrator, checked_friction
 from openmm_sier.context.engine import BlownUp, Engine
 from openmm_sier.context.host import Bodies
+from openmm_sier.context.native_trials import NativeTrials
 from openmm_sier.context.notices import tell
-from openmm_sier.context.stored_state import STATE_VARIABLES
+from openmm_sier.context.snapshot import Snapshot
+from openmm_sier.context.stored_state import HEAT
+from openmm_sier.context.trial_record import (
+    ACCEPTED,
+    CHECKED_STEP,
+    END,
+    ENERGY,
+    ERROR,
+    GLOBALS,
+    LEFT,
+    REVERSAL,
+    START_HEAT,
+    START_VARIABLES,
+    STEP,
+    THERMAL,
+    TRIALS,
+)
 from openmm_sier.dynamics import metropolis, operators
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.metropolis import HybridMonteCarlo, NoEnergyError, SampledState, Trial
 from openmm_sier.dynamics.operators import Operator, Stepper
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
-
-#: Per-atom variables that hold the start of the trial in progress.
-START_VARIABLES = tuple(f"sier_start{i}" for i in range(len(STATE_VARIABLES)))
-
-#: Global variables of the trial in progress, see `metropolis.Trial`; LEFT is 0 where there is none.
-LEFT, ENERGY, THERMAL, STEP, START_HEAT = (
-    f"sier_trial_{name}" for name in ("left", "energy", "thermal", "step", "heat")
-)
-
-#: Those of all trials: how many, how many were accepted, and the energy error of the last one in kT.
-TRIALS, ACCEPTED, ERROR = "sier_trials", "sier_accepted", "sier_error"
-
-#: Those of the check of reversibility: the step in ps that it was made at, and the error in nm.
-CHECKED_STEP, REVERSAL = "sier_checked_step", "sier_reversal"
 
 #: A trajectory that comes back to its start within this, in nm, counts as reversible. What cannot be reversed, as a
 #: scheme that is no palindrome, misses by a multiple of this at usual steps; rounding, and forces of single precision,
@@ -67,14 +70,17 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
     Random numbers are as with `SIERLangevinIntegrator`, and a restart is bit-identical in mid-trial too. The total
     energy less the heat changes by the energy errors of accepted trials alone.
 
-    The exact engine executes it, on any platform. With a CMMotionRemover in the System the total momentum is held at
-    zero, in draws and in kicks. Barostats and AndersenThermostats in the System are refused.
+    With a CMMotionRemover in the System the total momentum is held at zero, in draws and in kicks. Barostats and
+    AndersenThermostats in the System are refused.
+
+    The native engine follows trajectories on the device from end to end. It has neither `pressure` nor a
+    CMMotionRemover: with these `engine="auto"` takes the exact engine on every platform.
 
     Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247
     (1991).
     """
 
-    _RECORD = (*ConstantTemperatureIntegrator._RECORD, LEFT, TRIALS, ACCEPTED, CHECKED_STEP)
+    _RECORD = (*ConstantTemperatureIntegrator._RECORD, LEFT, END, TRIALS, ACCEPTED, CHECKED_STEP)
 
     def __init__(
         self,
@@ -87,6 +93,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         barostatInterval: int = 1,
         bodies: Bodies = None,
         rotation: operators.Rotation = exact,
+        engine: str = "auto",
         substeps: int | None = None,
         fastForceGroups: Iterable[int] | int | None = None,
     ):
@@ -100,7 +107,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
                 quantity or a number in 1/ps; None: they are drawn anew.
             pressure: if it is to be constant, a quantity or a number in bar; see `SIERLangevinIntegrator`.
             barostatInterval: trials from one attempt to change the volume to the next.
-            bodies, rotation, substeps, fastForceGroups: see `SIERIntegrator`.
+            bodies, rotation, engine, substeps, fastForceGroups: see `SIERIntegrator`.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is no palindrome.
@@ -108,10 +115,10 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         """
         if isinstance(scheme, Scheme):
             _check_scheme(scheme)
-        super().__init__(stepSize, scheme, bodies, rotation, "exact", substeps, fastForceGroups)
+        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
         for name in START_VARIABLES:
             self.addPerDofVariable(name, 0)
-        for name in (LEFT, ENERGY, THERMAL, STEP, START_HEAT, TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL):
+        for name in GLOBALS:
             self.addGlobalVariable(name, 0)
         friction = _friction(frictionCoeff)
         self._surround(self._checked_temperature(temperature), (friction, friction), pressure, barostatInterval)
@@ -119,7 +126,18 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         self.setStepsPerTrial(stepsPerTrial)
 
     def _only_exact(self) -> str | None:
-        return "has no Metropolis rule: take SIERLangevinIntegrator"
+        if self._piston is not None:
+            return "has no `pressure` with hybrid Monte Carlo: leave it out"
+        if self._holds_still:
+            return "cannot hold the total momentum at zero: create the System with removeCMMotion=False"
+        return super()._only_exact()
+
+    def _needs_package(self) -> bool:
+        # OpenMM alone would accept every trial.
+        return not (isinstance(self._engine, NativeTrials) and self._engine.is_running)
+
+    #: Whether a CMMotionRemover in the System wants the total momentum to be zero.
+    _holds_still = False
 
     def _take_settings(self, rotation: operators.Rotation | None = None) -> None:
         super()._take_settings(rotation)
@@ -196,12 +214,20 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
 
     def finishTrial(self) -> None:
         """Go on to the next sample, at a multiple of `stepsPerTrial`; a Context that is at one stays there."""
+        while steps := self._steps_to_sample():
+            self.step(steps)
+
+    def _steps_to_sample(self) -> int:
+        if isinstance(engine := self._bound(), NativeTrials):
+            return engine.steps_to_sample()
         engine = self._adopted()
-        while (trial := SampledState.of(engine.state).trial) is not None or engine.steps % self._steps_per_trial:
-            self.step(trial.left if trial else self._steps_per_trial - engine.steps % self._steps_per_trial)
+        trial = SampledState.of(engine.state).trial
+        return trial.left if trial is not None else -engine.steps % self._steps_per_trial
 
     def _sampled_energy(self) -> float:
         """Potential energy of the bodies now, kJ/mol; that of a sample is known from its trial, and costs nothing."""
+        if isinstance(engine := self._bound(), NativeTrials):
+            return engine.potential_energy()
         engine = self._adopted()
         return engine.potential_energy(engine.state)
 
@@ -231,6 +257,12 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
                 )
         self._holds_still = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
         super()._bind(context)
+
+    def _prefers_exact(self, platform: str) -> bool:
+        return super()._prefers_exact(platform) or self._piston is not None or self._holds_still
+
+    def _native_engine(self, context: openmm.Context) -> NativeTrials:
+        return NativeTrials(self, context)
 
     def _moves_volume(self, state: BodyState, steps: int) -> bool:
         # Between trials alone.
@@ -267,21 +299,44 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
     def _check_reversal(self, engine: Engine, advance: Stepper, start: BodyState, h: float) -> None:
         if h == self.getGlobalVariableByName(CHECKED_STEP):
             return
-        error = metropolis.reversal_error(engine.bodies, advance, start, self._steps_per_trial)
+        self._refuse_irreversible(metropolis.reversal_error(engine.bodies, advance, start, self._steps_per_trial))
+
+    def _refuse_irreversible(self, error: float) -> None:
+        """Note down an error of reversal, in nm.
+
+        Raises:
+            openmm.OpenMMException: it is too large.
+        """
         if not error <= REVERSIBLE:
             raise openmm.OpenMMException(
                 f"A trajectory of {self._steps_per_trial} steps that was followed back missed its start by {error:.1e} "
                 f"nm, more than {REVERSIBLE:.0e} nm, so that samples would not be exact: take shorter trajectories or "
                 "steps"
             )
-        self.setGlobalVariableByName(REVERSAL, error)
-        self.setGlobalVariableByName(CHECKED_STEP, h)
+        self._set(**{REVERSAL: error, CHECKED_STEP: self.getStepSize()._value})
 
     # --- what travels in checkpoints ---
 
     def _potential_changed(self) -> None:
-        if self.getGlobalVariableByName(LEFT):
+        if self.getGlobalVariableByName(LEFT) or self.getGlobalVariableByName(END):
             self.setGlobalVariableByName(STEP, math.nan)
+
+    def _leave_other_engine(self, context: openmm.Context) -> None:
+        """A trial that the other engine has begun is given up: the Context is at its start afterwards."""
+        super()._leave_other_engine(context)
+        is_native = isinstance(self._engine, NativeTrials)
+        begun = LEFT if is_native else END
+        if self._engine is None or not self.getGlobalVariableByName(begun):
+            return
+        start = np.stack([np.array(self.getPerDofVariableByName(name)) for name in START_VARIABLES])
+        x, v = start[:2]
+        if is_native:
+            state, now = stored_state.unpack(self.bodies, start), Snapshot(context)
+            x, v = self.bodies.place(state.q, state.A, now.positions), self.bodies.move(state, now.velocities)
+        context.setPositions(x)
+        context.setVelocities(v)
+        context.computeVirtualSites()
+        self._set(**{begun: 0, HEAT: self.getGlobalVariableByName(START_HEAT)})
 
     def _write_record(self, state: BodyState) -> None:
         super()._write_record(state)

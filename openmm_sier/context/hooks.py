@@ -170,7 +170,7 @@ def _accepting(method: Method) -> Method:
             _set_all_but_integrator(self, state)
         integrator.setGlobalVariableByName(SEED, seed)
         integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
-        _take_over(integrator)
+        _take_over(integrator, self)
         return None
 
     return wrapper
@@ -191,19 +191,19 @@ def _telling_of_moved_atoms(method: Method) -> Method:
 
 
 def _loading(method: Method) -> Method:
-    """`Context.loadCheckpoint`: the heat may have been counted by the native engine."""
+    """`Context.loadCheckpoint`: the other engine may have left it."""
 
     @functools.wraps(method)
     def wrapper(self: Any, checkpoint: bytes) -> Any:
         method(self, checkpoint)
         if (integrator := _integrator_of(self)) is not None:
-            _take_over(integrator)
+            _take_over(integrator, self)
 
     return wrapper
 
 
-def _take_over(integrator: openmm.Integrator) -> None:
-    integrator._fold_heat()
+def _take_over(integrator: SIERIntegrator, context: openmm.Context) -> None:
+    integrator._leave_other_engine(context)
     integrator._tell_program()
     if integrator._engine is not None:
         integrator._engine.notice()

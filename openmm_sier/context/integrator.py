@@ -112,12 +112,20 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _tell_program(self) -> None:
         """Give the program's variables the values that they must have, whatever was loaded."""
-        held = isinstance(self._engine, NativeEngine)
-        lost = not held and (self._only_exact() is not None or self._given_bodies is not None)
         friction, thermal = self._coupling()
-        for name, value in ((EXACT_ONLY, float(lost)), (PART, 0), (FRICTION, friction), (THERMAL, thermal)):
+        for name, value in (
+            (EXACT_ONLY, float(self._needs_package())),
+            (PART, 0),
+            (FRICTION, friction),
+            (THERMAL, thermal),
+        ):
             if self.getGlobalVariableByName(name) != value:
                 self.setGlobalVariableByName(name, value)
+
+    def _needs_package(self) -> bool:
+        """Whether the program, executed now by OpenMM alone, would do less than this integrator."""
+        held = isinstance(self._engine, NativeEngine)
+        return not held and (self._only_exact() is not None or self._given_bodies is not None)
 
     def _coupling(self) -> tuple[float, float]:
         """Friction in 1/ps and thermal energy in kJ/mol of the program's bath."""
@@ -311,12 +319,22 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._engine = None
         exact = self._wanted_engine == "exact"
         if self._wanted_engine == "auto":
-            exact = context.getPlatform().getName() in EXACT_PLATFORMS
-        self._engine = Engine(self, context) if exact else NativeEngine(self, context)
+            exact = self._prefers_exact(context.getPlatform().getName())
+        self._engine = Engine(self, context) if exact else self._native_engine(context)
         self._tell_program()
 
-    def _fold_heat(self) -> None:
-        """Add the heat that the program counts for each degree of freedom to the total that both engines use."""
+    def _prefers_exact(self, platform: str) -> bool:
+        """Whether `engine="auto"` takes the exact engine on a platform."""
+        return platform in EXACT_PLATFORMS
+
+    def _native_engine(self, context: openmm.Context) -> NativeEngine:
+        return NativeEngine(self, context)
+
+    def _leave_other_engine(self, context: openmm.Context) -> None:
+        """Take over what a loaded State or checkpoint has, whichever engine left it there.
+
+        The program counts heat for each degree of freedom, which is added to the total that both engines use.
+        """
         work = np.array(self.getPerDofVariableByName(WORK))
         if work.any():
             self.setGlobalVariableByName(HEAT, self.getGlobalVariableByName(HEAT) + float(work.sum()))
