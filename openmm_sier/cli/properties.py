@@ -185,7 +185,7 @@ def _read(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[
 
 def _check_alike(plan: Plan, first: Plan, checkpoint: Path, reference: Path) -> None:
     for name in CONTINUED:
-        if name in ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every"):
+        if name in ("seed", "out", "report", "bodies", "bodies_every", "pressure_tensor", "checkpoint_every"):
             continue
         if getattr(plan, name) != getattr(first, name):
             raise RunError(
