@@ -49,15 +49,10 @@ class MolecularPressure:
 
         Raises:
             ValueError: the System is not periodic, has molecules without mass, or a force that holds particles to
-                fixed places.
+                fixed places or is not defined in the strained boxes.
         """
         system = context.getSystem()
-        if not system.usesPeriodicBoundaryConditions():
-            raise ValueError("a pressure tensor needs a System with periodic boundary conditions, this one has none")
-        if any(isinstance(force, openmm.CustomExternalForce) for force in system.getForces()):
-            raise ValueError(
-                "a pressure tensor needs forces between particles alone, the System has a CustomExternalForce"
-            )
+        _check(system)
         self._source, self._system = context, system
         self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
         self._owners, self._molecule_masses = _molecules(context, self._masses)
@@ -118,6 +113,18 @@ class MolecularPressure:
             self._context.setPeriodicBoxVectors(*box)
             self._context.setPositions(positions)
             neighbour_list.forget(self._context)
+
+
+def _check(system: openmm.System) -> None:
+    needs = "a pressure tensor needs"
+    if not system.usesPeriodicBoundaryConditions():
+        raise ValueError(f"{needs} a System with periodic boundary conditions, this one has none")
+    for force in system.getForces():
+        if isinstance(force, openmm.CustomExternalForce):
+            raise ValueError(f"{needs} forces between particles alone, the System has a CustomExternalForce")
+        # OpenMM's Ewald sums are those of rectangular boxes, and it notices only when a Context is created.
+        if isinstance(force, openmm.NonbondedForce) and force.getNonbondedMethod() == force.Ewald:
+            raise ValueError(f"{needs} PME in place of Ewald sums, which OpenMM has for rectangular boxes only")
 
 
 def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
