@@ -21,8 +21,8 @@ DEFAULT_TEMPERATURE = 297.0
 #: Steps of a trial of hybrid Monte Carlo.
 TRIAL = 10
 
-#: ps between pressure tensors. Sums over them take an oscillation of this period, and of its fractions, for a slow one;
-#: in rigid water nothing is so fast.
+#: ps between pressure tensors. Sums over them take an oscillation of this period, and of its fractions, for a slow one:
+#: in rigid water these have a thousandth of the power of the slow ones.
 TENSOR_EVERY = 0.02
 
 #: Options that a restart takes from its checkpoint.

@@ -29,6 +29,10 @@ YEH_HUMMER = 2.837297
 #: relaxes with some 0.6 ps, so that less than a thousandth follows, while the error grows with the root of the limit.
 MEMORY = 5.0
 
+#: ps; longest interval of pressures for the viscosity. Molecules of water librate with 30 fs and more, and what is as
+#: fast as the interval is taken for slow: the error is 0.2 % at 20 fs, 1 % at 24 fs and 3 % at 30 fs in SPC/E.
+COARSEST = 0.03
+
 #: Parts of a run whose scatter is the error of what is no mean of a series.
 PARTS = 8
 
@@ -215,10 +219,12 @@ def viscosity_integrals(
         last: ps.
 
     Raises:
-        TooShortError: the run is not twice as long as `last`.
+        TooShortError: the run is not twice as long as `last`, or the interval is longer than `COARSEST`.
 
     Source: Daivis and Evans, J. Chem. Phys. 100, 541 (1994), whose sum over all components this is.
     """
+    if interval > COARSEST * (1 + 1e-9):
+        raise TooShortError(f"viscosity needs pressures {COARSEST:g} ps apart or less, got {interval:g} ps")
     n, lags = len(tensors), max(1, round(last / interval))
     if n < 2 * lags:
         raise TooShortError(

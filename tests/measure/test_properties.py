@@ -134,8 +134,8 @@ def test_viscosity_of_a_stress_that_decays_exponentially():
 
 
 def test_viscosity_integrals_are_those_of_all_pairs_of_times():
-    tensors, (interval, volume, T), lags = stresses(np.random.default_rng(10), 60, 0.8), (0.5, 8.0, 300.0), 10
-    found = properties.viscosity_integrals(tensors, interval, volume, T, last=5.0)
+    tensors, (interval, volume, T), lags = stresses(np.random.default_rng(10), 60, 0.8), (0.02, 8.0, 300.0), 10
+    found = properties.viscosity_integrals(tensors, interval, volume, T, last=0.2)
     xx, yy, zz, xy, xz, yz = tensors.T
     scale = volume * 1e-27 / (1.380649e-23 * T) * 1e10 * interval * 1e-12 * 1e3
     # Sum over all nine components of the traceless tensor is ten times that of one shear stress.
@@ -151,6 +151,8 @@ def test_viscosity_integrals_are_those_of_all_pairs_of_times():
 def test_viscosity_needs_a_run():
     with pytest.raises(properties.TooShortError, match=r"viscosity needs a run of 10 ps or more.* got 9\.98 ps"):
         properties.shear_viscosity(np.zeros((499, 6)), 0.02, 8.0, 300.0)
+    with pytest.raises(properties.TooShortError, match=r"0\.03 ps apart or less, got 0\.04 ps"):
+        properties.shear_viscosity(np.zeros((499, 6)), 0.04, 8.0, 300.0)
 
 
 def test_orientations_of_a_random_walk_on_the_sphere():
