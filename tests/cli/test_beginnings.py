@@ -233,20 +233,17 @@ def test_body_states_without_a_frame(box):
 
 
 def test_pressure_tensors_are_continued_bit_for_bit(box):
-    settings = ["--checkpoint-every", "0.024", "--pressure-tensor-every", "0.008", "--report-every", "0.008"]
-    run("run", box, *SMALL, *settings, "--steps", "12", "--out", "whole.dcd", "--pressure-tensor", "whole-p.csv")
-    run("run", box, *SMALL, *settings, "--steps", "6", "--out", "parts.dcd", "--pressure-tensor", "parts-p.csv")
+    settings = [*SMALL, "--equilibrate", "0.01", "--checkpoint-every", "0.008", "--pressure-tensor-every", "0.008"]
+    run("run", box, *settings, "--steps", "4", "--out", "whole.dcd", "--pressure-tensor", "whole-p.csv")
+    run("run", box, *settings, "--steps", "2", "--out", "parts.dcd", "--pressure-tensor", "parts-p.csv")
     # What a killed run wrote after its checkpoint is cut off.
     with open("parts-p.csv", "a") as file:
-        file.write("8,0.032,")
-    run("run", box, "--platform", "Reference", "--steps", "12", "--restart", "parts.chk")
+        file.write("3,0.012,")
+    run("run", box, "--platform", "Reference", "--steps", "4", "--restart", "parts.chk")
     assert Path("parts-p.csv").read_bytes() == Path("whole-p.csv").read_bytes()
     found = log("whole-p.csv")
-    assert found["Step"].tolist() == [2, 4, 6, 8, 10, 12]
+    assert found["Step"].tolist() == [2, 4]
     assert np.ptp(found["Pressure xy (bar)"]) > 0
-    # They leave no trace in the run.
-    run("run", box, *SMALL, *settings[:2], *settings[4:], "--steps", "12", "--out", "plain.dcd")
-    assert Path("plain.csv").read_bytes() == Path("whole.csv").read_bytes()
 
 
 # --- wrapped and unwrapped frames ---
