@@ -158,6 +158,15 @@ def _add_run(commands: Commands) -> argparse.ArgumentParser:
         "--bodies", metavar="FILE.h5", type=Path, help="write centres, quaternions and momenta of the bodies there"
     )
     parser.add_argument("--bodies-every", metavar="PS", type=positive, help="between them (default: as --every)")
+    parser.add_argument(
+        "--pressure-tensor", metavar="CSV", type=Path, help="write the molecular pressure tensor there, for viscosity"
+    )
+    parser.add_argument(
+        "--pressure-tensor-every",
+        metavar="PS",
+        type=positive,
+        help="between rows of it, each of which costs 12 energies (default: 0.02)",
+    )
     parser.add_argument("--seed", type=whole, help="of velocities, equilibration and heat bath (default: 1)")
     parser.add_argument("--platform", help="of OpenMM (default: the fastest)")
     parser.add_argument(

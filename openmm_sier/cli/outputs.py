@@ -16,7 +16,7 @@ from openmm import app, unit
 from openmm_sier.cli import records
 from openmm_sier.cli.body_states import BodyStates
 from openmm_sier.cli.plan import Plan, RunError
-from openmm_sier.context import conservation
+from openmm_sier.context import conservation, pressure
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure.forcefields import Box
 
@@ -33,6 +33,8 @@ def output_paths(plan: Plan, checkpoint: Path) -> dict[str, Path]:
     if plan.bodies:
         BodyStates.check(Path(plan.bodies))
         paths["body states"] = Path(plan.bodies)
+    if plan.pressure_tensor:
+        paths["pressure tensor"] = Path(plan.pressure_tensor)
     return paths
 
 
@@ -140,6 +142,11 @@ class Outputs:
             self.bodies = BodyStates(Path(plan.bodies), bodies, periodic, **notes.get("bodies", {}))
             self._growing["bodies"] = self.bodies
             self._intervals["bodies"] = plan.interval(plan.bodies_every)
+        if plan.pressure_tensor:
+            self.tensors = records.Log(Path(plan.pressure_tensor), pressure.COLUMNS, **notes.get("tensors", {}))
+            self._growing["tensors"] = self.tensors
+            self._intervals["tensor"] = plan.interval(plan.pressure_tensor_every)
+            self._pressure: pressure.MolecularPressure | None = None
         self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
         self.saved_step: int | None = notes.get("step")
 
@@ -173,6 +180,7 @@ class Outputs:
             "frame": lambda: self._write_frame(context),
             "row": lambda: self.log.write([(values or {})[name] for name in self.log.columns]),
             "bodies": lambda: self.bodies.write(context),
+            "tensor": lambda: self._write_tensor(context),
             "checkpoint": lambda: self._write_checkpoint(
                 context, (values or {})["Potential Energy (kJ/mole)"], start_energy
             ),
@@ -186,6 +194,11 @@ class Outputs:
         periodic = context.getSystem().usesPeriodicBoundaryConditions()
         state = context.getState(positions=True, enforcePeriodicBox=periodic and not self._plan.unwrapped)
         self.trajectory.write(state.getPositions(asNumpy=True)[self._listed], state.getPeriodicBoxVectors())
+
+    def _write_tensor(self, context: openmm.Context) -> None:
+        if self._pressure is None:
+            self._pressure = pressure.MolecularPressure(context)
+        self.tensors.write(self._pressure.row(context.getState(positions=True, velocities=True)))
 
     def _write_checkpoint(self, context: openmm.Context, potential: float, start_energy: float | None) -> None:
         for file in self._growing.values():
@@ -205,6 +218,8 @@ class Outputs:
     def finish(self) -> None:
         """Close all files and write those that are made at the end of a run."""
         self.log.close()
+        if self._plan.pressure_tensor:
+            self.tensors.close()
         if self._plan.bodies:
             self.bodies.finish()
         self.trajectory.finish()

@@ -21,6 +21,10 @@ DEFAULT_TEMPERATURE = 297.0
 #: Steps of a trial of hybrid Monte Carlo.
 TRIAL = 10
 
+#: ps between pressure tensors. Sums over them take an oscillation of this period, and of its fractions, for a slow one:
+#: in rigid water these have a thousandth of the power of the slow ones.
+TENSOR_EVERY = 0.02
+
 #: Options that a restart takes from its checkpoint.
 CONTINUED = (
     "steps_per_trial",
@@ -38,14 +42,16 @@ CONTINUED = (
     "report_every",
     "checkpoint_every",
     "bodies_every",
+    "pressure_tensor_every",
     "unwrapped",
     "out",
     "report",
     "bodies",
+    "pressure_tensor",
 )
 
 #: Fields of a plan that are files. A checkpoint notes them relative to itself.
-FILES = ("out", "report", "bodies", "box")
+FILES = ("out", "report", "bodies", "pressure_tensor", "box")
 
 
 class RunError(ValueError):
@@ -76,10 +82,12 @@ class Options:
     out: Path | None = None
     report: Path | None = None
     bodies: Path | None = None
+    pressure_tensor: Path | None = None
     every: float | None = None
     report_every: float | None = None
     checkpoint_every: float | None = None
     bodies_every: float | None = None
+    pressure_tensor_every: float | None = None
     ensemble: str | None = None
     friction: float | None = None
     pressure: float | None = None
@@ -122,6 +130,8 @@ class Plan:
     constraints: str | None = None
     bodies: str | None = None
     bodies_every: float = 0.1
+    pressure_tensor: str | None = None
+    pressure_tensor_every: float = TENSOR_EVERY
     unwrapped: bool = False
     steps_per_trial: int = 0
     box: str | None = None
@@ -173,6 +183,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
     out = _file("--out", options.out) or Path(f"{options.box.stem}.dcd")
     report = _file("--report", options.report) or out.with_suffix(".csv")
     bodies = _file("--bodies", options.bodies)
+    tensor = _file("--pressure-tensor", options.pressure_tensor)
     every = options.every or 0.1
     return Plan(
         ensemble=ensemble,
@@ -193,6 +204,8 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
         out=str(out),
         report=str(report),
         bodies=None if bodies is None else str(bodies),
+        pressure_tensor=None if tensor is None else str(tensor),
+        pressure_tensor_every=options.pressure_tensor_every or TENSOR_EVERY,
         unwrapped=bool(options.unwrapped),
         steps_per_trial=_first(options.steps_per_trial, TRIAL) if ensemble == "hmc" else 0,
         box=str(options.box),
@@ -221,6 +234,8 @@ def _check_combinations(options: Options, ensemble: str) -> None:
         raise RunError("--steps-per-trial needs --ensemble hmc")
     if options.bodies_every is not None and options.bodies is None:
         raise RunError("--bodies-every needs --bodies FILE.h5")
+    if options.pressure_tensor_every is not None and options.pressure_tensor is None:
+        raise RunError("--pressure-tensor-every needs --pressure-tensor FILE.csv")
 
 
 def _length(options: Options, dt: float) -> int | None:

@@ -11,6 +11,7 @@ import numpy as np
 from openmm_sier.cli import records
 from openmm_sier.cli.console import REPORT, table
 from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
+from openmm_sier.context import pressure
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.measure import properties
 from openmm_sier.measure.forcefields import Box, describe, read_box
@@ -21,23 +22,25 @@ from openmm_sier.studies.figures import property_figure
 
 #: Liquid water at 298.15 K and 1 bar: density, heat capacity, enthalpy of vaporization and dielectric constant by the
 #: IAPWS formulations; self-diffusion of Holz et al., Phys. Chem. Chem. Phys. 2, 4740 (2000); the first maximum of the
-#: O-O distribution of Skinner et al., J. Chem. Phys. 138, 074506 (2013).
+#: O-O distribution of Skinner et al., J. Chem. Phys. 138, 074506 (2013); viscosity by the IAPWS formulation.
 EXPERIMENT = {
     "density": "0.9970",
     "vaporization": "43.99",
     "capacity": "75.3",
     "dielectric": "78.4",
     "diffusion": "2.30",
+    "viscosity": "0.890",
     "peak": "2.57 at 0.280",
 }
 
 
 class Row(NamedTuple):
-    """A property: its key in `EXPERIMENT`, its name with the unit, and how it follows from a run."""
+    """A property: its key in `EXPERIMENT`, its name with the unit, how it follows from a run, and whether by motion."""
 
     key: str
     name: str
     estimate: Callable[[Run], Estimate | None]
+    of_motion: bool = False
 
 
 class Run(NamedTuple):
@@ -48,12 +51,28 @@ class Run(NamedTuple):
         log: columns of the log after what is skipped.
         samples: of the trajectory.
         molecules: their number.
+        tensors: columns of the file of pressure tensors after what is skipped; None where there is none.
     """
 
     plan: Plan
     log: dict[str, np.ndarray]
     samples: LiquidSamples
     molecules: int
+    tensors: dict[str, np.ndarray] | None
+
+    @property
+    def temperature(self) -> float:
+        """K: that of the heat bath, or the mean where there is none."""
+        nve = self.plan.ensemble == "nve"
+        return float(self.log["Temperature (K)"].mean()) if nve else self.plan.temperature
+
+    @property
+    def stress(self) -> tuple[np.ndarray, float, float, float]:
+        """The arguments of `measure.properties.shear_viscosity`."""
+        columns = self.tensors or {}
+        tensors = np.stack([columns[name] for name in pressure.COLUMNS[2:-1]], axis=1)
+        interval = self.plan.interval(self.plan.pressure_tensor_every) * self.plan.dt / 1000
+        return tensors, interval, float(columns["Box Volume (nm^3)"].mean()), self.temperature
 
     @property
     def energy(self) -> np.ndarray:
@@ -67,18 +86,18 @@ class Run(NamedTuple):
 def _capacity(run: Run) -> Estimate | None:
     if run.plan.ensemble == "nve":
         return None
-    return properties.heat_capacity(run.energy, run.plan.temperature, run.molecules)
+    return properties.heat_capacity(run.energy, run.temperature, run.molecules)
 
 
 def _vaporization(run: Run) -> Estimate:
     potential = properties.mean(run.log["Potential Energy (kJ/mole)"])
-    return properties.vaporization_enthalpy(potential, run.plan.temperature, run.molecules)
+    return properties.vaporization_enthalpy(potential, run.temperature, run.molecules)
 
 
 def _dielectric(run: Run) -> Estimate | None:
     if run.samples.dipoles is None:
         return None
-    return properties.dielectric_constant(run.samples.dipoles, run.samples.volumes, run.plan.temperature)
+    return properties.dielectric_constant(run.samples.dipoles, run.samples.volumes, run.temperature)
 
 
 def _diffusion(run: Run) -> Estimate:
@@ -87,6 +106,10 @@ def _diffusion(run: Run) -> Estimate:
 
 def _rotation(run: Run) -> Estimate:
     return properties.rotation_time(run.samples.directions, run.samples.interval)
+
+
+def _viscosity(run: Run) -> Estimate | None:
+    return None if run.tensors is None else properties.shear_viscosity(*run.stress)
 
 
 ROWS = (
@@ -99,8 +122,9 @@ ROWS = (
     Row("vaporization", "enthalpy of vaporization, kJ/mol, rigid and without polarization", _vaporization),
     Row("capacity", "heat capacity (total energy or enthalpy), classical, J/mol/K", _capacity),
     Row("dielectric", "static dielectric constant", _dielectric),
-    Row("diffusion", "self-diffusion in the box, 10⁻⁹ m²/s", _diffusion),
-    Row("", "rotational correlation time of second order, ps", _rotation),
+    Row("viscosity", "shear viscosity, mPa s", _viscosity, of_motion=True),
+    Row("diffusion", "self-diffusion in the box, 10⁻⁹ m²/s", _diffusion, of_motion=True),
+    Row("", "rotational correlation time of second order, ps", _rotation, of_motion=True),
 )
 
 
@@ -113,7 +137,7 @@ def properties_of(
         checkpoints: of the runs, or their directories.
         box: the PDB file; None takes that of the checkpoints.
         skip: ps to leave out at the beginning of each run.
-        viscosity: mPa s, for the size correction of diffusion; None: no correction.
+        viscosity: mPa s, for the size correction of diffusion; None: that of the runs, no correction without one.
         out: directory for the figure.
 
     Raises:
@@ -121,20 +145,9 @@ def properties_of(
         RecordError, NoLiquidError, OSError: as their messages say.
     """
     runs = _read(checkpoints, box, skip)
-    found = {row: [_estimated(row, run) for run in runs] for row in ROWS}
-    rows = []
-    for row, estimates in found.items():
-        given = [estimate for estimate in estimates if estimate is not None]
-        if not given:
-            continue
-        value = properties.pooled(given)
-        rows.append([row.name, str(value), EXPERIMENT.get(row.key, "")])
-        if row.key == "diffusion" and viscosity is not None:
-            rows.append(_corrected(runs, value, viscosity))
-    pairs = np.mean([run.samples.pairs for run in runs], axis=0)
-    peak = int(pairs.argmax())
-    place = f"{pairs[peak]:.2f} at {runs[0].samples.distances[peak]:.3f}"
-    rows.append(["first maximum of the pair distribution, nm", place, EXPERIMENT["peak"]])
+    if runs[0].plan.ensemble == "hmc":
+        REPORT.note("trials of hybrid Monte Carlo are no motion: they give no diffusion, viscosity and rotation")
+    rows, stressed = _rows(runs, None if viscosity is None else Estimate(viscosity, 0.0))
     plan = runs[0].plan
     length = sum(float(np.ptp(run.log["Time (ps)"])) for run in runs)
     number = f"{len(runs)} runs" if len(runs) > 1 else "one run"
@@ -142,11 +155,40 @@ def properties_of(
     table(title, ("", "", "water, 298.15 K, 1 bar"), rows)
     if style.can_draw(REPORT):
         out.mkdir(parents=True, exist_ok=True)
-        property_figure([run.samples for run in runs], title, out / "properties.png")
+        property_figure([run.samples for run in runs], title, out / "properties.png", _integrals(stressed))
         REPORT.note(f"wrote {out / 'properties.png'}")
 
 
+def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[str]], list[Run]]:
+    """Rows of the table, and the runs that gave a viscosity.
+
+    Args:
+        runs: with different seeds.
+        viscosity: mPa s, for the size correction of diffusion; None takes that of the runs.
+    """
+    rows, stressed = [], []
+    for row in ROWS:
+        found = {run.plan.out: _estimated(row, run) for run in runs}
+        given = [estimate for estimate in found.values() if estimate is not None]
+        if not given:
+            continue
+        value = properties.pooled(given)
+        rows.append([row.name, str(value), EXPERIMENT.get(row.key, "")])
+        if row.key == "viscosity":
+            stressed = [run for run in runs if found[run.plan.out] is not None]
+            _note_tail(stressed)
+            viscosity = viscosity or value
+        if row.key == "diffusion" and viscosity is not None and viscosity.value > 2 * viscosity.error:
+            rows.append(_corrected(runs, value, viscosity))
+    pairs = np.mean([run.samples.pairs for run in runs], axis=0)
+    peak = int(pairs.argmax())
+    place = f"{pairs[peak]:.2f} at {runs[0].samples.distances[peak]:.3f}"
+    return [*rows, ["first maximum of the pair distribution, nm", place, EXPERIMENT["peak"]]], stressed
+
+
 def _estimated(row: Row, run: Run) -> Estimate | None:
+    if row.of_motion and run.plan.ensemble == "hmc":
+        return None
     try:
         return row.estimate(run)
     except properties.TooShortError as error:
@@ -154,10 +196,29 @@ def _estimated(row: Row, run: Run) -> Estimate | None:
         return None
 
 
-def _corrected(runs: Sequence[Run], found: Estimate, viscosity: float) -> list[str]:
+def _note_tail(runs: Sequence[Run]) -> None:
+    """Say so if the Green-Kubo integral has not come to its end."""
+    tail = properties.pooled([properties.viscosity_tail(*run.stress) for run in runs])
+    if tail.value > 3 * tail.error:
+        REPORT.note(
+            f"{tail} mPa s of the viscosity come from the second half of the {properties.MEMORY:g} ps to which the "
+            "correlation of the pressure is integrated: this liquid relaxes more slowly, and its viscosity is higher"
+        )
+
+
+def _corrected(runs: Sequence[Run], found: Estimate, viscosity: Estimate) -> list[str]:
+    """The row of diffusion without the effect of the periodic box."""
     edge = float(np.mean([run.samples.volumes.mean() ** (1 / 3) for run in runs]))
-    value = properties.without_finite_size(found, runs[0].plan.temperature, edge, viscosity)
-    return [f"self-diffusion without the box, viscosity {viscosity:g} mPa s", str(value), EXPERIMENT["diffusion"]]
+    value = properties.without_finite_size(found, runs[0].temperature, edge, viscosity)
+    return [f"self-diffusion without the box, viscosity {viscosity} mPa s", str(value), EXPERIMENT["diffusion"]]
+
+
+def _integrals(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times, ps, and running Green-Kubo integrals, mPa s, of all runs; None where there are none."""
+    if not runs:
+        return None
+    found = np.concatenate([properties.viscosity_integrals(*run.stress) for run in runs])
+    return np.arange(found.shape[1]) * runs[0].stress[1], found
 
 
 def _read(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[Run]:
@@ -179,13 +240,14 @@ def _read(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[
         box = boxes[key]
         interval = plan.interval(plan.every) * plan.dt / 1000
         samples = read_samples(Path(plan.out), box, interval, skip)
-        runs.append(Run(plan, _log(Path(plan.report), skip), samples, box.topology.getNumResidues()))
+        tensors = _log(Path(plan.pressure_tensor), skip) if plan.pressure_tensor else None
+        runs.append(Run(plan, _log(Path(plan.report), skip), samples, box.topology.getNumResidues(), tensors))
     return runs
 
 
 def _check_alike(plan: Plan, first: Plan, checkpoint: Path, reference: Path) -> None:
     for name in CONTINUED:
-        if name in ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every"):
+        if name in ("seed", "out", "report", "bodies", "bodies_every", "pressure_tensor", "checkpoint_every"):
             continue
         if getattr(plan, name) != getattr(first, name):
             raise RunError(

@@ -74,6 +74,8 @@ def _run(options: Options, requests: StopRequests) -> None:
     prepared = prepare_system(box.system, bodies)
     if plan.moves_volume and not box.system.usesPeriodicBoundaryConditions():
         raise RunError("constant pressure needs a periodic box, which the PDB file does not have")
+    if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
+        raise RunError("--pressure-tensor needs a periodic box, which the PDB file does not have")
     context = make_context(box.system, _integrator(plan, bodies, prepared.fastForceGroups), options.platform)
     if options.restart:
         _restore(context, state, notes, options, plan, paths.values())

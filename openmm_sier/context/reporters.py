@@ -10,13 +10,13 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.context import conservation
+from openmm_sier.context import conservation, pressure
 from openmm_sier.context.body_states import BodyStateFile, import_extras
 from openmm_sier.context.hmc import tell_of_samples
 
 
 class _Reporter:
-    """OpenMM's protocol for both reporters: the steps between reports, and the parts of the State that they need."""
+    """OpenMM's protocol for all reporters: the steps between reports, and the parts of the State that they need."""
 
     def __init__(self, reportInterval: int, include: list[str]):
         if reportInterval < 1:
@@ -52,11 +52,7 @@ class ConservationReporter(_Reporter):
             ValueError: the interval is not positive, or the file to go on with has other columns.
         """
         super().__init__(reportInterval, ["energy"])
-        path = Path(file)
-        fresh = not (append and path.exists() and path.stat().st_size)
-        self._path, self._header = path, None if fresh else _header(path)
-        self._out = path.open("a" if append else "w", newline="")
-        self._rows = csv.writer(self._out)
+        self._table = _Table(Path(file), append, conservation.COLUMNS, type(self).__name__)
 
     def report(self, simulation: app.Simulation, state: openmm.State) -> None:
         """Write one row, and flush it.
@@ -65,6 +61,71 @@ class ConservationReporter(_Reporter):
             ValueError: the file to go on with is that of another kind of integrator.
         """
         columns = conservation.columns(simulation.integrator)
+        self._table.write(columns, conservation.row(simulation.context, state))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._table.close()
+
+
+class PressureReporter(_Reporter):
+    """Writes the molecular pressure tensor of a periodic box, in bar, as CSV, for any integrator and any molecules.
+
+    `openmm_sier.context.pressure` says how it is computed. A row costs 12 energies, in a Context of its own: the run
+    goes on to the bit as without this reporter. The columns are `openmm_sier.context.pressure.COLUMNS`.
+    """
+
+    def __init__(self, file: str | PathLike[str], reportInterval: int, append: bool = False) -> None:
+        """
+        Args:
+            file: path of the CSV file.
+            reportInterval: steps between two rows.
+            append: go on with an existing file; its header is not written again.
+
+        Raises:
+            ValueError: the interval is not positive, or the file to go on with has other columns; at the first report,
+                the System is not periodic.
+        """
+        super().__init__(reportInterval, ["positions", "velocities"])
+        self._table = _Table(Path(file), append, pressure.COLUMNS, type(self).__name__)
+        self._pressure: pressure.MolecularPressure | None = None
+
+    def report(self, simulation: app.Simulation, state: openmm.State) -> None:
+        """Write one row, and flush it."""
+        if self._pressure is None:
+            self._pressure = pressure.MolecularPressure(simulation.context)
+        self._table.write(pressure.COLUMNS, self._pressure.row(state))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._table.close()
+
+
+class _Table:
+    """A CSV file of numbers, whose first column counts steps."""
+
+    def __init__(self, path: Path, append: bool, columns: tuple[str, ...], owner: str):
+        """
+        Args:
+            path: of the file.
+            append: go on with an existing file.
+            columns: with which those of that file must begin.
+            owner: name of the reporter.
+
+        Raises:
+            ValueError: the file to go on with has other columns.
+        """
+        fresh = not (append and path.exists() and path.stat().st_size)
+        self._path, self._header = path, None if fresh else _header(path, columns, owner)
+        self._out = path.open("a" if append else "w", newline="")
+        self._rows = csv.writer(self._out)
+
+    def write(self, columns: tuple[str, ...], row: tuple[float, ...]) -> None:
+        """Write one row, and flush it.
+
+        Raises:
+            ValueError: the file to go on with has other columns.
+        """
         if self._header is None:
             self._header = columns
             self._rows.writerow(columns)
@@ -73,12 +134,11 @@ class ConservationReporter(_Reporter):
                 f"{self._path} cannot be continued: it has {len(self._header)} columns, and this integrator has "
                 f"{len(columns)} to report"
             )
-        step, *values = conservation.row(simulation.context, state)
+        step, *values = row
         self._rows.writerow([step, *(repr(value) for value in values)])
         self._out.flush()
 
     def close(self) -> None:
-        """Close the file."""
         self._out.close()
 
     def __del__(self) -> None:
@@ -86,13 +146,13 @@ class ConservationReporter(_Reporter):
             self._out.close()
 
 
-def _header(path: Path) -> tuple[str, ...]:
+def _header(path: Path, columns: tuple[str, ...], owner: str) -> tuple[str, ...]:
     with path.open(newline="") as file:
         found = next(csv.reader(file), [])
-    if tuple(found[: len(conservation.COLUMNS)]) != conservation.COLUMNS:
+    if tuple(found[: len(columns)]) != columns:
         raise ValueError(
             f"{path} cannot be continued: it has {len(found)} columns that begin with {', '.join(found[:3])}, expected "
-            f"the {len(conservation.COLUMNS)} of ConservationReporter"
+            f"the {len(columns)} of {owner}"
         )
     return tuple(found)
 

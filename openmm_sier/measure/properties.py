@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 
 #: Vacuum permittivity, e^2 mol/(kJ nm) (CODATA 2018).
 PERMITTIVITY = 5.72765723e-4
@@ -24,6 +24,14 @@ NM2_PER_PS, KJ_PER_NM3_PS = 1e3, 1.66053907e-3
 
 #: Of a cubic lattice with a neutralizing background (Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004), Eq. 12).
 YEH_HUMMER = 2.837297
+
+#: ps; to where the pressure's correlation is integrated for the viscosity. In liquid water at room temperature, stress
+#: relaxes with some 0.6 ps, so that less than a thousandth follows, while the error grows with the root of the limit.
+MEMORY = 5.0
+
+#: ps; longest interval of pressures for the viscosity. Molecules of water librate with 30 fs and more, and what is as
+#: fast as the interval is taken for slow: the error is 0.1 % at 20 fs, 0.4 % at 24 fs and 1 % at 30 fs in SPC/E.
+COARSEST = 0.03
 
 #: Parts of a run whose scatter is the error of what is no mean of a series.
 PARTS = 8
@@ -194,20 +202,86 @@ def self_diffusion(
     return Estimate(float(np.mean(slopes)), float(error)).times(NM2_PER_PS)
 
 
-def without_finite_size(diffusion: Estimate, temperature: float, edge: float, viscosity: float) -> Estimate:
+def viscosity_integrals(
+    tensors: np.ndarray, interval: float, volume: float, temperature: float, last: float = MEMORY
+) -> np.ndarray:
+    """Running Green-Kubo integrals, mPa s, whose mean is the viscosity: (c, k), from 0 to `last` in k samples.
+
+    They are those of five components of the traceless pressure tensor, which are independent and fluctuate alike in a
+    liquid, in up to eight parts of the run, each ten times as long as `last` or more. Integrals are sums of trapezoids:
+    these are exact where nothing in the correlation is as fast as the interval.
+
+    Args:
+        tensors: (n, 6), bar, components xx, yy, zz, xy, xz and yz.
+        interval: ps between them.
+        volume: nm^3.
+        temperature: K.
+        last: ps.
+
+    Raises:
+        TooShortError: the run is not twice as long as `last`, or the interval is longer than `COARSEST`.
+
+    Source: Daivis and Evans, J. Chem. Phys. 100, 541 (1994), whose sum over all components this is.
+    """
+    if interval > COARSEST * (1 + 1e-9):
+        raise TooShortError(f"viscosity needs pressures {COARSEST:g} ps apart or less, got {interval:g} ps")
+    n, lags = len(tensors), max(1, round(last / interval))
+    if n < 2 * lags:
+        raise TooShortError(
+            f"viscosity needs a run of {2 * last:g} ps or more, and many times that for an error of some per cent, got "
+            f"{n * interval:g} ps"
+        )
+    xx, yy, zz, xy, xz, yz = np.asarray(tensors, dtype=float).T * BAR
+    shears = np.stack([xy, xz, yz, (xx - yy) / 2, (xx + yy - 2 * zz) / math.sqrt(12)], axis=1)
+    scale = volume / (GAS_CONSTANT * temperature) * interval * KJ_PER_NM3_PS
+    found = []
+    for part in np.array_split(shears, max(1, min(PARTS, n // (10 * lags)))):
+        transform = np.fft.rfft(part, 2 * len(part), axis=0)
+        products = np.fft.irfft(np.abs(transform) ** 2, 2 * len(part), axis=0)[: lags + 1].T
+        correlation = products / (len(part) - np.arange(lags + 1))
+        areas = (correlation[:, 1:] + correlation[:, :-1]) / 2
+        found.append(scale * np.concatenate([np.zeros((5, 1)), np.cumsum(areas, axis=1)], axis=1))
+    return np.concatenate(found)
+
+
+def shear_viscosity(
+    tensors: np.ndarray, interval: float, volume: float, temperature: float, last: float = MEMORY
+) -> Estimate:
+    """Shear viscosity, mPa s, by the formula of Green and Kubo; the arguments are those of `viscosity_integrals`.
+
+    The upper limit of the integral is a time that is given, not one that is read off the integral, where noise would
+    choose it. `viscosity_tail` tells whether it is late enough.
+    """
+    return _of_components(viscosity_integrals(tensors, interval, volume, temperature, last)[:, -1])
+
+
+def viscosity_tail(
+    tensors: np.ndarray, interval: float, volume: float, temperature: float, last: float = MEMORY
+) -> Estimate:
+    """The part of `shear_viscosity` from the second half of the integral, mPa s: zero where `last` is late enough."""
+    integrals = viscosity_integrals(tensors, interval, volume, temperature, last)
+    return _of_components(integrals[:, -1] - integrals[:, integrals.shape[1] // 2])
+
+
+def _of_components(values: np.ndarray) -> Estimate:
+    return Estimate(float(values.mean()), float(values.std(ddof=1) / math.sqrt(len(values))))
+
+
+def without_finite_size(diffusion: Estimate, temperature: float, edge: float, viscosity: float | Estimate) -> Estimate:
     """Coefficient of self-diffusion of an infinite liquid from that of a cubic box, both in 10^-9 m^2/s.
 
     Args:
         diffusion: in the box.
         temperature: K.
         edge: of the box, nm.
-        viscosity: of the same model, mPa s.
+        viscosity: of the same model, mPa s; with an error, this counts too.
 
     Source: Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004), Eq. 12.
     """
-    eta = viscosity / KJ_PER_NM3_PS
+    value, error = viscosity if isinstance(viscosity, Estimate) else (viscosity, 0.0)
+    eta = value / KJ_PER_NM3_PS
     shift = YEH_HUMMER * GAS_CONSTANT * temperature / (6 * math.pi * eta * edge) * NM2_PER_PS
-    return Estimate(diffusion.value + shift, diffusion.error)
+    return Estimate(diffusion.value + shift, math.hypot(diffusion.error, shift * error / value))
 
 
 def orientation_correlation(directions: np.ndarray, longest: int) -> np.ndarray:

@@ -51,16 +51,22 @@ def equipartition_figure(rows: Sequence[Any], ensemble: str, path: Path) -> None
         figure.savefig(path)
 
 
-def property_figure(samples: Sequence[LiquidSamples], title: str, path: Path) -> None:
-    """Pair distribution, displacements and the decay of orientations of a liquid, the mean of all runs.
+def property_figure(
+    samples: Sequence[LiquidSamples],
+    title: str,
+    path: Path,
+    viscosities: tuple[np.ndarray, np.ndarray] | None = None,
+) -> None:
+    """Pair distribution, displacements, the decay of orientations and the viscosity of a liquid, the mean of all runs.
 
     Args:
         samples: of runs with the same interval between frames.
         title: above the figure.
         path: PNG file to write.
+        viscosities: times (k,), ps, and running Green-Kubo integrals (c, k), mPa s; None leaves their panel out.
     """
     with style.context():
-        figure, (pairs, displacements, turning) = style.panels(3, title)
+        figure, (pairs, displacements, turning, *further) = style.panels(3 if viscosities is None else 4, title)
         first = samples[0]
         colour = style.of_method("SIER4G")["color"]
         pairs.plot(first.distances, np.mean([run.pairs for run in samples], axis=0), color=colour)
@@ -77,7 +83,18 @@ def property_figure(samples: Sequence[LiquidSamples], title: str, path: Path) ->
         turning.semilogy(times[shown], decay[shown], color=colour)
         turning.set_xlabel("time (ps)")
         turning.set_ylabel(r"$\langle P_2 \rangle$ of orientations")
+        if viscosities is not None:
+            _draw_integrals(further[0], *viscosities, colour)
         figure.savefig(path)
+
+
+def _draw_integrals(axes: Axes, times: np.ndarray, integrals: np.ndarray, colour: str) -> None:
+    value, error = integrals.mean(axis=0), integrals.std(axis=0, ddof=1) / np.sqrt(len(integrals))
+    axes.plot(times, value, color=colour)
+    axes.fill_between(times, value - error, value + error, color=colour, alpha=0.25, lw=0)
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("upper limit of the Green-Kubo integral (ps)")
+    axes.set_ylabel("shear viscosity (mPa s)")
 
 
 def schemes_figure(rows: Sequence[Any], path: Path) -> None:

@@ -229,6 +229,23 @@ def test_body_states_without_a_frame(box):
         assert file["q"].shape == (0, 27, 3)
 
 
+# --- pressure tensors ---
+
+
+def test_pressure_tensors_are_continued_bit_for_bit(box):
+    settings = [*SMALL, "--equilibrate", "0.01", "--checkpoint-every", "0.008", "--pressure-tensor-every", "0.008"]
+    run("run", box, *settings, "--steps", "4", "--out", "whole.dcd", "--pressure-tensor", "whole-p.csv")
+    run("run", box, *settings, "--steps", "2", "--out", "parts.dcd", "--pressure-tensor", "parts-p.csv")
+    # What a killed run wrote after its checkpoint is cut off.
+    with open("parts-p.csv", "a") as file:
+        file.write("3,0.012,")
+    run("run", box, "--platform", "Reference", "--steps", "4", "--restart", "parts.chk")
+    assert Path("parts-p.csv").read_bytes() == Path("whole-p.csv").read_bytes()
+    found = log("whole-p.csv")
+    assert found["Step"].tolist() == [2, 4]
+    assert np.ptp(found["Pressure xy (bar)"]) > 0
+
+
 # --- wrapped and unwrapped frames ---
 
 

@@ -104,6 +104,7 @@ def test_no_output_is_the_checkpoint_that_a_run_starts_from(box, capsys):
         ["--report", "x.chk.tmp"],
         ["--report", "linked.csv"],
         ["--out", "x.h5", "--bodies", "x.h5"],
+        ["--report", "x.csv", "--pressure-tensor", "x.csv"],
         ["--out", "x.h5", "--report", "x.h5.dcd"],
         ["--bodies", "y.h5", "--report", "y.h5.frames"],
     ],
@@ -129,6 +130,7 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
         (["--bodies", "."], "--bodies . is a directory"),
         (["--bodies", "states.dcd"], "a file that ends in .h5, got states.dcd"),
         (["--bodies-every", "1"], "--bodies-every needs --bodies"),
+        (["--pressure-tensor-every", "1"], "--pressure-tensor-every needs --pressure-tensor"),
         # A root who overwrites it would lose the device.
         (["--report", "/dev/null", "--overwrite"], "/dev/null is no regular file"),
         (["--out", "none/a.dcd"], "there is no directory none"),

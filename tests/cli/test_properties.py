@@ -1,15 +1,23 @@
 """Properties of a liquid from finished runs."""
 
+import math
+import re
+from pathlib import Path
+
 import numpy as np
 import openmm
 import pytest
 from openmm import unit
 
+from openmm_sier.cli import properties
 from openmm_sier.cli.main import main
-from openmm_sier.cli.records import read_checkpoint
+from openmm_sier.cli.plan import Options, new_plan
+from openmm_sier.cli.records import read_checkpoint, read_log
+from openmm_sier.context.pressure import COLUMNS
 from openmm_sier.measure.forcefields import read_box
-from openmm_sier.measure.liquid_samples import NoLiquidError, read_samples, unwrapped
-from tests.support.commands import SYSTEMS, complaint, log, run
+from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, read_samples, unwrapped
+from openmm_sier.measure.properties import Estimate
+from tests.support.commands import SMALL, SYSTEMS, complaint, log, run
 
 pytest.importorskip("pymbar")
 
@@ -84,3 +92,66 @@ def test_wrong_input(runs, tmp_path, capsys):
     said = complaint(capsys, "properties", runs[0], other.with_suffix(".chk"), "--out", tmp_path)
     assert "has temperature 310.0" in said
     assert "differ in their seeds alone" in said
+
+
+# --- viscosity ---
+
+
+def write_tensors(path, n, keep, interval=0.02):
+    """A file of pressure tensors whose shear stresses are independent, of 500 bar and with correlation keep^t."""
+    rng = np.random.default_rng(8)
+    shear = rng.normal(size=(n, 5))
+    for i in range(1, n):
+        shear[i] = keep * shear[i - 1] + math.sqrt(1 - keep**2) * shear[i]
+    diagonal = shear[:, 3:4] * [1, -1, 0] + shear[:, 4:] * np.array([1, 1, -2]) / math.sqrt(3)
+    steps = np.arange(1, n + 1)
+    columns = [steps, steps * interval, *(500 * diagonal.T), *(500 * shear[:, :3].T), np.full(n, 8.0)]
+    np.savetxt(path, np.transpose(columns), delimiter=",", header=",".join(COLUMNS), comments="")
+
+
+def viscosity_of(out):
+    """Value and error in the printed table."""
+    value, error = re.search(r"shear viscosity, mPa s\W+([\d.]+) ± ([\d.]+)", out).groups()
+    return float(value), float(error)
+
+
+def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
+    often = ["--every", 0.004, "--report-every", 0.004]
+    run("run", box, *SMALL, "--steps", 4, "--ensemble", "nvt", *often, "--pressure-tensor", "p.csv")
+    capsys.readouterr()
+    write_tensors("p.csv", 20000, 0.95)
+    assert main(["properties", "box.chk"]) == 0
+    out = capsys.readouterr().out
+    # V/kT <P²> times the sum of the correlation: 8 nm³ at 297 K, 500 bar, 0.02 ps (0.5 + 0.95/0.05).
+    value, error = viscosity_of(out)
+    expected = 8e-27 / (1.380649e-23 * 297) * 5e7**2 * 0.02e-12 * 19.5 * 1e3
+    assert abs(value - expected) < 4 * error < expected
+    assert "0.890" in out
+    assert "relaxes more slowly" not in out
+    assert Path("out/properties.png").stat().st_size > 10_000
+    monkeypatch.setattr(properties.style, "can_draw", lambda report: False)
+    # Where the correlation lasts, the integral has not come to its end.
+    write_tensors("p.csv", 20000, 0.995)
+    assert main(["properties", "box.chk"]) == 0
+    assert "relaxes more slowly" in capsys.readouterr().out
+
+
+def test_viscosity_corrects_diffusion(tmp_path):
+    """A viscosity that the runs give is taken for the effect of the box, unless another is named."""
+    plan = new_plan(Options(Path("box.pdb"), ensemble="nvt", pressure_tensor=tmp_path / "p.csv"))
+    write_tensors(tmp_path / "p.csv", 20000, 0.95, plan.interval(plan.pressure_tensor_every) * plan.dt / 1000)
+    rng, n = np.random.default_rng(3), 400
+    centres = rng.normal(scale=0.05, size=(n, 20, 3)).cumsum(axis=0)
+    directions = np.tile([0.0, 0.0, 1.0], (n, 20, 1))
+    samples = LiquidSamples(0.1, centres, directions, None, np.full(n, 8.0), np.arange(5), np.ones(5))
+    log = dict.fromkeys(("Density (g/mL)", "Potential Energy (kJ/mole)", "Total Energy (kJ/mole)"), np.arange(100.0))
+    made = properties.Run(plan, log, samples, 20, read_log(tmp_path / "p.csv"))
+    table = {name: value for name, value, _ in properties._rows([made], None)[0]}
+    (name,) = [name for name in table if "without the box" in name]
+    assert table["shear viscosity, mPa s"] in name
+    plain, corrected = (float(table[key].split()[0]) for key in ("self-diffusion in the box, 10⁻⁹ m²/s", name))
+    viscosity = float(table["shear viscosity, mPa s"].split()[0])
+    # 2.837 kT/(6 pi eta L), in 10⁻⁹ m²/s.
+    shift = 2.837297 * 1.380649e-23 * 297 / (6 * math.pi * viscosity * 1e-3 * 2e-9) * 1e9
+    assert corrected - plain == pytest.approx(shift, rel=0.2)
+    assert any("viscosity 0.9 mPa s" in name for name, *_ in properties._rows([made], Estimate(0.9, 0))[0])

@@ -103,6 +103,56 @@ def test_correction_for_the_size_of_the_box():
     shift = 2.837297 * 1.380649e-23 * 300 / (6 * math.pi * 1e-3 * 2.5e-9)
     found = properties.without_finite_size(Estimate(2, 0.1), 300, 2.5, 1.0)
     assert found == (pytest.approx(2 + shift * 1e9, rel=1e-6), 0.1)
+    # An error of 10 % in the viscosity is one of 10 % in the correction.
+    uncertain = properties.without_finite_size(Estimate(2.0, 0.03), 298.15, 2.5, Estimate(0.9, 0.09))
+    assert uncertain.value == properties.without_finite_size(Estimate(2.0, 0.03), 298.15, 2.5, 0.9).value
+    assert uncertain.error == pytest.approx(math.hypot(0.03, 0.1 * (uncertain.value - 2.0)))
+
+
+def stresses(rng, n, keep):
+    """Pressure tensors (n, 6) whose shear stresses are series of unit variance with correlation keep^t, bar."""
+    shear = autoregressive(rng, n, keep, 5)
+    # Two orthogonal directions in the space of traces of zero, and a pressure that has nothing to do with shear.
+    diagonal = shear[:, 3:4] * [1, -1, 0] + shear[:, 4:] * np.array([1, 1, -2]) / math.sqrt(3)
+    return np.concatenate([diagonal + rng.normal(3, 5, (n, 1)), shear[:, :3]], axis=1)
+
+
+def test_viscosity_of_a_stress_that_decays_exponentially():
+    interval, volume, T, keep = 0.02, 8.0, 300.0, 0.9
+    tensors = stresses(np.random.default_rng(9), 40000, keep)
+    # By trapezoids, with less than 1e-6 after 3 ps. 1 bar is 1e5 Pa: V/kT in 1/Pa times Pa² times s, in mPa s.
+    area = interval * 1e-12 * (0.5 + keep / (1 - keep))
+    expected = volume * 1e-27 / (1.380649e-23 * T) * 1e10 * area * 1e3
+    found = properties.shear_viscosity(tensors, interval, volume, T, last=3.0)
+    assert agrees(found, expected)
+    # The error of an integral up to L of five components over a time t is sqrt(4 L/5 t).
+    assert found.error == pytest.approx(expected * math.sqrt(4 * 3 / 5 / 800), rel=0.4)
+    tail = properties.viscosity_tail(tensors, interval, volume, T, last=3.0)
+    assert agrees(tail, 0)
+    early = properties.viscosity_tail(tensors, interval, volume, T, last=0.4)
+    assert early.value > 5 * early.error
+
+
+def test_viscosity_integrals_are_those_of_all_pairs_of_times():
+    tensors, (interval, volume, T), lags = stresses(np.random.default_rng(10), 60, 0.8), (0.02, 8.0, 300.0), 10
+    found = properties.viscosity_integrals(tensors, interval, volume, T, last=0.2)
+    xx, yy, zz, xy, xz, yz = tensors.T
+    scale = volume * 1e-27 / (1.380649e-23 * T) * 1e10 * interval * 1e-12 * 1e3
+    # Sum over all nine components of the traceless tensor is ten times that of one shear stress.
+    mean = (xx + yy + zz) / 3
+    squares = [xx - mean, yy - mean, zz - mean, *[xy, xz, yz] * 2]
+    correlation = [
+        np.mean([sum(s[i] * s[i + k] for s in squares) for i in range(60 - k)]) / 10 for k in range(lags + 1)
+    ]
+    expected = [scale * np.trapezoid(correlation[: k + 1]) for k in range(lags + 1)]
+    np.testing.assert_allclose(found.mean(axis=0), expected, rtol=1e-6, atol=1e-9 * scale)
+
+
+def test_viscosity_needs_a_run():
+    with pytest.raises(properties.TooShortError, match=r"viscosity needs a run of 10 ps or more.* got 9\.98 ps"):
+        properties.shear_viscosity(np.zeros((499, 6)), 0.02, 8.0, 300.0)
+    with pytest.raises(properties.TooShortError, match=r"0\.03 ps apart or less, got 0\.04 ps"):
+        properties.shear_viscosity(np.zeros((499, 6)), 0.04, 8.0, 300.0)
 
 
 def test_orientations_of_a_random_walk_on_the_sphere():
