@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from openmm_sier.cli import streams, study_commands
+from openmm_sier.cli.methods import METHODS, RECOMMENDED
 from openmm_sier.cli.parser import FORCEFIELD_HELP, Parser, UsageError
-from openmm_sier.cli.plan import RECOMMENDED, Options, usual_step
+from openmm_sier.cli.plan import Options
 from openmm_sier.cli.values import any_number, not_negative, positive, whole
-from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.version import __version__
 
 if TYPE_CHECKING:
     from openmm_sier.cli.parser import Commands
-
-SCHEMES = tuple(CATALOGUE)
 
 #: The keys of `measure.forcefields.CONSTRAINTS`, which are here without OpenMM.
 CONSTRAINTS = ("none", "hbonds", "allbonds", "hangles")
@@ -46,7 +44,14 @@ CONSTRAINTS_HELP = (
     "(default: none)"
 )
 
-STEP_HELP = "step in fs (default: " + ", ".join(f"{usual_step(name):g} for {name}" for name in SCHEMES) + ")"
+SCHEME_HELP = (
+    f"scheme of this package (default: {RECOMMENDED}), or for comparison one of OpenMM's own integrators: verlet, with "
+    "an AndersenThermostat at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure"
+)
+
+STEP_HELP = (
+    "step in fs (default: " + ", ".join(f"{method.usual_step:g} for {key}" for key, method in METHODS.items()) + ")"
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -108,14 +113,15 @@ def _add_run(commands: Commands) -> argparse.ArgumentParser:
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
     parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
     parser.add_argument("--constraints", choices=CONSTRAINTS, help=CONSTRAINTS_HELP)
-    parser.add_argument("--scheme", choices=SCHEMES, help=f"default: {RECOMMENDED}")
+    parser.add_argument("--scheme", choices=tuple(METHODS), help=SCHEME_HELP)
     parser.add_argument("--dt", metavar="FS", type=positive, help=STEP_HELP)
-    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt", "hmc"), help="default: nve")
+    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt", "hmc"), help="default: nve; nvt for langevinmiddle")
     parser.add_argument(
         "--friction",
         metavar="1/PS",
         type=not_negative,
-        help="of the heat bath (default: 1; hmc draws all momenta for each trial without it)",
+        help="of the heat bath, or the rate of collisions of verlet (default: 1; hmc draws all momenta for each trial "
+        "without it)",
     )
     parser.add_argument(
         "--pressure", metavar="BAR", type=any_number, help="with npt (default: 1) or hmc (default: constant volume)"
