@@ -88,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog=streams.PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action="version", version=f"{streams.PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (_add_run, _add_ensemble, _add_properties, _add_info, *study_commands.ADDED):
+    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_info, *study_commands.ADDED):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
@@ -243,6 +243,41 @@ def _properties(options: argparse.Namespace) -> None:
     from openmm_sier.cli import properties
 
     properties.properties_of(options.runs, options.box, options.skip, options.viscosity, options.out)
+
+
+# --- validate ---
+
+
+def _add_validate(commands: Commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "validate",
+        help="test whether runs sampled their ensembles, with physical_validation",
+        description="Test the kinetic energies of runs by translation and rotation, their energies and volumes where "
+        "two runs differ in temperature or pressure alone, and the order of the energy error where two runs at "
+        "constant energy differ in their step. Runs that differ in their seeds alone count as one. Exit code 5 says "
+        "that a check failed.",
+    )
+    parser.add_argument(
+        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
+    )
+    parser.add_argument(
+        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
+    )
+    parser.add_argument(
+        "--limit",
+        metavar="N",
+        type=positive,
+        default=4.0,
+        help="standard errors beyond which a check fails (default: 4)",
+    )
+    parser.set_defaults(execute=_validate)
+    return parser
+
+
+def _validate(options: argparse.Namespace) -> None:
+    from openmm_sier.cli import validate
+
+    validate.validate(options.runs, options.skip, options.limit)
 
 
 # --- info ---

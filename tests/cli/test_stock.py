@@ -61,5 +61,7 @@ def test_what_they_cannot_do_is_refused(box, capsys):
 
 
 def test_a_step_that_is_too_long_is_told_of(box, capsys):
-    said = complaint(capsys, "run", box, "--scheme", "langevinmiddle", *FAST[2:], "--dt", "60", "--time", "60", code=3)
+    """On the CPU platform: OpenMM's Reference PME writes past its mesh where positions are not finite."""
+    chosen = ["--scheme", "langevinmiddle", "--dt", "60", "--time", "60", "--equilibrate", "0.01", "--platform", "CPU"]
+    said = complaint(capsys, "run", box, *chosen, code=3)
     assert "for OpenMM LangevinMiddle, for which 2 fs is usual" in said
