@@ -88,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog=streams.PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action="version", version=f"{streams.PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_info, *study_commands.ADDED):
+    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_study, _add_info, *study_commands.ADDED):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
@@ -278,6 +278,33 @@ def _validate(options: argparse.Namespace) -> None:
     from openmm_sier.cli import validate
 
     validate.validate(options.runs, options.skip, options.limit)
+
+
+# --- study ---
+
+
+def _add_study(commands: Commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "study",
+        help="density, energy, dielectric constant and diffusion against the step, from the runs of an ensemble",
+        description="Properties of a liquid by box, method and step, with standard errors. Runs that differ in their "
+        "seeds alone count as one. Writes a table in Markdown and a figure.",
+    )
+    parser.add_argument(
+        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
+    )
+    parser.add_argument(
+        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out"), help="for the table and the figure")
+    parser.set_defaults(execute=_study)
+    return parser
+
+
+def _study(options: argparse.Namespace) -> None:
+    from openmm_sier.cli import study
+
+    study.study(options.runs, options.skip, options.out)
 
 
 # --- info ---

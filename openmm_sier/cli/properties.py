@@ -120,7 +120,7 @@ def properties_of(
         RunError: runs differ in more than the seed and the length.
         RecordError, NoLiquidError, OSError: as their messages say.
     """
-    runs = _read(checkpoints, box, skip)
+    runs = read_runs(checkpoints, box, skip)
     found = {row: [_estimated(row, run) for run in runs] for row in ROWS}
     rows = []
     for row, estimates in found.items():
@@ -160,7 +160,8 @@ def _corrected(runs: Sequence[Run], found: Estimate, viscosity: float) -> list[s
     return [f"self-diffusion without the box, viscosity {viscosity:g} mPa s", str(value), EXPERIMENT["diffusion"]]
 
 
-def _read(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[Run]:
+def read_runs(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[Run]:
+    """Runs that differ in their seeds alone; arguments and errors as those of `properties_of`."""
     runs: list[Run] = []
     boxes: dict[tuple, Box] = {}
     for path in checkpoints:
