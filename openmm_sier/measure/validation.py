@@ -116,19 +116,21 @@ def sampled(logs: Sequence[Mapping[str, np.ndarray]], temperature: float, pressu
     found: dict[str, list[Group]] = {}
     ends, volumes = [], []
     for log in logs:
-        for group in kinetic_groups(log):
-            kept = group._replace(energies=independent(group.energies)[0])
-            found.setdefault(group.name, []).append(kept)
+        groups = kinetic_groups(log)
+        # They share what is slow, the exchange of heat with the bath, and the noise of g is less where it counts twice.
+        kept = independent(*(group.energies for group in groups))
+        for group, energies in zip(groups, kept, strict=True):
+            found.setdefault(group.name, []).append(group._replace(energies=energies))
         if pressure is None:
             ends.append(independent(log["Potential Energy (kJ/mole)"])[0])
         else:
             energy, volume = independent(log["Potential Energy (kJ/mole)"], log["Box Volume (nm^3)"])
             ends.append(energy)
             volumes.append(volume)
-    groups = tuple(
+    together = tuple(
         Group(name, parts[0].dof, np.concatenate([part.energies for part in parts])) for name, parts in found.items()
     )
-    return Sampled(temperature, pressure, groups, np.concatenate(ends), np.concatenate(volumes) if volumes else None)
+    return Sampled(temperature, pressure, together, np.concatenate(ends), np.concatenate(volumes) if volumes else None)
 
 
 def kinetic_groups(log: Mapping[str, np.ndarray]) -> list[Group]:
