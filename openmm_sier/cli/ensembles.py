@@ -11,8 +11,8 @@ A plan names a command, the options that all members share, and the values of th
     scheme = ["sier2", "sier4g"]
     seed = [1, 2, 3]
 
-Members are all combinations, here twelve. Files are looked for beside the plan, among the project's own boxes, and
-then as they are named.
+Members are all combinations, here twelve. Several tables [[members]] add up, as methods with steps of their own. Files
+are looked for beside the plan, among the project's own boxes, and then as they are named.
 """
 
 from __future__ import annotations
@@ -110,11 +110,17 @@ def read_plan(path: Path) -> list[Member]:
         raise PlanError(f"{path} is no TOML file: {error}") from None
     if unknown := sorted(set(plan) - set(KEYS)):
         raise PlanError(f"{path}: expected {', '.join(KEYS)}, got {', '.join(unknown)}")
-    command, shared, axes = plan.get("command", "run"), plan.get("options", {}), plan.get("members", {})
+    command, shared, tables = plan.get("command", "run"), plan.get("options", {}), plan.get("members", {})
     if command not in COMMANDS:
         raise PlanError(f"{path}: command must be one of {', '.join(COMMANDS)}, got {command!r}")
-    if not (isinstance(shared, dict) and isinstance(axes, dict)):
+    tables = tables if isinstance(tables, list) else [tables]
+    if not all(isinstance(table, dict) for table in (shared, *tables)):
         raise PlanError(f"{path}: options and members are tables, [options] and [members]")
+    return [member for axes in tables for member in _combinations(path, command, shared, axes)]
+
+
+def _combinations(path: Path, command: str, shared: dict[str, Any], axes: dict[str, Any]) -> list[Member]:
+    """All members of one table."""
     for key, values in axes.items():
         if not isinstance(values, list) or not values:
             raise PlanError(f"{path}: {key} in [members] must be a list of the values of the members, got {values!r}")

@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from openmm_sier.cli import streams, study_commands
+from openmm_sier.cli.methods import METHODS, RECOMMENDED
 from openmm_sier.cli.parser import FORCEFIELD_HELP, Parser, UsageError
-from openmm_sier.cli.plan import RECOMMENDED, Options, usual_step
+from openmm_sier.cli.plan import Options
 from openmm_sier.cli.values import any_number, not_negative, positive, whole
-from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.version import __version__
 
 if TYPE_CHECKING:
     from openmm_sier.cli.parser import Commands
-
-SCHEMES = tuple(CATALOGUE)
 
 #: The keys of `measure.forcefields.CONSTRAINTS`, which are here without OpenMM.
 CONSTRAINTS = ("none", "hbonds", "allbonds", "hangles")
@@ -46,7 +44,14 @@ CONSTRAINTS_HELP = (
     "(default: none)"
 )
 
-STEP_HELP = "step in fs (default: " + ", ".join(f"{usual_step(name):g} for {name}" for name in SCHEMES) + ")"
+SCHEME_HELP = (
+    f"scheme of this package (default: {RECOMMENDED}), or for comparison one of OpenMM's own integrators: verlet, with "
+    "an AndersenThermostat at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure"
+)
+
+STEP_HELP = (
+    "step in fs (default: " + ", ".join(f"{method.usual_step:g} for {key}" for key, method in METHODS.items()) + ")"
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -83,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog=streams.PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action="version", version=f"{streams.PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (_add_run, _add_ensemble, _add_properties, _add_info, *study_commands.ADDED):
+    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_study, _add_info, *study_commands.ADDED):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
@@ -108,14 +113,15 @@ def _add_run(commands: Commands) -> argparse.ArgumentParser:
     parser.add_argument("--forcefield", metavar="XML", nargs="+", help=FORCEFIELD_HELP)
     parser.add_argument("--rigid", metavar="RESIDUE", nargs="+", help=RIGID_HELP)
     parser.add_argument("--constraints", choices=CONSTRAINTS, help=CONSTRAINTS_HELP)
-    parser.add_argument("--scheme", choices=SCHEMES, help=f"default: {RECOMMENDED}")
+    parser.add_argument("--scheme", choices=tuple(METHODS), help=SCHEME_HELP)
     parser.add_argument("--dt", metavar="FS", type=positive, help=STEP_HELP)
-    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt", "hmc"), help="default: nve")
+    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt", "hmc"), help="default: nve; nvt for langevinmiddle")
     parser.add_argument(
         "--friction",
         metavar="1/PS",
         type=not_negative,
-        help="of the heat bath (default: 1; hmc draws all momenta for each trial without it)",
+        help="of the heat bath, or the rate of collisions of verlet (default: 1; hmc draws all momenta for each trial "
+        "without it)",
     )
     parser.add_argument(
         "--pressure", metavar="BAR", type=any_number, help="with npt (default: 1) or hmc (default: constant volume)"
@@ -246,6 +252,68 @@ def _properties(options: argparse.Namespace) -> None:
     from openmm_sier.cli import properties
 
     properties.properties_of(options.runs, options.box, options.skip, options.viscosity, options.out)
+
+
+# --- validate ---
+
+
+def _add_validate(commands: Commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "validate",
+        help="test whether runs sampled their ensembles, with physical_validation",
+        description="Test the kinetic energies of runs by translation and rotation, their energies and volumes where "
+        "two runs differ in temperature or pressure alone, and the order of the energy error where two runs at "
+        "constant energy differ in their step. Runs that differ in their seeds alone count as one. Exit code 5 says "
+        "that a check failed.",
+    )
+    parser.add_argument(
+        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
+    )
+    parser.add_argument(
+        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
+    )
+    parser.add_argument(
+        "--limit",
+        metavar="N",
+        type=positive,
+        default=4.0,
+        help="standard errors beyond which a check fails (default: 4)",
+    )
+    parser.set_defaults(execute=_validate)
+    return parser
+
+
+def _validate(options: argparse.Namespace) -> None:
+    from openmm_sier.cli import validate
+
+    validate.validate(options.runs, options.skip, options.limit)
+
+
+# --- study ---
+
+
+def _add_study(commands: Commands) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "study",
+        help="density, energy, dielectric constant and diffusion against the step, from the runs of an ensemble",
+        description="Properties of a liquid by box, method and step, with standard errors. Runs that differ in their "
+        "seeds alone count as one. Writes a table in Markdown and a figure.",
+    )
+    parser.add_argument(
+        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
+    )
+    parser.add_argument(
+        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out"), help="for the table and the figure")
+    parser.set_defaults(execute=_study)
+    return parser
+
+
+def _study(options: argparse.Namespace) -> None:
+    from openmm_sier.cli import study
+
+    study.study(options.runs, options.skip, options.out)
 
 
 # --- info ---

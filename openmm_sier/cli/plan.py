@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from openmm_sier.dynamics.schemes import CATALOGUE
-
-#: The default scheme, which is that of our integrators too.
-RECOMMENDED = "sier4g"
-
-#: Steps in fs that the README recommends for rigid water, by scheme. They are the default steps.
-USUAL_STEPS = {"sier2": 2.0, "sier4": 4.0, "sier4v": 5.0, "sier4g": 6.0, "sier4p": 6.0}
+from openmm_sier.cli.methods import METHODS, RECOMMENDED, Method
 
 #: K; that of the systems that the project ships.
 DEFAULT_TEMPERATURE = 297.0
@@ -142,11 +137,21 @@ class Plan:
         return self.ensemble in ("npt", "hmc") and self.pressure is not None
 
     @property
+    def method(self) -> Method:
+        """What moves the molecules."""
+        return METHODS[self.scheme]
+
+    @property
+    def counts_heat(self) -> bool:
+        """Whether the conserved energy is known: nobody counts the heat that OpenMM's own baths give."""
+        return self.method.scheme is not None or self.ensemble == "nve"
+
+    @property
     def title(self) -> str:
-        """Scheme, ensemble and step."""
+        """Method, ensemble and step."""
         bath = f", {self.temperature:g} K" if self.ensemble != "nve" else ""
         piston = f", {self.pressure:g} bar" if self.moves_volume else ""
-        return f"{CATALOGUE[self.scheme].name}, {self.ensemble.upper()}{bath}{piston}, {self.dt:g} fs"
+        return f"{self.method.name}, {self.ensemble.upper()}{bath}{piston}, {self.dt:g} fs"
 
     def interval(self, time: float) -> int:
         """Steps that come nearest to a time, at least 1; whole trials of hybrid Monte Carlo."""
@@ -158,11 +163,6 @@ class Plan:
         here = os.path.dirname(checkpoint) or "."
         fields = asdict(self)
         return fields | {name: os.path.relpath(fields[name], here) for name in FILES if fields[name]}
-
-
-def usual_step(scheme: str) -> float:
-    """The step in fs that is usual for a scheme; 1 fs for each force evaluation where the README names none."""
-    return USUAL_STEPS.get(scheme, float(CATALOGUE[scheme].force_evaluations))
 
 
 def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
@@ -177,8 +177,11 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
     """
     origin = origin or {}
     scheme = options.scheme or RECOMMENDED
-    dt = options.dt or usual_step(scheme)
-    ensemble = options.ensemble or "nve"
+    method = METHODS[scheme]
+    dt = options.dt or method.usual_step
+    ensemble = options.ensemble or method.ensembles[0]
+    rigid = _first(options.rigid, origin.get("rigid"))
+    _check_method(method, ensemble, rigid)
     _check_combinations(options, ensemble)
     out = _file("--out", options.out) or Path(f"{options.box.stem}.dcd")
     report = _file("--report", options.report) or out.with_suffix(".csv")
@@ -192,7 +195,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
         pressure=_first(options.pressure, None if ensemble == "hmc" else 1.0),
         seed=_first(options.seed, 1),
         forcefield=_first(options.forcefield, origin.get("forcefield")),
-        rigid=_first(options.rigid, origin.get("rigid")),
+        rigid=rigid,
         constraints=_first(options.constraints, origin.get("constraints")),
         scheme=scheme,
         dt=dt,
@@ -221,6 +224,20 @@ def _file(option: str, path: Path | None) -> Path | None:
     if path is not None and (path.is_dir() or not path.name):
         raise RunError(f"{option} {path} is a directory, expected the name of a file")
     return path
+
+
+def _check_method(method: Method, ensemble: str, rigid: list[str] | None) -> None:
+    if ensemble not in method.ensembles:
+        raise RunError(f"{method.name} needs --ensemble {_alternatives(method.ensembles)}, got {ensemble}")
+    if rigid and method.scheme is None:
+        raise RunError(
+            f"--rigid {' '.join(rigid)} needs a scheme of this package: {method.name} holds no molecules rigid but by "
+            "constraints"
+        )
+
+
+def _alternatives(names: Sequence[str]) -> str:
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _check_combinations(options: Options, ensemble: str) -> None:

@@ -144,7 +144,7 @@ def properties_of(
         RunError: runs differ in more than the seed and the length.
         RecordError, NoLiquidError, OSError: as their messages say.
     """
-    runs = _read(checkpoints, box, skip)
+    runs = read_runs(checkpoints, box, skip)
     if runs[0].plan.ensemble == "hmc":
         REPORT.note("trials of hybrid Monte Carlo are no motion: they give no diffusion, viscosity and rotation")
     rows, stressed = _rows(runs, None if viscosity is None else Estimate(viscosity, 0.0))
@@ -221,7 +221,8 @@ def _integrals(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray] | None:
     return np.arange(found.shape[1]) * runs[0].stress[1], found
 
 
-def _read(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[Run]:
+def read_runs(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[Run]:
+    """Runs that differ in their seeds alone; arguments and errors as those of `properties_of`."""
     runs: list[Run] = []
     boxes: dict[tuple, Box] = {}
     for path in checkpoints:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +14,18 @@ from openmm import unit
 from openmm_sier.cli import records, runaway, summary
 from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
 from openmm_sier.cli.info import rigid_bodies
+from openmm_sier.cli.methods import METHODS, RECOMMENDED
 from openmm_sier.cli.outputs import Outputs, check_outputs, output_paths
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
-from openmm_sier.context import conservation
+from openmm_sier.context import conservation, stock
 from openmm_sier.context.hmc import SIERHMCIntegrator
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.preparation import prepare_system
 from openmm_sier.context.temperature import degrees_of_freedom
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
-from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box, describe, first_line, locate, read_box
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
@@ -58,10 +60,12 @@ def _run(options: Options, requests: StopRequests) -> None:
     _check_platform(options.platform)
     source = options.restart or options.start
     state, notes = records.read_checkpoint(source) if source else (None, {})
+    origin: dict[str, Any] | None = None
     if options.restart:
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
     else:
-        plan = new_plan(options, notes.get("plan"))
+        origin = notes.get("plan")
+        plan = new_plan(options, origin)
         checkpoint = Path(plan.out).with_suffix(".chk")
         notes = {}
     paths = output_paths(plan, checkpoint)
@@ -76,11 +80,12 @@ def _run(options: Options, requests: StopRequests) -> None:
         raise RunError("constant pressure needs a periodic box, which the PDB file does not have")
     if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
         raise RunError("--pressure-tensor needs a periodic box, which the PDB file does not have")
-    context = make_context(box.system, _integrator(plan, bodies, prepared.fastForceGroups), options.platform)
+    fast = prepared.fastForceGroups
     if options.restart:
+        context = _context(plan, box, bodies, fast, options.platform, notes["step"])
         _restore(context, state, notes, options, plan, paths.values())
     else:
-        _begin(context, box, state, options, plan)
+        context = _begin(plan, box, bodies, fast, state, origin, options)
     # From here on a signal cuts nothing short.
     requests.defer()
     if not options.restart:
@@ -111,8 +116,29 @@ def _check_platform(name: str | None) -> None:
         raise RunError(f"there is no registered Platform {name}, expected one of {', '.join(known)}")
 
 
+def _context(
+    plan: Plan, box: Box, bodies: RigidBodies, fast: Collection[int], platform: str | None, step: int = 0
+) -> openmm.Context:
+    """The Context of a run that begins or goes on at a step."""
+    if plan.method.scheme is not None:
+        return make_context(box.system, _integrator(plan, bodies, fast), platform)
+    if plan.moves_volume and plan.interval(plan.checkpoint_every) < stock.BAROSTAT_INTERVAL:
+        raise RunError(
+            f"--checkpoint-every {plan.checkpoint_every:g} is too short: OpenMM's barostat counts its "
+            f"{stock.BAROSTAT_INTERVAL} steps anew after each checkpoint"
+        )
+    bath = plan.temperature if plan.ensemble != "nve" else None
+    around = stock.Surroundings(bath, plan.friction, plan.pressure if plan.moves_volume else None)
+    integrator = stock.make_stock(plan.scheme, plan.dt / 1000, around)
+    system = stock.surrounded(box.system, plan.scheme, around)
+    stock.seed_noise(system, integrator, plan.seed, step)
+    context = make_context(system, integrator, platform)
+    integrator.attend(context, bodies)
+    return context
+
+
 def _integrator(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERIntegrator:
-    step, scheme = plan.dt / 1000, CATALOGUE[plan.scheme]
+    step, scheme = plan.dt / 1000, plan.method.scheme or SIER4G
     # What the native engine has not, the exact one does on GPUs too: bodies that no constraints hold, and a pressure
     # whose work is counted and with which restarts are exact, as they are not with OpenMM's barostats.
     engine = "exact" if plan.rigid or plan.ensemble == "npt" else "auto"
@@ -132,10 +158,11 @@ def _sampler(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERInte
     integrator = SIERHMCIntegrator(
         plan.temperature,
         plan.dt / 1000,
-        CATALOGUE[plan.scheme],
+        plan.method.scheme or SIER4G,
         plan.steps_per_trial,
         plan.friction or None,
         plan.pressure,
+        engine="exact" if plan.rigid else "auto",
         bodies=bodies,
         fastForceGroups=fast,
     )
@@ -160,35 +187,70 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
 # --- the beginning ---
 
 
-def _begin(context: openmm.Context, box: Box, state: openmm.State | None, options: Options, plan: Plan) -> None:
-    """Positions and velocities of a new run.
+def _begin(
+    plan: Plan,
+    box: Box,
+    bodies: RigidBodies,
+    fast: Collection[int],
+    state: openmm.State | None,
+    origin: dict[str, Any] | None,
+    options: Options,
+) -> openmm.Context:
+    """The Context of a new run, with positions and velocities.
+
+    All methods begin alike: OpenMM's own integrators go on from where one of this package has begun.
+
+    Args:
+        state, origin: of the checkpoint that the run starts from, and the plan of its run.
 
     Raises:
         RunError: the checkpoint that it starts from is of another system.
         Runaway: the equilibration broke down.
     """
+    stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED)
+    begun = make_context(box.system, _integrator(stand_in, bodies, fast), options.platform)
     positions = box.positions
     if state is not None:
+        _start_from(begun, state, origin or {}, options)
         positions = state.getPositions()
-        _check_particles(context, state, options.start, options.box)
-        context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-        context.setPositions(positions)
-        context.setVelocities(state.getVelocities())
-        try:
-            context.getIntegrator().getBodyState()
-        except RigidityError as error:
-            raise RunError(f"{options.start} does not fit {options.box}: {first_line(error)}") from error
-        note(f"starts from the positions, velocities and box of {options.start}")
     if options.equilibrates:
-        minimize = options.minimize if state is None else bool(options.minimize)
-        try:
-            prepare(context, positions, plan.temperature, plan.seed, options.equilibrate, minimize, REPORT)
-        except openmm.OpenMMException as error:
-            if not runaway.is_runaway(error):
-                raise
-            raise runaway.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error
+        _equilibrate(
+            begun, positions, options, plan, minimize=options.minimize if state is None else bool(options.minimize)
+        )
     elif plan.ensemble == "nve":
-        stop_centre_of_mass(context)
+        stop_centre_of_mass(begun)
+    if plan.method.scheme:
+        return begun
+    note(f"bath and barostat of {plan.method.name}: {plan.method.surroundings(plan.ensemble) or 'none'}")
+    context = _context(plan, box, bodies, fast, options.platform)
+    context.setState(begun.getState(positions=True, velocities=True))
+    if plan.method.leapfrog:
+        stock.shift_velocities(context, -plan.dt / 2000)
+    return context
+
+
+def _start_from(context: openmm.Context, state: openmm.State, origin: dict[str, Any], options: Options) -> None:
+    """Take positions, velocities and box of a checkpoint."""
+    _check_particles(context, state, options.start, options.box)
+    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    context.setPositions(state.getPositions())
+    context.setVelocities(state.getVelocities())
+    try:
+        context.getIntegrator().getBodyState()
+    except RigidityError as error:
+        raise RunError(f"{options.start} does not fit {options.box}: {first_line(error)}") from error
+    if METHODS[origin["scheme"]].leapfrog:
+        stock.shift_velocities(context, origin["dt"] / 2000)
+    note(f"starts from the positions, velocities and box of {options.start}")
+
+
+def _equilibrate(context: openmm.Context, positions: Any, options: Options, plan: Plan, minimize: bool | None) -> None:
+    try:
+        prepare(context, positions, plan.temperature, plan.seed, options.equilibrate, minimize, REPORT)
+    except openmm.OpenMMException as error:
+        if not runaway.is_runaway(error):
+            raise
+        raise runaway.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error
 
 
 # --- the continuation ---
@@ -250,10 +312,10 @@ def _advance(
     begun = step = context.getStepCount()
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
     evaluations, longest = integrator.forceEvaluations, 1
-    progress = ProgressBar(CATALOGUE[plan.scheme].name, plan.steps, plan.dt / 1000, begun)
+    progress = ProgressBar(plan.method.name, plan.steps, plan.dt / 1000, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if not outputs.log.count:
-            _write(["row", "checkpoint"], context, outputs, guard)
+            _write(["row", "checkpoint"], context, plan, outputs, guard)
         while step < plan.steps and requests.received is None:
             chunk = min(outputs.next_due(step), plan.steps, step + longest) - step
             start, before = clock(), watch.seconds
@@ -263,10 +325,10 @@ def _advance(
             seconds += spent
             force_seconds += watch.seconds - before
             step += chunk
-            _write(outputs.due(step), context, outputs, guard)
+            _write(outputs.due(step), context, plan, outputs, guard)
             show(step)
         if outputs.saved_step != step:
-            _write(["checkpoint"], context, outputs, guard)
+            _write(["checkpoint"], context, plan, outputs, guard)
     if step < plan.steps and requests.received is not None:
         by, where = signal_name(requests.received), _length(plan, step)
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
@@ -295,7 +357,7 @@ def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) 
         raise RunError(f"{error.filename}: {error.strerror}, at step {where}. {kept}") from error
 
 
-def _write(due: list[str], context: openmm.Context, outputs: Outputs, guard: runaway.Guard) -> None:
+def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, guard: runaway.Guard) -> None:
     """Check the bounds, then write the files that are due."""
     values = None
     if "row" in due or "checkpoint" in due:
@@ -304,6 +366,8 @@ def _write(due: list[str], context: openmm.Context, outputs: Outputs, guard: run
     else:
         guard.look_at_temperatures(*context.getIntegrator().computeTemperatures()[1:])
     outputs.write(due, context, values, guard.start)
+    if "checkpoint" in due and isinstance(context.getIntegrator(), stock.StockIntegrator):
+        stock.go_on_as_a_restart(context, plan.seed)
 
 
 def _kept(outputs: Outputs, use: str) -> str:

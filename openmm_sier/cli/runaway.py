@@ -13,10 +13,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from openmm_sier.cli.plan import Plan, usual_step
+from openmm_sier.cli.plan import Plan
+from openmm_sier.context.stock import BrokenDownError
 from openmm_sier.context.temperature import DegreesOfFreedom
 from openmm_sier.dynamics.bodies import NotFiniteError
-from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure.observables import energy_error, number_of_windows
 from openmm_sier.measure.statistics import rms
 
@@ -87,8 +87,10 @@ class Guard:
         """
         time, energy = values["Time (ps)"], values["Conserved Energy (kJ/mole)"]
         self.look_at_temperatures(*(values.get(name, math.nan) for name in TEMPERATURES.values()))
-        if not math.isfinite(energy):
+        if not math.isfinite(energy if self._plan.counts_heat else values["Total Energy (kJ/mole)"]):
             raise Runaway("the energy is not finite")
+        if not self._plan.counts_heat:
+            return
         self._kinetic_sum, self._looks = self._kinetic_sum + values["Kinetic Energy (kJ/mole)"], self._looks + 1
         typical = self._kinetic_sum / self._looks
         self.start = energy if self.start is None else self.start
@@ -136,13 +138,14 @@ def _by_chance(temperature: float, freedoms: float) -> float:
 
 def is_runaway(error: BaseException) -> bool:
     """Whether a step failed because forces or positions are not finite."""
-    return isinstance(error.__context__, NotFiniteError)
+    # OpenMM has one class for all its errors.
+    broken = isinstance(error, BrokenDownError) or isinstance(error.__context__, NotFiniteError)
+    return broken or "coordinate is NaN" in str(error)
 
 
 def likely_cause(plan: Plan) -> str:
     """Why a run with this plan may have run away, and what to do."""
-    usual = usual_step(plan.scheme)
-    name = CATALOGUE[plan.scheme].name
+    usual, name = plan.method.usual_step, plan.method.name
     if plan.dt > usual:
         return f"the step of {plan.dt:g} fs is too long for {name}, for which {usual:g} fs is usual: --dt {usual:g}"
     return (
@@ -163,9 +166,9 @@ def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None
     """
     t, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
     # Rounding to single precision tells nothing where the potential energy hardly changes.
-    if len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
+    if np.isnan(H).any() or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
         return None
-    bound = LARGEST_FLUCTUATION[2 if CATALOGUE[plan.scheme].order == 2 else 4]
+    bound = LARGEST_FLUCTUATION[2 if plan.method.order == 2 else 4]
     if plan.ensemble != "nve":
         # The random walk goes further in the longer windows of sparse rows.
         bound *= math.sqrt(max(1.0, (t[-1] - t[0]) / number_of_windows(t)))

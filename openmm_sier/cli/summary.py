@@ -35,11 +35,13 @@ class Cost:
     def rows(self) -> list[tuple[str, str]]:
         if not self.steps or not self.seconds:
             return []
+        # Forces that were not measured are counted in no time.
+        known = self.evaluations and self.measured == self.evaluations
         share = (1 - self.force_seconds / self.seconds) * 100
         return [
             ("wall time per step", duration(self.seconds / self.steps)),
             ("force evaluations per step", f"{self.evaluations / self.steps:.2f}"),
-            ("time outside the force", f"{share:.1f} %" if self.measured == self.evaluations else "not measured"),
+            ("time outside the force", f"{share:.1f} %" if known else "not measured"),
             ("speed of the integration", f"{self.steps * self.ps / 1000 / self.seconds * 86400:.2f} ns/day"),
         ]
 
@@ -55,13 +57,21 @@ def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     time, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
     momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
     return [
-        ("drift of the conserved energy H", _value(*energy_drift(time, H), "kJ/mol/ps", "+.3g", ".1g")),
-        ("fluctuation rms(H)", _value(energy_fluctuation(time, H), math.nan, "kJ/mol")),
-        ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), math.nan, "%")),
+        *_energy_rows(time, H, V),
         ("T_trans", _value(*mean_and_error(log["Translational Temperature (K)"]), "K", ".1f", ".1f")),
         ("T_rot", _value(*mean_and_error(log["Rotational Temperature (K)"]), "K", ".1f", ".1f")),
         *_flexible_rows(log),
         ("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"),
+    ]
+
+
+def _energy_rows(time: np.ndarray, H: np.ndarray, V: np.ndarray) -> list[tuple[str, str]]:
+    if np.isnan(H).any():
+        return [("conserved energy H", "not known: OpenMM does not count the heat of its baths")]
+    return [
+        ("drift of the conserved energy H", _value(*energy_drift(time, H), "kJ/mol/ps", "+.3g", ".1g")),
+        ("fluctuation rms(H)", _value(energy_fluctuation(time, H), math.nan, "kJ/mol")),
+        ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), math.nan, "%")),
     ]
 
 

@@ -10,6 +10,8 @@ import openmm
 from openmm import unit
 
 from openmm_sier.context.integrator import SIERIntegrator
+from openmm_sier.context.stock import StockIntegrator
+from openmm_sier.context.temperature import temperatures
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 
 #: Named and in the units as OpenMM's StateDataReporter has them, as far as it has them.
@@ -39,14 +41,14 @@ def density(mass: float, volume: Volume) -> Volume:
     return mass / volume / GRAM_PER_CM3
 
 
-def sier_integrator(context: openmm.Context) -> SIERIntegrator:
-    """The integrator of a Context.
+def sier_integrator(context: openmm.Context) -> SIERIntegrator | StockIntegrator:
+    """The integrator of a Context, of this package or observed by it.
 
     Raises:
-        TypeError: it is none of this package.
+        TypeError: it is another one.
     """
     integrator = context.getIntegrator()
-    if not isinstance(integrator, SIERIntegrator):
+    if not isinstance(integrator, SIERIntegrator | StockIntegrator):
         raise TypeError(f"this report needs a SIER integrator, the Context has a {type(integrator).__name__}")
     return integrator
 
@@ -60,12 +62,13 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     """Values of `columns` at the last completed step.
 
     The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a thermostat,
-    and volume moves, of this package gave. Temperatures follow the rule of `openmm_sier.context.temperature`. Angular
-    momentum is about the origin, with positions as they stand in the Context; periodic boundaries do not conserve it.
-    Volume and density are NaN for a System without periodic boundaries.
+    and volume moves, of this package gave; it is NaN where OpenMM's give some, who count none. Temperatures follow the
+    rule of `openmm_sier.context.temperature`. Angular momentum is about the origin, with positions as they stand in the
+    Context; periodic boundaries do not conserve it. Volume and density are NaN for a System without periodic
+    boundaries.
 
     Args:
-        context: of a SIER integrator.
+        context: of an integrator of this package, or of a `StockIntegrator`.
         observed: a State of it with energies; None asks for one, which costs an evaluation of the energy.
 
     Raises:
@@ -85,7 +88,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         kinetic,
         potential + kinetic,
         potential + kinetic - motion.heat,
-        *integrator.computeTemperatures(),
+        *temperatures(bodies, motion, integrator.conservesMomentum),
         *momentum,
         *angular_momentum,
         volume,

@@ -12,6 +12,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.context import stock
 from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.context.langevin import SIERLangevinIntegrator
 from openmm_sier.context.temperature import MomentumConservation, degrees_of_freedom, temperatures
@@ -20,8 +21,8 @@ from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, Scheme
 
-#: Tolerance of constraints for OpenMM's own integrators; SETTLE is not better than 1e-8.
-CONSTRAINT_TOLERANCE = 1e-7
+#: Tolerance of constraints for OpenMM's own integrators.
+CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE
 
 #: K, beyond which a run counts as broken.
 HIGHEST_TEMPERATURE = 3000.0
@@ -197,20 +198,7 @@ def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
         return integrator.getBodyState()
-    leapfrog = isinstance(integrator, openmm.VerletIntegrator)
-    state = context.getState(positions=True, velocities=True, forces=leapfrog)
-    q, A = bodies.fit(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
-    velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
-    p, L = bodies.momenta(velocities, A)
-    if leapfrog:
-        # Constraint forces have no net force and torque on a body, and between bodies the projection stands for them,
-        # so that they need not be known.
-        forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
-        F, tau = bodies.forces_and_torques(forces, A)
-        half = 0.5 * integrator.getStepSize().value_in_unit(unit.picosecond)
-        p, L = p + half * F, L + half * tau
-    p = bodies.constraints.project(q, p)
-    return BodyState(q, p, A, L)
+    return stock.body_state(context, bodies)
 
 
 def steepness(context: openmm.Context, bodies: RigidBodies, samples: int, every: int) -> tuple[float, float]:

@@ -88,7 +88,7 @@ def test_samples_wells_exactly():
     blocks = np.array(rows).reshape(25, 60, 3).mean(axis=1)
     errors = blocks.std(axis=0, ddof=1) / 5
     assert errors == pytest.approx([0.03] * 3, abs=0.03)
-    # Four standard errors. Momenta that are not reversed make the last one 0.05, and without a rule the first one is 1.8.
+    # Four standard errors. Momenta that are not reversed make the last one 0.05; without a rule the first one is 1.8.
     assert (np.abs(blocks.mean(axis=0) - [1, 1, 0]) < 4 * errors).all()
 
 
@@ -134,7 +134,7 @@ def test_the_other_engine_goes_on_from_the_start_of_the_trial(cluster, first, se
 @pytest.mark.parametrize("change", ["positions", "step size", "parameter", "box", "force", "groups"])
 def test_changes_in_mid_trial(change):
     """Positions set from outside begin another trial there; other changes begin one from the start of the last."""
-    topology, positions, system = periodic_system(removeCMMotion=False)
+    _, positions, system = periodic_system(removeCMMotion=False)
     field = openmm.CustomExternalForce("field*x")
     field.addGlobalParameter("field", 0.0)
     field.addParticle(0)
@@ -220,9 +220,10 @@ def test_interrupts_leave_a_completed_step(cluster, monkeypatch, at):
         if len(calls) == 1 + at:
             raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch:
         patch.setattr(openmm.CustomIntegrator, "step", interrupted)
-        integrator.step(8)
+        with pytest.raises(KeyboardInterrupt):
+            integrator.step(8)
     assert context.getStepCount() == 5 + at
     integrator.step(7 - at)
     assert_same(counted(context), counted(undisturbed))

@@ -1,0 +1,126 @@
+"""The command `openmm-sier study`: properties of a liquid against the step, from the members of an ensemble."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from openmm_sier.cli import records
+from openmm_sier.cli.console import REPORT, note, table
+from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
+from openmm_sier.cli.properties import Run, read_runs
+from openmm_sier.measure import properties
+from openmm_sier.measure.properties import Estimate
+from openmm_sier.studies import style
+from openmm_sier.studies.step_study import StepRow, markdown, step_figure, step_table
+
+#: Settings in which runs of one point may differ.
+FREE = ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every")
+
+#: Settings that are the same in all runs, so that points differ in box, method and step alone.
+SHARED = ("temperature", "pressure")
+
+
+def _dielectric(run: Run) -> Estimate | None:
+    if run.samples.dipoles is None:
+        return None
+    return properties.dielectric_constant(run.samples.dipoles, run.samples.volumes, run.plan.temperature)
+
+
+def _diffusion(run: Run) -> Estimate | None:
+    # Momenta that are drawn for each trial leave no dynamics.
+    if run.plan.ensemble == "hmc":
+        return None
+    return properties.self_diffusion(run.samples.centres, run.samples.interval)
+
+
+#: By the keys of `step_study.PROPERTIES`.
+ESTIMATES: dict[str, Callable[[Run], Estimate | None]] = {
+    "density": lambda run: properties.mean(run.log["Density (g/mL)"]),
+    "energy": lambda run: properties.mean(run.log["Potential Energy (kJ/mole)"] / run.molecules),
+    "dielectric": _dielectric,
+    "diffusion": _diffusion,
+}
+
+
+def study(runs: Sequence[Path], skip: float, out: Path) -> None:
+    """Carry out `openmm-sier study`.
+
+    Args:
+        runs: checkpoints, or directories of an ensemble's members; those that are not at their end are left out.
+        skip: ps to leave out at the beginning of each run.
+        out: directory for the table and the figure.
+
+    Raises:
+        RunError: temperatures or pressures differ, or no run is at its end.
+        RecordError, NoLiquidError, OSError: as their messages say.
+    """
+    points = _finished(runs)
+    first = next(iter(points.values()))[0][1]
+    rows = [_row(paths, skip) for paths in points.values()]
+    head, cells = step_table(rows)
+    pressure = f", {first.pressure:g} bar" if first.moves_volume else ""
+    title = f"Water against the step, {first.temperature:g} K{pressure}"
+    table(title, head, cells, 2)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "step-study.md").write_text(markdown(rows))
+    written = [out / "step-study.md"]
+    if style.can_draw(REPORT):
+        step_figure(rows, title, out / "step-study.png")
+        written.append(out / "step-study.png")
+    note(f"wrote {', '.join(map(str, written))}")
+
+
+def _finished(runs: Sequence[Path]) -> dict[tuple, list[tuple[Path, Plan]]]:
+    """The runs that are at their end, by what they have in common."""
+    points: dict[tuple, list[tuple[Path, Plan]]] = {}
+    first: tuple[Path, Plan] | None = None
+    for path in runs:
+        checkpoint = path / "run.chk" if path.is_dir() else path
+        if path.is_dir() and not checkpoint.exists():
+            note(f"left out: {path} has no checkpoint yet")
+            continue
+        _, notes = records.read_checkpoint(checkpoint)
+        plan = noted_plan(checkpoint, notes["plan"])
+        if notes["step"] < plan.steps:
+            note(f"left out: {checkpoint} is at step {notes['step']} of {plan.steps}")
+            continue
+        first = first or (checkpoint, plan)
+        _check_alike(checkpoint, plan, *first)
+        names = [name for name in (*CONTINUED, "box", "steps") if name not in FREE]
+        points.setdefault(tuple(str(getattr(plan, name)) for name in names), []).append((checkpoint, plan))
+    if not points:
+        raise RunError("no run is at its end")
+    return points
+
+
+def _check_alike(checkpoint: Path, plan: Plan, other: Path, reference: Plan) -> None:
+    for name in SHARED:
+        one, two = getattr(plan, name), getattr(reference, name)
+        if one != two:
+            raise RunError(f"{checkpoint} has {name} {one}, {other} has {two}: a study is of one state of the liquid")
+
+
+def _row(point: Sequence[tuple[Path, Plan]], skip: float) -> StepRow:
+    """One point of the figure, from runs that differ in their seeds alone."""
+    runs = read_runs([path for path, _ in point], None, skip)
+    plan = runs[0].plan
+    name = f"{plan.method.name} HMC" if plan.ensemble == "hmc" else plan.method.name
+    found = {}
+    for key, estimate in ESTIMATES.items():
+        values = [_tried(estimate, run) for run in runs]
+        given = [value for value in values if value is not None]
+        if given:
+            found[key] = properties.pooled(given)
+    time = sum(float(np.ptp(run.log["Time (ps)"])) for run in runs)
+    return StepRow(Path(plan.box or plan.out).stem, name, plan.dt, plan.dt / plan.method.forces, len(runs), time, found)
+
+
+def _tried(estimate: Callable[[Run], Estimate | None], run: Run) -> Estimate | None:
+    try:
+        return estimate(run)
+    except properties.TooShortError as error:
+        note(f"{run.plan.out}: {error}")
+        return None

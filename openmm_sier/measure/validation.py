@@ -1,0 +1,302 @@
+"""Whether runs sampled their ensembles, by the tests of the package physical_validation: distances in standard errors.
+
+- Kinetic energies of translation, rotation and flexible molecules, each a group of its own: their mean and width
+  (`distribution(strict=False)`, errors by bootstrap) and their whole distribution (`strict=True`, the test of
+  Kolmogorov and Smirnov, its probability turned into standard errors of a normal distribution). Together these are the
+  test of equipartition.
+- Potential energy, enthalpy or volume of two runs that differ in temperature or pressure: the logarithm of the ratio of
+  their probabilities is a straight line whose slope is known, whatever the system (`ensemble.check`).
+
+All assume independent samples: of each series one in g is taken, the statistical inefficiency of that series.
+
+Sources: Merz and Shirts, PLoS ONE 13, e0202764 (2018); Shirts, J. Chem. Theory Comput. 9, 909 (2013).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.measure.observables import WINDOW, energy_fluctuation
+from openmm_sier.measure.properties import inefficiency
+
+#: Standard errors beyond which a check fails. Chance takes one number in 16000 so far.
+LIMIT = 4.0
+
+#: Independent samples below which bootstrap errors mean little.
+FEWEST = 20
+
+#: Seed of the bootstrap, so that the same runs have the same verdict.
+BOOTSTRAP_SEED = 5
+
+#: Share by which a ratio of fluctuations may be off at finite steps: terms of the next order are (w h)^2/12 of it, 4 %
+#: for the librations of water at 2 fs.
+NEXT_ORDER = 0.1
+
+#: Columns of the log by the group whose temperature they are.
+GROUPS = {
+    "translation": "Translational Temperature (K)",
+    "rotation": "Rotational Temperature (K)",
+    "flexible molecules": "Flexible Temperature (K)",
+}
+
+
+class TooFewError(ValueError):
+    """There are too few independent samples for a check, or distributions that must overlap do not."""
+
+
+class Group(NamedTuple):
+    """Kinetic energies that share the heat equally.
+
+    Attributes:
+        name: of the group.
+        dof: its degrees of freedom.
+        energies: (n,), kJ/mol, independent.
+    """
+
+    name: str
+    dof: float
+    energies: np.ndarray
+
+
+class Sampled(NamedTuple):
+    """Independent samples of runs at one temperature and pressure.
+
+    Attributes:
+        temperature: K.
+        pressure: bar; None at constant volume.
+        groups: kinetic energies.
+        potential: (m,), kJ/mol.
+        volume: (m,), nm^3, at the same moments; None at constant volume.
+    """
+
+    temperature: float
+    pressure: float | None
+    groups: tuple[Group, ...]
+    potential: np.ndarray
+    volume: np.ndarray | None
+
+
+class Verdict(NamedTuple):
+    """One check.
+
+    Attributes:
+        check: its name.
+        distance: from what statistical mechanics demands, standard errors.
+        samples: number of independent ones.
+        detail: what was found, and expected.
+    """
+
+    check: str
+    distance: float
+    samples: int
+    detail: str
+
+
+def independent(*series: np.ndarray) -> np.ndarray:
+    """One in g of the samples of k series (n,), with the largest g of them; (k, n/g)."""
+    every = math.ceil(max(inefficiency(values) if values.std() > 0 else 1.0 for values in series))
+    return np.array(series)[:, ::every]
+
+
+def sampled(logs: Sequence[Mapping[str, np.ndarray]], temperature: float, pressure: float | None) -> Sampled:
+    """Independent samples from logs of `openmm-sier run`, or of `ConservationReporter`, at one state point.
+
+    Args:
+        logs: columns of each run.
+        temperature: K, of the ensemble.
+        pressure: bar; None at constant volume.
+    """
+    found: dict[str, list[Group]] = {}
+    ends, volumes = [], []
+    for log in logs:
+        groups = kinetic_groups(log)
+        # They share what is slow, the exchange of heat with the bath, and the noise of g is less where it counts twice.
+        kept = independent(*(group.energies for group in groups))
+        for group, energies in zip(groups, kept, strict=True):
+            found.setdefault(group.name, []).append(group._replace(energies=energies))
+        if pressure is None:
+            ends.append(independent(log["Potential Energy (kJ/mole)"])[0])
+        else:
+            energy, volume = independent(log["Potential Energy (kJ/mole)"], log["Box Volume (nm^3)"])
+            ends.append(energy)
+            volumes.append(volume)
+    together = tuple(
+        Group(name, parts[0].dof, np.concatenate([part.energies for part in parts])) for name, parts in found.items()
+    )
+    return Sampled(temperature, pressure, together, np.concatenate(ends), np.concatenate(volumes) if volumes else None)
+
+
+def kinetic_groups(log: Mapping[str, np.ndarray]) -> list[Group]:
+    """Kinetic energies (n,) of all rows of a log by group.
+
+    Degrees of freedom are those by which the log's temperatures were made: the kinetic energy of all motion is linear
+    in these temperatures, and its coefficients tell them.
+    """
+    names = [name for name, column in GROUPS.items() if column in log and not np.isnan(log[column]).all()]
+    temperatures = np.array([log[GROUPS[name]] for name in names])
+    kinetic = log["Kinetic Energy (kJ/mole)"]
+    if len(kinetic) <= 2 * len(names):
+        raise TooFewError(f"a log of {len(kinetic)} rows is too short")
+    halves = np.linalg.lstsq(temperatures.T, kinetic, rcond=None)[0]
+    return [
+        Group(name, 2 * half / GAS_CONSTANT, half * values)
+        for name, half, values in zip(names, halves.tolist(), temperatures, strict=True)
+    ]
+
+
+# --- kinetic energies ---
+
+
+def kinetic_verdicts(sample: Sampled) -> list[Verdict]:
+    """Mean, width and shape of the kinetic energies of each group.
+
+    Raises:
+        TooFewError: fewer than `FEWEST` independent samples.
+    """
+    pv, found = _package(), []
+    for group in sample.groups:
+        n = len(group.energies)
+        if n < FEWEST:
+            raise TooFewError(f"{group.name} has {n} independent samples, {FEWEST} are needed: longer runs, or more")
+        data = pv.data.SimulationData(
+            units=pv.data.UnitData.units("GROMACS"),
+            system=_system(pv, group.dof),
+            ensemble=pv.data.EnsembleData("NVT", natoms=1, volume=1.0, temperature=sample.temperature),
+            observables=pv.data.ObservableData(kinetic_energy=group.energies),
+        )
+        options: dict[str, Any] = {"data_is_uncorrelated": True, "bootstrap_seed": BOOTSTRAP_SEED, "verbosity": 0}
+        mean, width = pv.kinetic_energy.distribution(data, strict=False, **options)
+        probability = pv.kinetic_energy.distribution(data, strict=True, **options)
+        scale = 2 / (group.dof * GAS_CONSTANT)
+        # The width that a group of these degrees of freedom has at a temperature is proportional to it.
+        by_mean = f"T = {scale * group.energies.mean():.1f} K, {sample.temperature:g} K expected"
+        by_width = f"T = {math.sqrt(2 / group.dof) / GAS_CONSTANT * group.energies.std():.1f} K by the width"
+        found += [
+            Verdict(f"{group.name}: mean kinetic energy", float(mean), n, by_mean),
+            Verdict(f"{group.name}: width of its distribution", float(width), n, by_width),
+            Verdict(
+                f"{group.name}: its shape", errors_of(probability), n, f"Kolmogorov-Smirnov: p = {probability:.2g}"
+            ),
+        ]
+    return found
+
+
+def _system(pv: Any, dof: float) -> Any:
+    """A system of so many degrees of freedom: that of the package has atoms and constraints."""
+    atoms = math.ceil(dof / 3)
+    return pv.data.SystemData(
+        natoms=atoms, nconstraints=3 * atoms - dof, ndof_reduction_tra=0, ndof_reduction_rot=0, mass=np.ones(atoms)
+    )
+
+
+def errors_of(probability: float) -> float:
+    """Standard errors of a normal distribution beyond which so much probability lies on both sides."""
+    from scipy.special import ndtri
+
+    return float(-ndtri(max(probability, 1e-300) / 2))
+
+
+# --- ensembles ---
+
+
+def ensemble_verdict(one: Sampled, two: Sampled) -> Verdict:
+    """Whether the distributions of two runs that differ in temperature or in pressure stand in the right ratio.
+
+    Raises:
+        ValueError: they differ in both, or in neither.
+        TooFewError: there are fewer than `FEWEST` independent samples, or the distributions do not overlap.
+    """
+    pv = _package()
+    temperatures, pressures = (one.temperature, two.temperature), (one.pressure, two.pressure)
+    hotter, pressed = len(set(temperatures)) == 2, len(set(pressures)) == 2
+    if hotter == pressed:
+        raise ValueError(f"two runs must differ in temperature or pressure, got {temperatures} K and {pressures} bar")
+    n = min(len(one.potential), len(two.potential))
+    if n < FEWEST:
+        raise TooFewError(f"there are {n} independent samples, {FEWEST} are needed: longer runs, or more")
+    quantity = "volume" if pressed else "potential energy" if one.pressure is None else "enthalpy"
+    points = (
+        f"{pressures[0]:g} and {pressures[1]:g} bar" if pressed else f"{temperatures[0]:g} and {temperatures[1]:g} K"
+    )
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            quantiles = pv.ensemble.check(
+                _data(pv, one), _data(pv, two), verbosity=0, data_is_uncorrelated=True, bootstrap_seed=BOOTSTRAP_SEED
+            )
+    except pv.util.error.InputError as error:
+        raise TooFewError(f"{quantity} at {points}: {error.message}") from error
+    best = suggested_interval(one)["dP" if pressed else "dT"]
+    unit = "bar" if pressed else "K"
+    detail = f"slope of ln(P2/P1); the best interval is {best:.3g} {unit}"
+    return Verdict(f"{quantity} at {points}", abs(float(quantiles[0])), len(one.potential) + len(two.potential), detail)
+
+
+def suggested_interval(sample: Sampled) -> dict[str, float]:
+    """Intervals of temperature (dT, K) and pressure (dP, bar) to a second run that tell most: two widths apart."""
+    pv = _package()
+    with contextlib.redirect_stdout(io.StringIO()):
+        return pv.ensemble.estimate_interval(_data(pv, sample), verbosity=0, data_is_uncorrelated=True)
+
+
+def _data(pv: Any, sample: Sampled) -> Any:
+    constant: dict[str, dict[str, Any]] = {"NVT": {"volume": 1.0}, "NPT": {"pressure": sample.pressure}}
+    name = "NVT" if sample.pressure is None else "NPT"
+    observables: dict[str, np.ndarray] = {"potential_energy": sample.potential} | (
+        {} if sample.volume is None else {"volume": sample.volume}
+    )
+    return pv.data.SimulationData(
+        units=pv.data.UnitData.units("GROMACS"),
+        ensemble=pv.data.EnsembleData(name, natoms=1, temperature=sample.temperature, **constant[name]),
+        observables=pv.data.ObservableData(**observables),
+    )
+
+
+# --- the order of the integrator ---
+
+
+def fluctuation(log: Mapping[str, np.ndarray]) -> tuple[float, float]:
+    """rms of the conserved energy of a run at constant energy and its standard error, kJ/mol, from windows of 1 ps."""
+    time, energy = log["Time (ps)"], log["Conserved Energy (kJ/mole)"]
+    windows = max(4, round(float(np.ptp(time)) / WINDOW))
+    parts = [
+        energy_fluctuation(t, e)
+        for t, e in zip(np.array_split(time, windows), np.array_split(energy, windows), strict=True)
+    ]
+    mean = math.sqrt(np.mean(np.square(parts)))
+    return mean, float(np.std(parts, ddof=1) / math.sqrt(windows))
+
+
+def order_verdict(
+    steps: tuple[float, float], fluctuations: tuple[tuple[float, float], tuple[float, float]], order: int
+) -> Verdict:
+    """Whether fluctuations of the conserved energy at two steps are in the ratio that the order of a scheme demands.
+
+    physical_validation has this test for second order alone.
+
+    Args:
+        steps: fs.
+        fluctuations: at these steps, with their standard errors.
+        order: of the scheme.
+    """
+    (one, first), (two, second) = fluctuations
+    expected, ratio = (steps[0] / steps[1]) ** order, one / two
+    error = math.hypot(first / one, second / two, NEXT_ORDER)
+    detail = f"ratio of fluctuations {ratio:.3g}, {expected:.3g} expected of order {order}"
+    return Verdict(f"energy at {steps[0]:g} and {steps[1]:g} fs", abs(math.log(ratio / expected)) / error, 2, detail)
+
+
+def _package() -> Any:
+    try:
+        import physical_validation
+        import physical_validation.util.error
+    except ModuleNotFoundError as error:
+        message = "validation needs physical_validation; install it with: pip install 'openmm-sier[validation]'"
+        raise ModuleNotFoundError(message) from error
+    return physical_validation

@@ -1,0 +1,67 @@
+"""`openmm-sier run` with OpenMM's own integrators: the same files, the same restarts, the same start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.commands import complaint, log, run
+
+FAST = ["--dt", "2", "--platform", "Reference", "--equilibrate", "0.01", "--seed", "7"]
+FAST += ["--every", "0.02", "--report-every", "0.02", "--checkpoint-every", "0.06"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["langevinmiddle", "verlet"])
+def test_a_run_in_parts_is_the_same_to_the_byte(box, scheme):
+    """Volume moves are tried every 25 steps: one before the interruption, one after it."""
+    chosen = [box, "--scheme", scheme, "--ensemble", "npt", *FAST]
+    run("run", *chosen, "--time", "0.12", "--out", "whole.dcd")
+    run("run", *chosen, "--time", "0.06", "--out", "parts.dcd")
+    run("run", box, "--restart", "parts.chk", "--time", "0.12", "--platform", "Reference")
+    for kind in ("dcd", "csv"):
+        assert Path(f"whole.{kind}").read_bytes() == Path(f"parts.{kind}").read_bytes()
+    assert len(np.unique(log("whole.csv")["Box Volume (nm^3)"])) > 1
+
+
+def test_heat_that_openmm_does_not_count_is_not_made_up(box, capsys):
+    run("run", box, "--scheme", "verlet", "--ensemble", "nvt", *FAST, "--time", "0.04")
+    assert np.isnan(log("box.csv")["Conserved Energy (kJ/mole)"]).all()
+    assert "not known" in capsys.readouterr().out
+    run("run", box, "--scheme", "verlet", *FAST, "--time", "0.04", "--overwrite")
+    found = log("box.csv")
+    assert np.array_equal(found["Conserved Energy (kJ/mole)"], found["Total Energy (kJ/mole)"])
+
+
+def test_runs_that_start_from_each_other_have_the_same_motion(box):
+    """Verlet's velocities are half a step behind: without the half step the energy would jump by some per cent."""
+    run("run", box, "--scheme", "sier2", *FAST, "--time", "0.04", "--out", "ours.dcd")
+    chosen = [*FAST[2:4], *FAST[8:], "--time", "0.04"]
+    run("run", box, "--scheme", "verlet", "--dt", "2", *chosen, "--start", "ours.chk", "--out", "verlet.dcd")
+    run("run", box, "--scheme", "sier2", "--dt", "2", *chosen, "--start", "verlet.chk", "--out", "again.dcd")
+    for before, after in (("ours.csv", "verlet.csv"), ("verlet.csv", "again.csv")):
+        one, two = log(before), log(after)
+        for name in ("Kinetic Energy (kJ/mole)", "Rotational Temperature (K)"):
+            # SETTLE places atoms within 1e-8 nm; velocities follow to the tolerance of constraints, 1e-7.
+            assert two[name][0] == pytest.approx(one[name][-1], rel=1e-5)
+
+
+def test_what_they_cannot_do_is_refused(box, capsys):
+    said = complaint(capsys, "run", box, "--scheme", "langevinmiddle", "--ensemble", "nve")
+    assert "OpenMM LangevinMiddle needs --ensemble nvt or npt, got nve" in said
+    said = complaint(capsys, "run", box, "--scheme", "verlet", "--ensemble", "hmc")
+    assert "OpenMM Verlet needs --ensemble nve, nvt or npt, got hmc" in said
+    said = complaint(capsys, "run", box, "--scheme", "verlet", "--rigid", "HOH")
+    assert "--rigid HOH needs a scheme of this package" in said
+    seldom = ["--scheme", "verlet", "--ensemble", "npt", "--checkpoint-every", "0.02"]
+    assert "--checkpoint-every 0.02 is too short" in complaint(capsys, "run", box, *seldom, *FAST[:4], *FAST[4:6])
+    assert not list(Path().glob("*.csv"))
+
+
+def test_a_step_that_is_too_long_is_told_of(box, capsys):
+    """On the CPU platform: OpenMM's Reference PME writes past its mesh where positions are not finite."""
+    chosen = ["--scheme", "langevinmiddle", "--dt", "60", "--time", "60", "--equilibrate", "0.01", "--platform", "CPU"]
+    said = complaint(capsys, "run", box, *chosen, code=3)
+    assert "for OpenMM LangevinMiddle, for which 2 fs is usual" in said
