@@ -35,7 +35,7 @@ FEWEST = 20
 #: Seed of the bootstrap, so that the same runs have the same verdict.
 BOOTSTRAP_SEED = 5
 
-#: Share by which a ratio of fluctuations may be off at finite steps: terms of the next order are (w h)^2/12 of it, 4 %
+#: Share by which a ratio of fluctuations may be off at finite steps. Terms of the next order are (w h)^2/12 of it, 4 %
 #: for the librations of water at 2 fs.
 NEXT_ORDER = 0.1
 
