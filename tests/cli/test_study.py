@@ -31,7 +31,7 @@ def test_the_shipped_plan_has_equal_steps_per_force():
 
 def test_momenta_that_are_drawn_anew_tell_no_diffusion():
     plan = new_plan(Options(Path("box.pdb"), ensemble="hmc"))
-    assert study._diffusion(Run(plan, {}, None, 512)) is None
+    assert study._diffusion(Run(plan, {}, None, 512, None)) is None
 
 
 @pytest.mark.slow
