@@ -14,29 +14,18 @@ from openmm import app, unit
 from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.context.reporters import ConservationReporter
 from tests.support.methanols import positions_of, system_of
-from tests.support.restarts import assert_same, everything
+from tests.support.restarts import assert_same
+from tests.support.samplers import KT, counted, sampler
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
 
-TEMPERATURE = 297.0
-KT = 8.314462618e-3 * TEMPERATURE
+#: Settings of either engine. Two equal substeps are short enough for SETTLE at the steps of these tests.
+ENGINES = pytest.mark.parametrize("engine", [{}, {"engine": "native", "substeps": 2}], ids=["exact", "native"])
 
 
 @pytest.fixture(scope="module")
 def cluster():
     topology, positions, system = cluster_system(4)
     return system, relaxed(topology, positions, system)
-
-
-def sampler(h=0.008, n=4, scheme=SIER2, seed=5, **options):
-    integrator = SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n, **options)
-    integrator.setRandomNumberSeed(seed)
-    return integrator
-
-
-def counted(context):
-    """Everything that has to agree after a restart."""
-    integrator = context.getIntegrator()
-    return (*everything(context), integrator.trials, integrator.accepted, integrator.lastEnergyError)
 
 
 def conserved(context):
@@ -73,7 +62,9 @@ def test_samples_are_at_multiples_of_the_trial(cluster):
 
 @pytest.mark.parametrize("options", [{}, {"frictionCoeff": 20.0}], ids=["drawn anew", "kept in part"])
 @pytest.mark.parametrize("after", [0, 2, 3])
-def test_restart_in_mid_trial_is_bit_identical(cluster, after, options):
+@ENGINES
+def test_restart_in_mid_trial_is_bit_identical(cluster, after, options, engine):
+    options = {**options, **engine}
     integrator = sampler(0.011, **options)
     context = context_at(cluster[0], integrator, cluster[1])
     # The trial in progress is to be one that is rejected, so that its start matters.
@@ -293,8 +284,9 @@ def test_longer_trajectories_are_checked_again(cluster, monkeypatch):
     assert context.getStepCount() == 4
 
 
-def test_a_trial_is_finished_at_the_next_multiple(cluster):
-    integrator = sampler(0.0005)
+@ENGINES
+def test_a_trial_is_finished_at_the_next_multiple(cluster, engine):
+    integrator = sampler(0.0005, **engine)
     context = context_at(cluster[0], integrator, cluster[1])
     integrator.step(6)
     integrator.setStepsPerTrial(7)

@@ -9,15 +9,14 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2, SIER4G, SIERHMCIntegrator, tune
+from openmm_sier import SIER2, SIER4G, tune
 from openmm_sier.context.native_program import EXACT_ONLY
+from tests.support import samplers
 from tests.support.methanols import positions_of, system_of
-from tests.support.restarts import assert_same, everything
+from tests.support.restarts import assert_same
+from tests.support.samplers import KT, counted
 from tests.support.subprocesses import run_python
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
-
-TEMPERATURE = 297.0
-KT = 8.314462618e-3 * TEMPERATURE
 
 PARTS_KEPT = pytest.mark.parametrize("options", [{}, {"frictionCoeff": 20.0}], ids=["drawn anew", "kept in part"])
 
@@ -28,16 +27,8 @@ def cluster():
     return system, relaxed(topology, positions, system)
 
 
-def sampler(h=0.008, n=4, scheme=SIER2, seed=5, engine="native", substeps=2, **options):
-    integrator = SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n, engine=engine, substeps=substeps, **options)
-    integrator.setRandomNumberSeed(seed)
-    return integrator
-
-
-def counted(context):
-    """Everything that has to agree after a restart."""
-    integrator = context.getIntegrator()
-    return (*everything(context), integrator.trials, integrator.accepted, integrator.lastEnergyError)
+def sampler(h=0.008, n=4, scheme=SIER2, engine="native", substeps=2, **options):
+    return samplers.sampler(h, n, scheme, engine=engine, substeps=substeps, **options)
 
 
 @PARTS_KEPT
@@ -90,29 +81,6 @@ def test_samples_wells_exactly():
     assert errors == pytest.approx([0.03] * 3, abs=0.03)
     # Four standard errors. Momenta that are not reversed make the last one 0.05; without a rule the first one is 1.8.
     assert (np.abs(blocks.mean(axis=0) - [1, 1, 0]) < 4 * errors).all()
-
-
-@PARTS_KEPT
-@pytest.mark.parametrize("after", [0, 2, 3])
-def test_restart_in_mid_trial_is_bit_identical(cluster, after, options):
-    integrator = sampler(0.013, **options)
-    context = context_at(cluster[0], integrator, cluster[1])
-    # The trial in progress is to be one that is rejected, so that its start matters.
-    while True:
-        integrator.step(after)
-        whole_state = context.getState(positions=True, velocities=True, integratorParameters=True)
-        restarts, accepted = [context.createCheckpoint(), whole_state], integrator.accepted
-        integrator.step(4 - after)
-        if integrator.accepted == accepted:
-            break
-    integrator.step(10)
-    for restart, load in zip(restarts, ("loadCheckpoint", "setState"), strict=True):
-        again = sampler(0.013, **options)
-        other = openmm.Context(cluster[0], again, platform())
-        getattr(other, load)(restart)
-        for count in (1, 13 - after):
-            again.step(count)
-        assert_same(counted(other), counted(context))
 
 
 @pytest.mark.parametrize(("first", "second"), [("exact", "native"), ("native", "exact")])
@@ -227,18 +195,6 @@ def test_interrupts_leave_a_completed_step(cluster, monkeypatch, at):
     assert context.getStepCount() == 5 + at
     integrator.step(7 - at)
     assert_same(counted(context), counted(undisturbed))
-
-
-def test_a_trial_is_finished_at_the_next_multiple(cluster):
-    integrator = sampler(0.0005)
-    context = context_at(cluster[0], integrator, cluster[1])
-    integrator.step(6)
-    integrator.setStepsPerTrial(7)
-    integrator.finishTrial()
-    # The trial in progress ends at step 8, and a shorter one leads to step 14.
-    assert (context.getStepCount(), integrator.trials) == (14, 3)
-    integrator.finishTrial()
-    assert context.getStepCount() == 14
 
 
 def test_is_tuned(cluster):

@@ -1,0 +1,21 @@
+"""Integrators of hybrid Monte Carlo, and what has to agree after a restart of one."""
+
+from __future__ import annotations
+
+from openmm_sier import SIER2, SIERHMCIntegrator
+from tests.support.restarts import everything
+
+TEMPERATURE = 297.0
+KT = 8.314462618e-3 * TEMPERATURE
+
+
+def sampler(h=0.008, n=4, scheme=SIER2, seed=5, **options):
+    integrator = SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n, **options)
+    integrator.setRandomNumberSeed(seed)
+    return integrator
+
+
+def counted(context):
+    """Everything that has to agree after a restart."""
+    integrator = context.getIntegrator()
+    return (*everything(context), integrator.trials, integrator.accepted, integrator.lastEnergyError)
