@@ -145,14 +145,21 @@ class NativeTrials(NativeEngine):
     # --- trials ---
 
     def _begin(self) -> None:
-        """Draw momenta, and note down where the trial begins."""
-        integrator, context = self._sampler, self.context
+        """Draw momenta, and note down where the trial begins; an error or interrupt leaves the velocities as before."""
         if self._is_fresh:
             self._start_anew()
+        sample = Snapshot(self.context)
+        try:
+            self._begin_from(sample)
+        except BaseException:
+            whatever_interrupts(lambda: self._put(sample))
+            raise
+
+    def _begin_from(self, sample: Snapshot) -> None:
+        integrator, context = self._sampler, self.context
         bath, draws, h = integrator._bath, int(self._global(DRAWS)), integrator.getStepSize()._value
         length = integrator.getStepsPerTrial() - context.getStepCount() % integrator.getStepsPerTrial()
-        before = self._kinetic_energy(Snapshot(context).velocities)
-        self._draw(bath, draws, math.exp(-bath.friction * length * h) if h else 1.0)
+        self._draw(bath, draws, sample.velocities, math.exp(-bath.friction * length * h) if h else 1.0)
         self._check_reversal(h)
         now = Snapshot(context)
         potential, kinetic = self._energies(now)
@@ -161,7 +168,7 @@ class NativeTrials(NativeEngine):
                 f"In step {context.getStepCount() + 1} no trajectory can begin where the energy is "
                 f"{potential + kinetic}. Do atoms overlap?"
             )
-        heat = self._global(HEAT) + kinetic - before
+        heat = self._global(HEAT) + kinetic - self._kinetic_energy(sample.velocities)
         for name, vectors in zip(START_VARIABLES, (now.positions, now.velocities), strict=False):
             integrator.setPerDofVariableByName(name, vectors)
         integrator._set(
@@ -169,9 +176,9 @@ class NativeTrials(NativeEngine):
             **{THERMAL: GAS_CONSTANT * bath.temperature, STEP: h, END: context.getStepCount() + length},
         )
 
-    def _draw(self, bath: OrnsteinUhlenbeck, draws: int, kept: float) -> None:
+    def _draw(self, bath: OrnsteinUhlenbeck, draws: int, old: np.ndarray, kept: float) -> None:
         """Velocities of which a part is kept; constraints keep the rest canonical."""
-        context, old = self.context, Snapshot(self.context).velocities
+        context = self.context
         # OpenMM takes a zero for a seed of its own choice.
         seed = int(generator(bath.seed, draws).integers(1, 2**31 - 1))
         context.setVelocitiesToTemperature(bath.temperature, seed)

@@ -15,7 +15,7 @@ from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.context.reporters import ConservationReporter
 from tests.support.methanols import positions_of, system_of
 from tests.support.restarts import assert_same
-from tests.support.samplers import KT, counted, sampler
+from tests.support.samplers import KT, counted, energies_computed, sampler
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
 
 #: Settings of either engine. Two equal substeps are short enough for SETTLE at the steps of these tests.
@@ -192,13 +192,7 @@ def test_energies_are_computed_once(cluster, monkeypatch):
     integrator = sampler(0.011)
     _context = context_at(cluster[0], integrator, cluster[1])
     integrator.step(4)
-    computed, get = [], openmm.Context.getState
-
-    def counting(self, *args, **kwargs):
-        computed.append(kwargs.get("energy", False))
-        return get(self, *args, **kwargs)
-
-    monkeypatch.setattr(openmm.Context, "getState", counting)
+    computed = energies_computed(monkeypatch)
     integrator.step(40)
     assert 0 < integrator.accepted < 11
     assert sum(computed) == 10

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import openmm
+
 from openmm_sier import SIER2, SIERHMCIntegrator
 from tests.support.restarts import everything
 
@@ -19,3 +21,15 @@ def counted(context):
     """Everything that has to agree after a restart."""
     integrator = context.getIntegrator()
     return (*everything(context), integrator.trials, integrator.accepted, integrator.lastEnergyError)
+
+
+def energies_computed(monkeypatch):
+    """A list that grows with each State of a Context: whether its energy was computed."""
+    computed, get = [], openmm.Context.getState
+
+    def counting(self, *args, **kwargs):
+        computed.append(kwargs.get("energy", False))
+        return get(self, *args, **kwargs)
+
+    monkeypatch.setattr(openmm.Context, "getState", counting)
+    return computed
