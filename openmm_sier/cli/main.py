@@ -223,6 +223,16 @@ def _ensemble(options: argparse.Namespace) -> None:
 # --- properties ---
 
 
+def _add_runs(parser: argparse.ArgumentParser) -> None:
+    """The arguments of commands that read runs."""
+    parser.add_argument(
+        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
+    )
+    parser.add_argument(
+        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
+    )
+
+
 def _add_properties(commands: Commands) -> argparse.ArgumentParser:
     parser = commands.add_parser(
         "properties",
@@ -230,13 +240,8 @@ def _add_properties(commands: Commands) -> argparse.ArgumentParser:
         description="Properties of a liquid of one kind of molecule, from runs that differ in their seeds alone, with "
         "their standard errors and beside those of water. Writes a figure.",
     )
-    parser.add_argument(
-        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
-    )
+    _add_runs(parser)
     parser.add_argument("--box", metavar="BOX.pdb", type=Path, help="default: the one that the run was of")
-    parser.add_argument(
-        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
-    )
     parser.add_argument(
         "--viscosity",
         metavar="MPA*S",
@@ -266,12 +271,7 @@ def _add_validate(commands: Commands) -> argparse.ArgumentParser:
         "constant energy differ in their step. Runs that differ in their seeds alone count as one. Exit code 5 says "
         "that a check failed.",
     )
-    parser.add_argument(
-        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
-    )
-    parser.add_argument(
-        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
-    )
+    _add_runs(parser)
     parser.add_argument(
         "--limit",
         metavar="N",
@@ -299,12 +299,7 @@ def _add_study(commands: Commands) -> argparse.ArgumentParser:
         description="Properties of a liquid by box, method and step, with standard errors. Runs that differ in their "
         "seeds alone count as one. Writes a table in Markdown and a figure.",
     )
-    parser.add_argument(
-        "runs", metavar="RUN", type=Path, nargs="+", help="checkpoint of a run, or directory of an ensemble's member"
-    )
-    parser.add_argument(
-        "--skip", metavar="PS", type=not_negative, default=0.0, help="at the start of each (default: 0)"
-    )
+    _add_runs(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out"), help="for the table and the figure")
     parser.set_defaults(execute=_study)
     return parser

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from openmm_sier.cli.plan import Plan
+from openmm_sier.context import conservation
 from openmm_sier.context.stock import BrokenDownError
 from openmm_sier.context.temperature import DegreesOfFreedom
 from openmm_sier.dynamics.bodies import NotFiniteError
@@ -46,11 +47,7 @@ FEWEST_ROWS = 10
 
 
 #: Columns of the log by the names of the temperatures.
-TEMPERATURES = {
-    "T_trans": "Translational Temperature (K)",
-    "T_rot": "Rotational Temperature (K)",
-    "T_flexible": "Flexible Temperature (K)",
-}
+TEMPERATURES = dict(zip(("T_trans", "T_rot", "T_flexible"), conservation.TEMPERATURES, strict=True))
 
 
 class Runaway(RuntimeError):

@@ -14,7 +14,10 @@ from openmm_sier.context.stock import StockIntegrator
 from openmm_sier.context.temperature import temperatures
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 
-#: Named and in the units as OpenMM's StateDataReporter has them, as far as it has them.
+#: Columns of the temperatures of translation, of rotation and of flexible molecules.
+TEMPERATURES = ("Translational Temperature (K)", "Rotational Temperature (K)", "Flexible Temperature (K)")
+
+#: All columns, named and in the units as OpenMM's StateDataReporter has them, as far as it has them.
 COLUMNS = (
     "Step",
     "Time (ps)",
@@ -23,9 +26,7 @@ COLUMNS = (
     "Total Energy (kJ/mole)",
     "Conserved Energy (kJ/mole)",
     "Temperature (K)",
-    "Translational Temperature (K)",
-    "Rotational Temperature (K)",
-    "Flexible Temperature (K)",
+    *TEMPERATURES,
     *(f"Momentum {axis} (dalton nm/ps)" for axis in "xyz"),
     *(f"Angular Momentum {axis} (dalton nm^2/ps)" for axis in "xyz"),
     "Box Volume (nm^3)",

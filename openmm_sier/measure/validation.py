@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from openmm_sier.context.conservation import TEMPERATURES
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure.observables import WINDOW, energy_fluctuation
 from openmm_sier.measure.properties import inefficiency
@@ -40,11 +41,7 @@ BOOTSTRAP_SEED = 5
 NEXT_ORDER = 0.1
 
 #: Columns of the log by the group whose temperature they are.
-GROUPS = {
-    "translation": "Translational Temperature (K)",
-    "rotation": "Rotational Temperature (K)",
-    "flexible molecules": "Flexible Temperature (K)",
-}
+GROUPS = dict(zip(("translation", "rotation", "flexible molecules"), TEMPERATURES, strict=True))
 
 
 class TooFewError(ValueError):
