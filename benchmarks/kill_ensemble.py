@@ -2,9 +2,12 @@
 """Ensembles whose workers are killed at random, beside an undisturbed serial run: files must be the same to the byte.
 
     python benchmarks/kill_ensemble.py [--members 24] [--kills 10] [--on pool dask] [--out DIR] [--time 0.4]
+        [--throughput]
 
-The undisturbed run is one process after the other. Then the same members run on two processes of this machine, and on
-two workers of a dask LocalCluster, while every few seconds a member's process, or a whole worker of dask, is killed.
+The undisturbed run is one process after the other, with one thread of OpenMM each. `--throughput` runs the members on
+two processes without kills too, and one after the other with all threads of the machine, whose files may differ in last
+bits. Then the same members run on two processes of this machine, and on two workers of a dask LocalCluster, while every
+few seconds a member's process, or a whole worker of dask, is killed.
 """
 
 from __future__ import annotations
@@ -92,6 +95,13 @@ def on_dask(members: Sequence[Member], place: Path, kills: int) -> tuple[list[Ou
             return ensemble(members, place, client.get_executor(pure=False), threads=1), killer.done
 
 
+def undisturbed(members: Sequence[Member], place: Path, processes: int, threads: int) -> None:
+    begun = perf_counter()
+    ensemble(members, place, processes=processes, threads=threads)
+    used = f"{processes} at a time, {threads} threads each"
+    print(f"{len(members)} members, {used}: {perf_counter() - begun:.0f} s", flush=True)
+
+
 def files(place: Path) -> dict[Path, bytes]:
     return {p.relative_to(place): p.read_bytes() for p in sorted(place.rglob("run.*")) if p.suffix in (".csv", ".dcd")}
 
@@ -104,12 +114,14 @@ def main() -> int:
     parser.add_argument("--time", type=float, default=0.4, help="ps")
     parser.add_argument("--on", nargs="+", default=["pool", "dask"], choices=("pool", "dask"))
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--throughput", action="store_true", help="time undisturbed runs by processes and threads")
     options = parser.parse_args()
     out = (options.out or Path(tempfile.mkdtemp())).resolve()
     members = members_of((options.box or shipped_box()).resolve(), options.members, options.time)
-    begun = perf_counter()
-    ensemble(members, out / "quiet", processes=1, threads=1)
-    print(f"{len(members)} members, one after the other: {perf_counter() - begun:.0f} s", flush=True)
+    undisturbed(members, out / "quiet", 1, 1)
+    if options.throughput:
+        undisturbed(members, out / "pool-undisturbed", 2, 1)
+        undisturbed(members, out / "threads", 1, os.cpu_count() or 1)
     expected, wrong = files(out / "quiet"), 0
     for name in options.on:
         begun = perf_counter()

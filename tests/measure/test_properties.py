@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from openmm import unit
+from scipy.integrate import trapezoid
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure import properties
@@ -144,7 +145,7 @@ def test_viscosity_integrals_are_those_of_all_pairs_of_times():
     correlation = [
         np.mean([sum(s[i] * s[i + k] for s in squares) for i in range(60 - k)]) / 10 for k in range(lags + 1)
     ]
-    expected = [scale * np.trapezoid(correlation[: k + 1]) for k in range(lags + 1)]
+    expected = [scale * trapezoid(correlation[: k + 1]) for k in range(lags + 1)]
     np.testing.assert_allclose(found.mean(axis=0), expected, rtol=1e-6, atol=1e-9 * scale)
 
 
