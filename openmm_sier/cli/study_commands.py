@@ -31,6 +31,12 @@ def _add_paper(commands: Commands) -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="less of everything, to see it work")
     parser.add_argument("--out", metavar="DIR", type=Path, help="where tables and figures go")
     parser.add_argument("--seed", type=whole, default=1, help="default: 1")
+    parser.add_argument(
+        "--processes", metavar="N", type=whole, help="for the runs of water, at a time (default: the cores)"
+    )
+    parser.add_argument(
+        "--phase-point", metavar="NAME", help="the runs of water from one of its starts alone, as in pme-3"
+    )
     parser.set_defaults(execute=_paper)
     return parser
 
@@ -39,7 +45,12 @@ def _paper(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
     from openmm_sier.studies import paper
 
-    paper.run(options.experiment, options.quick, options.out, options.seed, REPORT)
+    if options.phase_point is None:
+        paper.run(options.experiment, options.quick, options.out, options.seed, REPORT, options.processes)
+    elif options.experiment == "water":
+        paper.run_phase_point(options.phase_point, options.quick, options.out or Path(), options.seed, REPORT)
+    else:
+        raise ValueError(f"--phase-point is one of water's, got {options.experiment}")
 
 
 # --- comparisons ---

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, Scheme
 from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.studies.bench.replicas import Replica
+from openmm_sier.studies.files import replace_file
 
 #: Random displacements of the molecules that tell the noise of the energy, nm, and how many. Single precision holds
 #: coordinates of a large box to as much.
@@ -139,7 +139,7 @@ def start(
         positions = replica.positions * unit.nanometer
         prepare(context, positions, settings.temperature, settings.seed, time, report=report)
         found = context.getState(positions=True).getPositions(asNumpy=True)
-        _write(kept, lambda path: np.savez(path, positions=found.value_in_unit(unit.nanometer)))
+        replace_file(kept, lambda path: np.savez(path, positions=found.value_in_unit(unit.nanometer)))
     bodies = context.getIntegrator().bodies
     noise = energy_noise(context, settings.seed) / (GAS_CONSTANT * settings.temperature)
     positions = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
@@ -226,7 +226,7 @@ def measure(
 
 def keep(member: Member, path: Path) -> None:
     """Write a member to a JSON file, all of it or nothing."""
-    _write(path, lambda temporary: temporary.write_text(json.dumps(vars(member), indent=1)))
+    replace_file(path, lambda temporary: temporary.write_text(json.dumps(vars(member), indent=1)))
 
 
 def read(path: Path) -> Member:
@@ -238,9 +238,3 @@ def read(path: Path) -> Member:
 def read_all(directory: Path) -> list[Member]:
     """All members that were kept in a directory."""
     return [read(path) for path in sorted(directory.glob("[0-9]*.json"))]
-
-
-def _write(path: Path, write: Callable[[Path], object]) -> None:
-    temporary = path.with_name("new-" + path.name)
-    write(temporary)
-    temporary.replace(path)

@@ -10,9 +10,11 @@ from dataclasses import replace
 
 import pytest
 
+from openmm_sier.cli.main import build_parser
 from openmm_sier.studies import paper
-from openmm_sier.studies.paper import dipole, figures, free_rotation, liquids, output, published, tables, water
+from openmm_sier.studies.paper import dipole, figures, free_rotation, liquids, output, published, tables, water_runs
 from openmm_sier.studies.paper.free_rotation import Cost, Curve, FreeRotation
+from openmm_sier.studies.paper.methods import METHODS
 from openmm_sier.studies.paper.water import Crossing, Point, Water
 from tests.support.reports import Told
 
@@ -38,7 +40,7 @@ def water_result(runs=2):
         for step in (1.0, 2.0)
     ]
     crossing = Crossing(liquids.MOLECULAR, 2.0, 0.1, {"SIER2": 2.03, "SIER4": 4.0})
-    return Water(water.QUICK, "made", 1.9, tuple(points), (crossing,))
+    return Water(water_runs.QUICK, "made", 1.9, tuple(points), (crossing,))
 
 
 @pytest.mark.parametrize(
@@ -164,17 +166,32 @@ def test_run_writes_and_reports(tmp_path, monkeypatch):
         assert content["result"]["settings"]["seed"] == 9
 
 
+def runs_of_water(members, place, processes, report):
+    """In place of the ensemble: what its members would write."""
+    assert [member.name for member in members] == ["molecular-1", "molecular-2"]
+    for member in members:
+        assert build_parser().parse_args(member.arguments).phase_point == member.name
+        (place / member.name).mkdir(parents=True)
+        runs = [
+            water_runs.Run(method.name, step, (1e-3 * step**order, 1.0, 0.01))
+            for method, order in zip(METHODS, (2, 2, 2, 4), strict=True)
+            for step in water_runs.QUICK.steps_of(method)
+        ]
+        water_runs._keep(runs, place / member.name)
+
+
 def test_all_runs_every_experiment(tmp_path, monkeypatch):
     monkeypatch.setattr(free_rotation, "rotate_freely", lambda settings, show: rotation_result())
     monkeypatch.setattr(dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1))
-    monkeypatch.setattr(water, "simulate_water", lambda settings, show: water_result())
-    monkeypatch.setattr(water, "QUICK", replace(water.QUICK, kinds=(liquids.MOLECULAR,)))
+    monkeypatch.setattr(water_runs, "QUICK", replace(water_runs.QUICK, kinds=(liquids.MOLECULAR,)))
+    monkeypatch.setattr(paper, "ensemble", runs_of_water)
     told = Told()
     paper.run("all", quick=True, out=tmp_path, report=told)
-    assert {path.name for path in tmp_path.iterdir()} == {
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
         f"{name}.{ending}" for name in paper.EXPERIMENTS for ending in ("json", "csv", "png")
     }
-    assert any(table.title.startswith("Liquid water") for table in told.tables)
+    (table,) = [table for table in told.tables if table.title.startswith("Liquid water, molecular")]
+    assert cells(table)[2]["SIER4"] == "0.384"
 
 
 def test_unknown_experiment(tmp_path):

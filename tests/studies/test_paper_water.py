@@ -15,11 +15,12 @@ from openmm import unit
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.dynamics import backend
-from openmm_sier.studies.paper import liquids, molecular_cutoff, start, tip4p, water
+from openmm_sier.studies.paper import liquids, molecular_cutoff, start, tip4p, water, water_runs
 from openmm_sier.studies.paper.liquids import MOLECULAR, PME, Cutoffs
+from openmm_sier.studies.paper.methods import METHODS
 from openmm_sier.studies.paper.molecular_cutoff import MolecularCutoff
 from openmm_sier.studies.paper.pairs import switch
-from openmm_sier.studies.paper.water import WaterSettings
+from openmm_sier.studies.paper.water_runs import PhasePoint, WaterSettings
 from tests.support.oracles import random_attitudes
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -181,6 +182,15 @@ def box():
     return start.make_box(64, SMALL, 297.0, 5)
 
 
+def runs_from(point, settings, directory=None):
+    return water_runs.make_runs(box(), point, settings, directory, lambda what, fraction: None)
+
+
+def samples(kind, settings):
+    runs = [run for i in range(settings.runs) for run in runs_from(PhasePoint(kind, 1 + i), settings)]
+    return water.samples_of(settings, runs)
+
+
 @functools.cache
 def miniature():
     """64 molecules of the project's size; a box of 1.24 nm leaves a cut-off of 0.6 nm."""
@@ -196,7 +206,7 @@ def miniature():
         runs=2,
         relax=0.2,
     )
-    return settings, water._sample(box(), MOLECULAR, settings, lambda what, fraction: None)
+    return settings, samples(MOLECULAR, settings)
 
 
 def ratios():
@@ -233,12 +243,65 @@ def test_mrdl_and_sej4_lie_on_sier2():
 def test_broken_runs_are_left_out():
     """A step at which the integration fails gives no sample, and longer ones are not tried."""
     settings = replace(miniature()[0], force_steps_fs=(1.0, 30.0, 60.0), compared_from_fs=100.0, runs=1, span=0.1)
-    samples = water._sample(box(), MOLECULAR, settings, lambda what, fraction: None)
-    assert len(samples["SIER4", 1.0]) == 1
-    assert not samples["SIER4", 60.0]
+    made = samples(MOLECULAR, settings)
+    assert len(made["SIER4", 1.0]) == 1
+    assert not made["SIER4", 60.0]
     point = water._point(MOLECULAR, "SIER4", 60.0, np.array([]))
     assert point.runs == 0
     assert math.isnan(point.energy)
+
+
+def test_runs_on_disk_are_not_made_again(tmp_path, monkeypatch):
+    """What a process that was killed after its second run leaves is kept, and the rest is as if it had not been."""
+    settings = replace(
+        miniature()[0],
+        force_steps_fs=(1.0, 2.0),
+        compared_from_fs=9.0,
+        compared_to_fs=9.0,
+        runs=1,
+        span=0.05,
+        relax=0.1,
+    )
+    point = PhasePoint(MOLECULAR, 1)
+    undisturbed = runs_from(point, settings)
+    assert [(run.method, run.force_step_fs) for run in undisturbed] == [
+        (method, step) for method in ("SIER2", "SIER4") for step in (1.0, 2.0)
+    ]
+    made = []
+    make = water_runs._run
+
+    def killed_at_third(*arguments):
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(arguments)
+        return make(*arguments)
+
+    monkeypatch.setattr(water_runs, "_run", killed_at_third)
+    with pytest.raises(KeyboardInterrupt):
+        runs_from(point, settings, tmp_path)
+    assert water_runs.read_runs(tmp_path) == undisturbed[:2]
+    monkeypatch.setattr(water_runs, "_run", lambda *arguments: made.append(arguments) or make(*arguments))
+    assert runs_from(point, settings, tmp_path) == undisturbed
+    assert len(made) == 4
+    assert water_runs.read_runs(tmp_path) == undisturbed
+    runs_from(point, settings, tmp_path)
+    assert len(made) == 4
+
+
+def test_phase_points():
+    """Those of PME, which take longest, come first; fewer points have runs at the shortest steps."""
+    settings = WaterSettings()
+    names = [point.name for point in water_runs.phase_points(settings)]
+    assert len(names) == 18
+    assert names[0] == "pme-1"
+    assert names[-1] == "molecular-9"
+    assert water_runs.phase_point("pme-3", settings) == PhasePoint(PME, 3)
+    with pytest.raises(ValueError, match=r"must be one of pme-1, .* got 'pme-10'"):
+        water_runs.phase_point("pme-10", settings)
+    exact, mrdl = METHODS[-1], METHODS[0]
+    assert settings.steps_of(exact, 3) == list(settings.force_steps_fs)
+    assert settings.steps_of(exact, 4) == [0.5, 1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0]
+    assert settings.steps_of(mrdl, 1) == [1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0]
 
 
 def test_intersection():
@@ -258,8 +321,8 @@ def test_pme_liquid_runs():
     settings = replace(
         miniature()[0], kinds=(PME,), force_steps_fs=(0.75, 1.5), compared_from_fs=9.0, compared_to_fs=9.0, runs=1
     )
-    samples = water._sample(box(), PME, settings, lambda what, fraction: None)
-    found = {key: water._ratio(np.array(values)) for key, values in samples.items()}
+    made = samples(PME, settings)
+    found = {key: water._ratio(np.array(values)) for key, values in made.items()}
     assert math.log2(found["SIER2", 1.5] / found["SIER2", 0.75]) == pytest.approx(2, abs=0.2)
     # The molecular cut-off of as many molecules has 0.5 %.
     assert 0.002 < found["SIER2", 1.5] < 0.02

@@ -75,16 +75,25 @@ def _empty_system(n: int, edge: float) -> openmm.System:
 
 def molecular_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.Force:
     """The interaction with a smooth molecular cut-off, see `MolecularCutoff`."""
-    if not hasattr(openmm, "PythonForce"):
-        raise ImportError(
-            f"the molecular cut-off needs openmm.PythonForce, which OpenMM {openmm.version.version} does not have; "
-            "install a newer one with: pip install -U openmm"
-        )
+    require()
     potential = MolecularCutoff(tip4p.SIGMA, tip4p.EPSILON, tip4p.CHARGE, cutoffs.molecular_on, cutoffs.molecular_off)
     potential.check_box(np.full(3, edge))
     force = openmm.PythonForce(potential)
     force.setUsesPeriodicBoundaryConditions(True)
     return force
+
+
+def require() -> None:
+    """Refuse an OpenMM that cannot have the molecular cut-off.
+
+    Raises:
+        ImportError: this OpenMM is too old.
+    """
+    if not hasattr(openmm, "PythonForce"):
+        raise ImportError(
+            f"the molecular cut-off needs openmm.PythonForce, which OpenMM {openmm.version.version} does not have; "
+            "install a newer one with: pip install -U openmm"
+        )
 
 
 def pme_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.NonbondedForce:
