@@ -145,7 +145,8 @@ def properties_of(
         RecordError, NoLiquidError, OSError: as their messages say.
     """
     runs = read_runs(checkpoints, box, skip)
-    if runs[0].plan.ensemble == "hmc":
+    moving = runs[0].plan.ensemble != "hmc"
+    if not moving:
         REPORT.note("trials of hybrid Monte Carlo are no motion: they give no diffusion, viscosity and rotation")
     rows, stressed = _rows(runs, None if viscosity is None else Estimate(viscosity, 0.0))
     plan = runs[0].plan
@@ -155,7 +156,8 @@ def properties_of(
     table(title, ("", "", "water, 298.15 K, 1 bar"), rows)
     if style.can_draw(REPORT):
         out.mkdir(parents=True, exist_ok=True)
-        property_figure([run.samples for run in runs], title, out / "properties.png", _integrals(stressed))
+        samples = [run.samples for run in runs]
+        property_figure(samples, title, out / "properties.png", _integrals(stressed), moving)
         REPORT.note(f"wrote {out / 'properties.png'}")
 
 

@@ -21,8 +21,8 @@ CHARGE = unit.elementary_charge
 #: Frames that are read at a time.
 CHUNK = 200
 
-#: Bins of pair distributions in nm.
-BIN = 0.002
+#: Bins of pair distributions in nm, and ps between the frames that are counted: nearer ones are much alike.
+BIN, APART = 0.002, 1.0
 
 
 class LiquidSamples(NamedTuple):
@@ -69,7 +69,8 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     place = np.full(box.topology.getNumAtoms(), -1)
     place[box.listed] = np.arange(len(box.listed))
     oxygens = place[first]
-    frames, lengths, directions, dipoles, pairs = [], [], [], [], []
+    frames, lengths, directions, dipoles, pairs, counted = [], [], [], [], [], []
+    stride = max(1, round(APART / interval))
     sites = _Sites(box)
     count = min(len(first), 512)
     chosen = topology.select_pairs(oxygens[:count], oxygens)
@@ -82,8 +83,9 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         arms = (chunk.xyz[:, oxygens + 2] - chunk.xyz[:, oxygens + 1]).astype(float)
         directions.append(arms / np.linalg.norm(arms, axis=2, keepdims=True))
         dipoles.append(sites.dipoles(chunk.xyz))
-        distances, found = mdtraj.compute_rdf(chunk[::10], chosen, r_range=(0.0, reach), bin_width=BIN)
+        distances, found = mdtraj.compute_rdf(chunk[::stride], chosen, r_range=(0.0, reach), bin_width=BIN)
         pairs.append(found)
+        counted.append(len(chunk[::stride]))
     if not frames:
         raise NoLiquidError(f"{trajectory} has no frames after {skip:g} ps")
     edges = np.concatenate(lengths)
@@ -94,7 +96,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         np.concatenate(dipoles) if sites.neutral else None,
         edges.prod(axis=1),
         distances,
-        np.mean(pairs, axis=0),
+        np.average(pairs, axis=0, weights=counted),
     )
 
 

@@ -56,6 +56,7 @@ def property_figure(
     title: str,
     path: Path,
     viscosities: tuple[np.ndarray, np.ndarray] | None = None,
+    moving: bool = True,
 ) -> None:
     """Pair distribution, displacements, the decay of orientations and the viscosity of a liquid, the mean of all runs.
 
@@ -64,28 +65,33 @@ def property_figure(
         title: above the figure.
         path: PNG file to write.
         viscosities: times (k,), ps, and running Green-Kubo integrals (c, k), mPa s; None leaves their panel out.
+        moving: whether frames follow each other by motion; otherwise displacements and orientations are left out.
     """
+    colour = style.of_method("SIER4G")["color"]
     with style.context():
-        figure, (pairs, displacements, turning, *further) = style.panels(3 if viscosities is None else 4, title)
-        first = samples[0]
-        colour = style.of_method("SIER4G")["color"]
-        pairs.plot(first.distances, np.mean([run.pairs for run in samples], axis=0), color=colour)
+        figure, (pairs, *further) = style.panels(1 + 2 * moving + (viscosities is not None), title)
+        pairs.plot(samples[0].distances, np.mean([run.pairs for run in samples], axis=0), color=colour)
         pairs.set_xlabel("distance (nm)")
         pairs.set_ylabel("pair distribution of first atoms")
-        longest = min(len(run.centres) for run in samples) // 4
-        times = np.arange(longest) * first.interval
-        squares = np.mean([mean_square_displacements(run.centres)[:longest] for run in samples], axis=0)
-        displacements.plot(times, squares, color=colour)
-        displacements.set_xlabel("time (ps)")
-        displacements.set_ylabel("mean square displacement (nm²)")
-        decay = np.mean([orientation_correlation(run.directions, longest) for run in samples], axis=0)[:longest]
-        shown = decay > 0.02
-        turning.semilogy(times[shown], decay[shown], color=colour)
-        turning.set_xlabel("time (ps)")
-        turning.set_ylabel(r"$\langle P_2 \rangle$ of orientations")
+        if moving:
+            _draw_motion(further[0], further[1], samples, colour)
         if viscosities is not None:
-            _draw_integrals(further[0], *viscosities, colour)
+            _draw_integrals(further[-1], *viscosities, colour)
         figure.savefig(path)
+
+
+def _draw_motion(displacements: Axes, turning: Axes, samples: Sequence[LiquidSamples], colour: str) -> None:
+    longest = min(len(run.centres) for run in samples) // 4
+    times = np.arange(longest) * samples[0].interval
+    squares = np.mean([mean_square_displacements(run.centres)[:longest] for run in samples], axis=0)
+    displacements.plot(times, squares, color=colour)
+    displacements.set_xlabel("time (ps)")
+    displacements.set_ylabel("mean square displacement (nm²)")
+    decay = np.mean([orientation_correlation(run.directions, longest) for run in samples], axis=0)[:longest]
+    shown = decay > 0.02
+    turning.semilogy(times[shown], decay[shown], color=colour)
+    turning.set_xlabel("time (ps)")
+    turning.set_ylabel(r"$\langle P_2 \rangle$ of orientations")
 
 
 def _draw_integrals(axes: Axes, times: np.ndarray, integrals: np.ndarray, colour: str) -> None:

@@ -4,6 +4,7 @@ import math
 import re
 from pathlib import Path
 
+import mdtraj
 import numpy as np
 import openmm
 import pytest
@@ -14,6 +15,7 @@ from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.records import read_checkpoint, read_log
 from openmm_sier.context.pressure import COLUMNS
+from openmm_sier.measure import liquid_samples
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, read_samples, unwrapped
 from openmm_sier.measure.properties import Estimate
@@ -62,6 +64,24 @@ def test_samples_are_those_of_all_charges(runs):
     assert samples.volumes[-1] == pytest.approx(state.getPeriodicBoxVolume()._value, rel=1e-5)
     np.testing.assert_allclose(np.linalg.norm(samples.directions, axis=2), 1)
     assert len(read_samples(runs[0].with_suffix(".dcd"), box, 0.004, skip=0.04).volumes) == 20
+
+
+def test_every_frame_counts_alike_in_the_pair_distribution(runs, monkeypatch):
+    """Frames 1 ps apart and more are all counted, however many the chunks have in which they are read."""
+    box, trajectory = read_box(BOX), runs[0].with_suffix(".dcd")
+    monkeypatch.setattr(liquid_samples, "CHUNK", 28)  # the last chunk has two frames
+    samples = read_samples(trajectory, box, 1.0)
+    topology = mdtraj.Topology.from_openmm(box.topology).subset(box.listed)
+    pairs = topology.select_pairs("element O", "element O")
+    reach = (0.0, samples.distances[-1] + liquid_samples.BIN / 2)
+    frames = mdtraj.load(str(trajectory), top=topology)
+    _, expected = mdtraj.compute_rdf(frames, pairs, r_range=reach, bin_width=liquid_samples.BIN)
+    # A chunk is normalized by its own mean volume, which moves by less than 1e-3; the noise of two frames is 0.1.
+    np.testing.assert_allclose(samples.pairs, expected, rtol=1e-3)
+    # Those 4 fs apart are not: the first alone is.
+    _, first = mdtraj.compute_rdf(frames[0], pairs, r_range=reach, bin_width=liquid_samples.BIN)
+    monkeypatch.setattr(liquid_samples, "CHUNK", 200)
+    np.testing.assert_allclose(read_samples(trajectory, box, 0.004).pairs, first, rtol=1e-5)
 
 
 def test_boxes_that_are_not_rectangular_are_refused(runs):
