@@ -170,7 +170,7 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
     """
     rows, stressed = [], []
     for row in ROWS:
-        found = {run.plan.out: _estimated(row, run) for run in runs}
+        found = _estimated(row, runs)
         given = [estimate for estimate in found.values() if estimate is not None]
         if not given:
             continue
@@ -188,14 +188,21 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
     return [*rows, ["first maximum of the pair distribution, nm", place, EXPERIMENT["peak"]]], stressed
 
 
-def _estimated(row: Row, run: Run) -> Estimate | None:
-    if row.of_motion and run.plan.ensemble == "hmc":
-        return None
-    try:
-        return row.estimate(run)
-    except properties.TooShortError as error:
-        REPORT.note(f"{run.plan.out}: {error}")
-        return None
+def _estimated(row: Row, runs: Sequence[Run]) -> dict[str, Estimate | None]:
+    """The property of each run by its trajectory; None where it has none. What is too short is said once."""
+    found: dict[str, Estimate | None] = {}
+    short: dict[str, list[str]] = {}
+    for run in runs:
+        found[run.plan.out] = None
+        if row.of_motion and run.plan.ensemble == "hmc":
+            continue
+        try:
+            found[run.plan.out] = row.estimate(run)
+        except properties.TooShortError as error:
+            short.setdefault(str(error), []).append(run.plan.out)
+    for message, (first, *more) in short.items():
+        REPORT.note(f"{first}{f' and {len(more)} more' if more else ''}: {message}")
+    return found
 
 
 def _note_tail(runs: Sequence[Run]) -> None:

@@ -64,10 +64,14 @@ def mean(series: np.ndarray) -> Estimate:
     Source: Chodera et al., J. Chem. Theory Comput. 3, 26 (2007).
     """
     values = np.asarray(series, dtype=float)
-    spread = float(values.std())
-    if spread <= 1e-13 * abs(values.mean()):
+    if _is_constant(values):
         return Estimate(float(values.mean()), 0.0)
-    return Estimate(float(values.mean()), spread * math.sqrt(inefficiency(values) / len(values)))
+    return Estimate(float(values.mean()), float(values.std()) * math.sqrt(inefficiency(values) / len(values)))
+
+
+def _is_constant(values: np.ndarray) -> bool:
+    """Whether values differ by rounding alone, as the density of a box that keeps its volume."""
+    return bool(np.ptp(values) <= 1e-13 * np.abs(values).max())
 
 
 def inefficiency(values: np.ndarray) -> float:
@@ -86,6 +90,8 @@ def pooled(estimates: Sequence[Estimate]) -> Estimate:
     """Mean over independent runs of one length; the error from their scatter where there are five or more."""
     values, errors = np.array(estimates, dtype=float).T
     n = len(values)
+    if _is_constant(values) and not errors.any():
+        return Estimate(float(values.mean()), 0.0)
     error = values.std(ddof=1) / math.sqrt(n) if n >= 5 else math.sqrt((errors**2).sum()) / n
     return Estimate(float(values.mean()), float(error))
 

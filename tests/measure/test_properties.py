@@ -45,6 +45,9 @@ def test_few_runs_are_pooled_by_their_errors():
     values = [1.0, 2.0, 3.0, 4.0, 5.0]
     many = properties.pooled([Estimate(value, 100) for value in values])
     assert many == (3, pytest.approx(math.sqrt(2.5 / 5)))
+    # The density of a volume that is kept has no error, not that of its rounding.
+    kept = [properties.mean(np.full(100, 0.998 * (1 + rounding))) for rounding in (0, 1e-16, 3e-16, -1e-16, 2e-16)]
+    assert str(properties.pooled(kept)) == "0.998"
 
 
 def test_estimates_are_written_to_two_digits_of_their_error():
