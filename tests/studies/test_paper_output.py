@@ -172,10 +172,11 @@ def runs_of_water(members, place, processes, report):
     for member in members:
         assert build_parser().parse_args(member.arguments).phase_point == member.name
         (place / member.name).mkdir(parents=True)
+        point = water_runs.phase_point(member.name, water_runs.QUICK)
         runs = [
             water_runs.Run(method.name, step, (1e-3 * step**order, 1.0, 0.01))
             for method, order in zip(METHODS, (2, 2, 2, 4), strict=True)
-            for step in water_runs.QUICK.steps_of(method)
+            for step in water_runs.QUICK.steps_of(method, point)
         ]
         water_runs._keep(runs, place / member.name)
 

@@ -188,7 +188,7 @@ def runs_from(point, settings, directory=None):
 
 def samples(kind, settings):
     runs = [run for i in range(settings.runs) for run in runs_from(PhasePoint(kind, 1 + i), settings)]
-    return water.samples_of(settings, runs)
+    return water.samples_of(settings, kind, runs)
 
 
 @functools.cache
@@ -299,9 +299,11 @@ def test_phase_points():
     with pytest.raises(ValueError, match=r"must be one of pme-1, .* got 'pme-10'"):
         water_runs.phase_point("pme-10", settings)
     exact, mrdl = METHODS[-1], METHODS[0]
-    assert settings.steps_of(exact, 3) == list(settings.force_steps_fs)
-    assert settings.steps_of(exact, 4) == [0.5, 1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0]
-    assert settings.steps_of(mrdl, 1) == [1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0]
+    coarse = [0.5, 1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0]
+    assert settings.steps_of(exact, PhasePoint(MOLECULAR, 3)) == [0.1, 0.25, *coarse]
+    assert settings.steps_of(exact, PhasePoint(MOLECULAR, 4)) == coarse
+    assert settings.steps_of(exact, PhasePoint(PME, 1)) == coarse
+    assert settings.steps_of(mrdl, PhasePoint(MOLECULAR, 1)) == coarse[1:]
 
 
 def test_intersection():

@@ -15,7 +15,7 @@ import numpy as np
 from openmm_sier.measure.statistics import jackknife
 from openmm_sier.studies.paper import liquids
 from openmm_sier.studies.paper.methods import METHODS
-from openmm_sier.studies.paper.water_runs import Run, WaterSettings
+from openmm_sier.studies.paper.water_runs import PhasePoint, Run, WaterSettings
 
 #: Ranges of h/f in fs in which the order is read off: above, higher orders take part; below, SIER4 meets rounding. With
 #: PME, whose forces of single precision leave an error of 0.005 %, no range is left to SIER4.
@@ -86,16 +86,17 @@ def result_of(settings: WaterSettings, origin: str, edge: float, runs: Mapping[s
     """
     points, crossings = [], []
     for kind, made in runs.items():
-        samples = samples_of(settings, made)
+        samples = samples_of(settings, kind, made)
         points += [_point(kind, *key, np.array(values)) for key, values in samples.items()]
         crossings.append(_crossing(kind, samples))
     return Water(settings, origin, edge, tuple(points), tuple(crossings))
 
 
-def samples_of(settings: WaterSettings, runs: Sequence[Run]) -> dict[tuple[str, float], list]:
+def samples_of(settings: WaterSettings, kind: str, runs: Sequence[Run]) -> dict[tuple[str, float], list]:
     """For each method and h/f the list of (rms(H), rms(V), drift) of the runs that came to their end."""
+    first = PhasePoint(kind, 1)
     samples: dict[tuple[str, float], list] = {
-        (method.name, step): [] for method in METHODS for step in settings.steps_of(method)
+        (method.name, step): [] for method in METHODS for step in settings.steps_of(method, first)
     }
     for run in runs:
         if run.found is not None:

@@ -29,6 +29,18 @@ KINDS = {"pme": liquids.PME, "molecular": liquids.MOLECULAR}
 FILE = "runs.json"
 
 
+class PhasePoint(NamedTuple):
+    """Where runs start: the kind of the liquid, and the number of the point, from 1."""
+
+    kind: str
+    number: int
+
+    @property
+    def name(self) -> str:
+        """As in `pme-3`."""
+        return f"{next(name for name, kind in KINDS.items() if kind == self.kind)}-{self.number}"
+
+
 @dataclass(frozen=True)
 class WaterSettings:
     """Parameters of the experiment.
@@ -41,7 +53,8 @@ class WaterSettings:
         force_steps_fs: h/f, fs, for SIER2 and SIER4.
         compared_from_fs: MRDL and SEJ4 run from this h/f on; below they cannot be told from SIER2.
         compared_to_fs: and up to this one.
-        fine_below_fs: for h/f below this fewer runs are averaged, since they take long.
+        fine_below_fs: for h/f below this fewer runs are averaged, since they take long, and none with PME, whose forces
+            of single precision would hide the errors.
         span: length of a run, ps.
         runs, fine_runs: number of runs averaged.
         relax: time between the starts of two runs, ps.
@@ -64,13 +77,14 @@ class WaterSettings:
     sample_fs: float = 4.0
     seed: int = 1
 
-    def steps_of(self, method: Method, number: int = 1) -> list[float]:
-        """h/f in fs of the runs with a method from the phase point of a number."""
+    def steps_of(self, method: Method, point: PhasePoint) -> list[float]:
+        """h/f in fs of the runs with a method from a phase point."""
         compared = method.name in ("MRDL", "SEJ4")
         first = self.compared_from_fs if compared else 0.0
         last = self.compared_to_fs if compared else np.inf
         steps = [step for step in self.force_steps_fs if first <= step <= last]
-        return [step for step in steps if number <= self.fine_runs or step >= self.fine_below_fs]
+        fine = point.kind == liquids.MOLECULAR and point.number <= self.fine_runs
+        return [step for step in steps if fine or step >= self.fine_below_fs]
 
 
 #: Fewer molecules, so that a shorter cut-off fits in the box, and fewer and shorter runs.
@@ -85,18 +99,6 @@ QUICK = WaterSettings(
     runs=2,
     relax=0.4,
 )
-
-
-class PhasePoint(NamedTuple):
-    """Where runs start: the kind of the liquid, and the number of the point, from 1."""
-
-    kind: str
-    number: int
-
-    @property
-    def name(self) -> str:
-        """As in `pme-3`."""
-        return f"{next(name for name, kind in KINDS.items() if kind == self.kind)}-{self.number}"
 
 
 class Run(NamedTuple):
@@ -147,7 +149,7 @@ def make_runs(
         directory: for the file of runs; those that it has are not made again. None writes nothing.
         show: gets the progress.
     """
-    plan = {method: settings.steps_of(method, point.number) for method in METHODS}
+    plan = {method: settings.steps_of(method, point) for method in METHODS}
     total, done = sum(1 / step for steps in plan.values() for step in steps), 0.0
     found = {(run.method, run.force_step_fs): run for run in read_runs(directory)}
     show("relaxing", 0.0)
