@@ -83,6 +83,11 @@ class Run(NamedTuple):
         return total
 
 
+def _temperature(run: Run) -> Estimate | None:
+    """The mean temperature where no bath keeps it."""
+    return properties.mean(run.log["Temperature (K)"]) if run.plan.ensemble == "nve" else None
+
+
 def _capacity(run: Run) -> Estimate | None:
     if run.plan.ensemble == "nve":
         return None
@@ -113,6 +118,7 @@ def _viscosity(run: Run) -> Estimate | None:
 
 
 ROWS = (
+    Row("", "temperature, K", _temperature),
     Row("density", "density, g/cm³", lambda run: properties.mean(run.log["Density (g/mL)"])),
     Row(
         "",

@@ -157,6 +157,19 @@ def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
     assert "relaxes more slowly" in capsys.readouterr().out
 
 
+def test_runs_without_a_bath_have_a_mean_temperature(box, capsys, monkeypatch):
+    monkeypatch.setattr(properties.style, "can_draw", lambda report: False)
+    often = ["--every", 0.004, "--report-every", 0.004]
+    for ensemble, steps in (("nve", 40), ("nvt", 4)):
+        run("run", box, *SMALL, "--steps", steps, "--ensemble", ensemble, *often, "--overwrite")
+        capsys.readouterr()
+        assert main(["properties", "box.chk"]) == 0
+        found = re.search(r"temperature, K\W+([\d.]+)", capsys.readouterr().out)
+        assert bool(found) == (ensemble == "nve")
+        if found:  # in two digits of its error, which is some kelvin
+            assert float(found.group(1)) == pytest.approx(log("box.csv")["Temperature (K)"].mean(), abs=1)
+
+
 def test_viscosity_corrects_diffusion(tmp_path):
     """A viscosity that the runs give is taken for the effect of the box, unless another is named."""
     plan = new_plan(Options(Path("box.pdb"), ensemble="nvt", pressure_tensor=tmp_path / "p.csv"))
