@@ -1,6 +1,6 @@
 """Which runs of water physical_validation passes, and which it finds out: SIER4G and hybrid Monte Carlo, and SIER2.
 
-    python benchmarks/validate_water.py --out DIR --time 40
+    python benchmarks/validate_water.py --out DIR --time 150
 
 64 molecules of TIP3P in a periodic box: SIER4G at 6 fs at constant temperature (297 and 325 K), at constant pressure
 (1 and 1300 bar at 297 K, 1 bar at 325 K) and by hybrid Monte Carlo (297 and 325 K), and SIER2 at 4 fs at constant
@@ -102,7 +102,7 @@ def run(out: Path, time: float, processes: int) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out/validate-water"))
-    parser.add_argument("--time", metavar="PS", type=float, default=40.0, help="of each run (default: 40)")
+    parser.add_argument("--time", metavar="PS", type=float, default=150.0, help="of each run (default: 150)")
     parser.add_argument("--processes", metavar="N", type=int, default=2, help="default: 2")
     options = parser.parse_args()
     run(options.out, options.time, options.processes)
