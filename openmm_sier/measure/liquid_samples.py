@@ -21,8 +21,11 @@ CHARGE = unit.elementary_charge
 #: Frames that are read at a time.
 CHUNK = 200
 
-#: Bins of pair distributions in nm, and ps between the frames that are counted: nearer ones are much alike.
-BIN, APART = 0.002, 1.0
+#: Bins of pair distributions in nm.
+BIN = 0.002
+
+#: Interval in ps between the frames whose pairs are counted. Nearer ones are much alike.
+APART = 1.0
 
 
 class LiquidSamples(NamedTuple):
