@@ -35,7 +35,7 @@ EXPERIMENT = {
 
 
 class Row(NamedTuple):
-    """A property: its key in `EXPERIMENT`, its name with the unit, how it follows from a run, and whether by motion."""
+    """A property: its key, its name with the unit, how it follows from a run, and whether from motion."""
 
     key: str
     name: str
@@ -121,7 +121,7 @@ ROWS = (
     Row("", "temperature, K", _temperature),
     Row("density", "density, g/cm³", lambda run: properties.mean(run.log["Density (g/mL)"])),
     Row(
-        "",
+        "energy",
         "potential energy, kJ/mol of molecules",
         lambda run: properties.mean(run.log["Potential Energy (kJ/mole)"] / run.molecules),
     ),
@@ -176,7 +176,7 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
     """
     rows, stressed = [], []
     for row in ROWS:
-        found = _estimated(row, runs)
+        found = estimated(row, runs)
         given = [estimate for estimate in found.values() if estimate is not None]
         if not given:
             continue
@@ -194,8 +194,8 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
     return [*rows, ["first maximum of the pair distribution, nm", place, EXPERIMENT["peak"]]], stressed
 
 
-def _estimated(row: Row, runs: Sequence[Run]) -> dict[str, Estimate | None]:
-    """The property of each run by its trajectory; None where it has none. What is too short is said once."""
+def estimated(row: Row, runs: Sequence[Run]) -> dict[str, Estimate | None]:
+    """A property of each run, by its trajectory; None where it has none. What is too short is said once."""
     found: dict[str, Estimate | None] = {}
     short: dict[str, list[str]] = {}
     for run in runs:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,39 +10,16 @@ import numpy as np
 from openmm_sier.cli import records
 from openmm_sier.cli.console import REPORT, note, table
 from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
-from openmm_sier.cli.properties import Run, read_runs
+from openmm_sier.cli.properties import ROWS, estimated, read_runs
 from openmm_sier.measure import properties
-from openmm_sier.measure.properties import Estimate
 from openmm_sier.studies import style
-from openmm_sier.studies.step_study import StepRow, markdown, step_figure, step_table
+from openmm_sier.studies.step_study import PROPERTIES, StepRow, markdown, step_figure, step_table
 
 #: Settings in which runs of one point may differ.
 FREE = ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every")
 
 #: Settings that are the same in all runs, so that points differ in box, method and step alone.
 SHARED = ("temperature", "pressure")
-
-
-def _dielectric(run: Run) -> Estimate | None:
-    if run.samples.dipoles is None:
-        return None
-    return properties.dielectric_constant(run.samples.dipoles, run.samples.volumes, run.plan.temperature)
-
-
-def _diffusion(run: Run) -> Estimate | None:
-    # Momenta that are drawn for each trial leave no dynamics.
-    if run.plan.ensemble == "hmc":
-        return None
-    return properties.self_diffusion(run.samples.centres, run.samples.interval)
-
-
-#: By the keys of `step_study.PROPERTIES`.
-ESTIMATES: dict[str, Callable[[Run], Estimate | None]] = {
-    "density": lambda run: properties.mean(run.log["Density (g/mL)"]),
-    "energy": lambda run: properties.mean(run.log["Potential Energy (kJ/mole)"] / run.molecules),
-    "dielectric": _dielectric,
-    "diffusion": _diffusion,
-}
 
 
 def study(runs: Sequence[Path], skip: float, out: Path) -> None:
@@ -109,18 +86,10 @@ def _row(point: Sequence[tuple[Path, Plan]], skip: float) -> StepRow:
     plan = runs[0].plan
     name = f"{plan.method.name} HMC" if plan.ensemble == "hmc" else plan.method.name
     found = {}
-    for key, estimate in ESTIMATES.items():
-        values = [_tried(estimate, run) for run in runs]
-        given = [value for value in values if value is not None]
-        if given:
-            found[key] = properties.pooled(given)
+    for row in ROWS:
+        if row.key in PROPERTIES:
+            given = [value for value in estimated(row, runs).values() if value is not None]
+            if given:
+                found[row.key] = properties.pooled(given)
     time = sum(float(np.ptp(run.log["Time (ps)"])) for run in runs)
     return StepRow(Path(plan.box or plan.out).stem, name, plan.dt, plan.dt / plan.method.forces, len(runs), time, found)
-
-
-def _tried(estimate: Callable[[Run], Estimate | None], run: Run) -> Estimate | None:
-    try:
-        return estimate(run)
-    except properties.TooShortError as error:
-        note(f"{run.plan.out}: {error}")
-        return None

@@ -50,7 +50,7 @@ def _paper(options: argparse.Namespace) -> None:
     elif options.experiment == "water":
         paper.run_phase_point(options.phase_point, options.quick, options.out or Path(), options.seed, REPORT)
     else:
-        raise ValueError(f"--phase-point is one of water's, got {options.experiment}")
+        raise ValueError(f"--phase-point needs the experiment water, got {options.experiment}")
 
 
 # --- comparisons ---

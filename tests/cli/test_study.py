@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.cli import study
 from openmm_sier.cli.ensembles import read_plan
 from openmm_sier.cli.plan import Options, new_plan
-from openmm_sier.cli.properties import Run
+from openmm_sier.cli.properties import ROWS, Run, estimated
 from tests.support.commands import SYSTEMS, complaint, log, run
 
 SHORT = ["--platform", "Reference", "--equilibrate", "0.01", "--every", "0.012", "--report-every", "0.012"]
@@ -31,7 +30,8 @@ def test_the_shipped_plan_has_equal_steps_per_force():
 
 def test_momenta_that_are_drawn_anew_tell_no_diffusion():
     plan = new_plan(Options(Path("box.pdb"), ensemble="hmc"))
-    assert study._diffusion(Run(plan, {}, None, 512, None)) is None
+    (diffusion,) = [row for row in ROWS if row.key == "diffusion"]
+    assert estimated(diffusion, [Run(plan, {}, None, 512, None)]) == {plan.out: None}
 
 
 @pytest.mark.slow

@@ -178,7 +178,7 @@ def runs_of_water(members, place, processes, report):
             for method, order in zip(METHODS, (2, 2, 2, 4), strict=True)
             for step in water_runs.QUICK.steps_of(method, point)
         ]
-        water_runs._keep(runs, place / member.name)
+        water_runs.keep_runs(runs, place / member.name)
 
 
 def test_all_runs_every_experiment(tmp_path, monkeypatch):

@@ -22,8 +22,8 @@ from openmm_sier.studies.paper.methods import FS, METHODS, Method, Progress
 #: Beyond this rms(H)/rms(V) a method has broken down, and longer steps are not tried.
 BROKEN = 1.0
 
-#: Names of phase points begin with these. PME takes longest, and comes first.
-KINDS = {"pme": liquids.PME, "molecular": liquids.MOLECULAR}
+#: Beginnings of the names of phase points. PME takes longest, and comes first.
+PREFIXES = {liquids.PME: "pme", liquids.MOLECULAR: "molecular"}
 
 #: The file of a phase point.
 FILE = "runs.json"
@@ -38,7 +38,7 @@ class PhasePoint(NamedTuple):
     @property
     def name(self) -> str:
         """As in `pme-3`."""
-        return f"{next(name for name, kind in KINDS.items() if kind == self.kind)}-{self.number}"
+        return f"{PREFIXES[self.kind]}-{self.number}"
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,8 @@ class Run(NamedTuple):
 
 
 def phase_points(settings: WaterSettings) -> list[PhasePoint]:
-    """Those of an experiment."""
-    kinds = [kind for kind in KINDS.values() if kind in settings.kinds]
+    """All phase points of an experiment, those first that take longest."""
+    kinds = [kind for kind in PREFIXES if kind in settings.kinds]
     return [PhasePoint(kind, 1 + i) for kind in kinds for i in range(settings.runs)]
 
 
@@ -161,9 +161,11 @@ def make_runs(
         context = _context(box, point.kind, method, settings)
         for step in steps:
             show(f"{method.name}, h/f = {step:g} fs", done / total)
-            run = found.get((method.name, step)) or _run(context, phase, method, step, settings)
+            known = found.get((method.name, step))
+            run = known or _run(context, phase, method, step, settings)
             runs.append(run)
-            _keep(runs, directory)
+            if directory is not None and known is None:
+                keep_runs(runs, directory)
             done += 1 / step
             if run.broke_down:
                 break
@@ -178,9 +180,9 @@ def read_runs(directory: Path | None) -> list[Run]:
     return [Run(method, step, None if found is None else tuple(found)) for method, step, found in rows]
 
 
-def _keep(runs: Sequence[Run], directory: Path | None) -> None:
-    if directory is not None and len(runs) > len(read_runs(directory)):
-        replace_file(directory / FILE, lambda path: path.write_text(json.dumps(runs, indent=1) + "\n"))
+def keep_runs(runs: Sequence[Run], directory: Path) -> None:
+    """Write the runs of a phase point, for `read_runs`."""
+    replace_file(directory / FILE, lambda path: path.write_text(json.dumps(runs, indent=1) + "\n"))
 
 
 def _context(box: start.Box, kind: str, method: Method, settings: WaterSettings) -> openmm.Context:
