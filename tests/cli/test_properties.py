@@ -46,7 +46,7 @@ def test_table_and_figure(runs, tmp_path, capsys):
     for name in ("heat capacity", "dielectric constant", "enthalpy of vaporization", "pair distribution"):
         assert name in out
     # Too short for these, and it says so.
-    assert out.count("1.dcd and 1 more: self-diffusion needs a run of more than 10 ps") == 1
+    assert out.count("1.dcd and 1 more: self-diffusion needs a run of more than 15 ps") == 1
     assert "2.dcd: self-diffusion" not in out
     assert "orientations must lose their correlation" in out
     assert "water, 298.15 K" in out

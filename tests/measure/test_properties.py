@@ -92,14 +92,24 @@ def test_mean_square_displacement_is_that_of_all_pairs():
 
 def test_diffusion_of_brownian_motion():
     rng, D, interval = np.random.default_rng(5), 2.3e-3, 0.2
-    steps = rng.normal(scale=math.sqrt(2 * D * interval), size=(2000, 60, 3))
-    found = properties.self_diffusion(steps.cumsum(axis=0), interval)
-    assert agrees(found, 2.3)
-    assert found.error < 0.1
+    steps = rng.normal(scale=math.sqrt(2 * D * interval), size=(30, 200, 60, 3))
+    found = [properties.self_diffusion(run.cumsum(axis=0), interval) for run in steps]
+    values, errors = np.array(found).T
+    # 30 runs scatter by the error that each tells of itself, to 13 % by chance and as much again by its estimate.
+    assert errors.mean() == pytest.approx(values.std(ddof=1), rel=0.4)
+    assert agrees(Estimate(values.mean(), errors.mean() / math.sqrt(30)), 2.3)
+    # A cage that all molecules rattle in adds a constant to later displacements, and nothing to the slope.
+    rattling = steps[0].cumsum(axis=0) + rng.normal(scale=0.05, size=steps[0].shape)
+    assert agrees(properties.self_diffusion(rattling, interval), 2.3)
+
+
+def test_diffusion_of_too_short_a_run_or_of_rare_frames():
     with pytest.raises(
-        properties.TooShortError, match=r"a run of more than 10 ps .*, got 8 ps with frames 0.2 ps apart"
+        properties.TooShortError, match=r"more than 15 ps with frames 1 ps apart or less, got 8 ps .* 0.2 ps apart"
     ):
-        properties.self_diffusion(steps[:40].cumsum(axis=0), interval)
+        properties.self_diffusion(np.zeros((40, 3, 3)), 0.2)
+    with pytest.raises(properties.TooShortError, match=r"got 80 ps with frames 2 ps apart"):
+        properties.self_diffusion(np.zeros((40, 3, 3)), 2.0)
 
 
 def test_correction_for_the_size_of_the_box():
