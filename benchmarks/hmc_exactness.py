@@ -2,7 +2,7 @@
 
 Points in harmonic wells, momenta drawn anew and in part, and rigid dipoles in a field with the volume of an ideal gas
 of them: means and variances over many trials beside the exact values, in units of their standard errors. Nearly all of
-the time goes to Python's calls, so that fewer bodies would save nothing.
+the time goes to Python's calls, so fewer bodies would save nothing.
 
     python benchmarks/hmc_exactness.py [TRIALS] [--processes N]     100000 if not given: 7 minutes of one core in all
 """
@@ -26,12 +26,12 @@ from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from openmm_sier.measure.statistics import mean_and_error
 from tests.support.trials import KT, Chain, Dipoles, Wells, whole_trial
 
-#: Means of blocks from which standard errors are taken; blocks are thousands of trials long.
+#: Number of blocks from whose means standard errors are taken; blocks are thousands of trials long.
 BLOCKS = 50
 
 
 class Series(NamedTuple):
-    """Values of an observable, one a trial, and the exact mean."""
+    """Values of an observable, one per trial, and the exact mean."""
 
     name: str
     values: list[float]
@@ -67,7 +67,7 @@ def dipoles(trials: int, field: float, h: float) -> str:
     """Rigid dipoles in a field in kT, at constant pressure."""
     model, n = Dipoles(12), 12
     model.FIELD = field
-    # Drifts are so long that the exact map takes eight times as long; this one reverses and keeps the volume too.
+    # Drifts are so long that the exact map takes eight times as long; MRDL is also reversible and keeps the volume.
     chain = Chain(model, SIER4G, h, (1,), rotation=mrdl, seed=round(field))
     move = MonteCarloVolumeMove(KT, 1, chain.bath).operator(model.bodies, [range(3 * i, 3 * i + 3) for i in range(n)])
     step, state, volume = chain.step, model.start(), float(n)

@@ -3,7 +3,7 @@
     python benchmarks/hmc_liquid.py run hmc --step 2 --time 400 --out hmc-2.npz
     python benchmarks/hmc_liquid.py run sier2 --step 4 --time 400 --out sier2-4.npz
     python benchmarks/hmc_liquid.py run langevin --step 0.25 --time 400 --out langevin-0.25.npz
-    python benchmarks/hmc_liquid.py table *.npz        runs with several seeds are put together
+    python benchmarks/hmc_liquid.py table *.npz        runs with several seeds are pooled
 
 Steps are in fs for each force evaluation. `hmc` and `sier4g` make steps of SIER4G, `langevin` is OpenMM's
 LangevinMiddleIntegrator with its MonteCarloBarostat. All have the same System: PME with a cut-off of 0.7 nm, so that
@@ -29,7 +29,7 @@ from openmm_sier.measure.starts import make_context
 SYSTEMS = Path(__file__).parent.parent / "systems"
 TEMPERATURE, CUTOFF, TOLERANCE = 297.0, 0.7, 1e-4
 
-#: ps: from one sample to the next, the length of a trial, what is left out at the beginning.
+#: ps: from one sample to the next, which is the length of a trial; what is left out at the beginning.
 EVERY, SETTLING = 0.12, 10.0
 
 #: g/cm3 in daltons per nm3.
@@ -66,7 +66,7 @@ def integrator_of(options: argparse.Namespace, system: openmm.System) -> tuple[o
 
 
 def run(options: argparse.Namespace) -> None:
-    """One run; everything so far is kept every 2 ps."""
+    """One run; results so far are saved every 2 ps."""
     pdb, system = water()
     bodies = RigidBodies.from_system(system, pdb.topology)
     nonbonded = next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
@@ -107,12 +107,12 @@ def mean(series: list[np.ndarray]) -> tuple[float, float]:
 
 
 def inefficiency(series: list[np.ndarray]) -> float:
-    """Samples for an independent one, averaged over the runs by their lengths."""
+    """Samples per independent sample, averaged over the runs by their lengths."""
     return float(np.average([statistical_inefficiency(x) for x in series], weights=[len(x) for x in series]))
 
 
 def table(options: argparse.Namespace) -> None:
-    """A row for each method and step; runs that differ in their seeds are put together."""
+    """A row for each method and step; runs that differ in their seeds are pooled."""
     runs: dict[tuple[str, float], list[dict[str, np.ndarray]]] = {}
     for path in options.files:
         with np.load(path) as data:

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Ensembles whose workers are killed at random, beside an undisturbed serial run: files must be the same to the byte.
+"""Ensembles whose workers are killed at random, beside an undisturbed serial run: files must be identical.
 
     python benchmarks/kill_ensemble.py [--members 24] [--kills 10] [--on pool dask] [--out DIR] [--time 0.4]
         [--throughput]
 
-The undisturbed run is one process after the other, with one thread of OpenMM each. `--throughput` runs the members on
-two processes without kills too, and one after the other with all threads of the machine, whose files may differ in last
-bits. Then the same members run on two processes of this machine, and on two workers of a dask LocalCluster, while every
-few seconds a member's process, or a whole worker of dask, is killed.
+The undisturbed run is one process after another, with one thread of OpenMM each. `--throughput` also runs the members
+without kills on two processes, and one after another with all threads of the machine, whose files may differ in the
+last bits. Then the same members run on two processes of this machine, and on two workers of a dask LocalCluster, while
+every few seconds a member's process, or a whole worker of dask, is killed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def processes_in(place: Path) -> list[int]:
 
 
 class Killer:
-    """Kills something at random moments until it has done so often enough."""
+    """Kills processes at random moments until it has done so often enough."""
 
     def __init__(self, victims: Callable[[], list[int]], kills: int, seed: int):
         self._victims, self._kills, self._random = victims, kills, random.Random(seed)

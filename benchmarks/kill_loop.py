@@ -2,10 +2,10 @@
 
     python benchmarks/kill_loop.py [--kills N] [--suffix .dcd] [--ensemble npt] [--signals KILL TERM] [--directory DIR]
 
-At the end the trajectory must have every frame once, in order, and be that of a run that nothing disturbed, as must the
-log and the body states: byte for byte for .dcd (but for its date), .xtc and .csv files, number by number for .h5. A
-signal that can be handled must leave its exit code and, after the first step, a checkpoint of the step that the message
-names. The status is 1 if not.
+At the end the trajectory must have every frame once, in order. Trajectory, log and body states must be those of an
+undisturbed run: byte for byte for .dcd, .xtc and .csv files, number by number for .h5. A signal that can be handled
+must give its exit code and, after the first step, leave a checkpoint of the step that the message names. The status is 1 if
+not.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
 #: something is written.
 EVERY, ROWS, BODIES, CHECKPOINTS = 4, 6, 5, 10
 
-#: The command, with the signals handled as where a terminal starts it: a script's background jobs ignore SIGINT.
+#: The command, with signals handled as when a terminal starts it, since background jobs of a script ignore SIGINT.
 LAUNCH = """
 import signal, sys
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -49,20 +49,17 @@ PLAN = ["--scheme", "sier2", "--dt", "1", "--equilibrate", "0.05"]
 PLAN += ["--every", "0.004", "--report-every", "0.006", "--checkpoint-every", "0.01"]
 PLAN += ["--bodies-every", "0.005"]
 
-#: Signals by the names that `kill` has for them.
+#: Signals by the names that `kill` uses.
 SIGNALS = ("KILL", "TERM", "INT", "HUP")
 
-#: Longest times in seconds to a kill: from the start of the program, which one kill in so many is counted from, and
-#: from the first checkpoint.
+#: Longest times in seconds to a kill. One kill in `ONE_IN` comes within `EARLY` of the start of the program, all others
+#: within `LATE` of the first checkpoint.
 EARLY, ONE_IN, LATE = 4.0, 4, 0.4
 
 #: Seconds in which a run has to end after a signal. Steps take a few ms.
 PATIENCE = 60.0
 
-#: Bytes of a DCD file that hold the time of its creation, among others.
-TITLE = slice(92, 264)
-
-#: More steps than any of these runs comes to.
+#: More steps than any of these runs reaches.
 ENDLESS = 100_000_000
 
 
@@ -100,7 +97,7 @@ def killed_at(directory: Path, out: str, rng, early: bool, ensemble: str, name: 
     """Start or continue the endless run and end it by a signal.
 
     Raises:
-        Lost: the run ended by itself, or did not end as the signal says.
+        Lost: the run ended by itself, or did not end as the signal demands.
     """
     number = getattr(signal, f"SIG{name}")
     checkpoint = (directory / out).with_suffix(".chk")
@@ -119,7 +116,7 @@ def killed_at(directory: Path, out: str, rng, early: bool, ensemble: str, name: 
         process.kill()
         raise Lost(f"SIG{name} did not end the run within {PATIENCE:g} s") from None
     message = (directory / "said.txt").read_text()
-    # A signal that comes before the command handles it ends Python as it ends any program; Ctrl-C is said by `main`.
+    # A signal that comes before the command handles it ends Python like any program; `main` reports Ctrl-C.
     if number == signal.SIGKILL or (early and (code == -number or "interrupted" in message)):
         return
     if code != 128 + number or f"stopped by SIG{name}" not in message:
@@ -134,7 +131,7 @@ def _changed(path: Path) -> int:
 
 
 def trace(directory: Path, out: str) -> dict[str, int]:
-    """What a kill left: steps of the checkpoint, and what had been written after it or was being written."""
+    """What a kill left: whether files had grown since the checkpoint, and whether one was being written."""
     checkpoint = (directory / out).with_suffix(".chk")
     if not checkpoint.exists():
         return {"before the first checkpoint": 1}
@@ -152,7 +149,7 @@ def last_step(directory: Path, out: str) -> int:
 
 
 def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:
-    """Run to a step without a disturbance."""
+    """Run to a step undisturbed."""
     line = command(directory, out, steps, ensemble)
     done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -160,7 +157,7 @@ def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:
 
 
 def compare(directory: Path, one: str, two: str, steps: int) -> int:
-    """Demand that two runs left the same, and all of it; the number of frames.
+    """Check that two runs left the same complete files; returns the number of frames.
 
     Raises:
         Lost: naming what differs.
@@ -172,7 +169,7 @@ def compare(directory: Path, one: str, two: str, steps: int) -> int:
         raise Lost(f"{one} has {trajectories[0].n_frames} frames, expected {steps // EVERY}")
     if not np.array_equal(trajectories[0].xyz, trajectories[1].xyz):
         raise Lost(f"the frames of {one} are not those of {two}")
-    if not one.endswith(".h5") and _content(directory / one) != _content(directory / two):
+    if not one.endswith(".h5") and (directory / one).read_bytes() != (directory / two).read_bytes():
         raise Lost(f"{one} and {two} differ, though their coordinates are the same")
     if logs[0] != logs[1] or logs[0].count(b"\n") != steps // ROWS + 2:
         raise Lost(f"the log of {one} is not that of {two}, or not all of it")
@@ -190,28 +187,21 @@ def _datasets(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def _content(path: Path) -> bytes:
-    content = bytearray(path.read_bytes())
-    if path.suffix == ".dcd":
-        del content[TITLE]
-    return bytes(content)
-
-
 def kill_loop(
     directory: Path, suffix: str, kills: int, ensemble: str = "npt", seed: int = 1, signals: Sequence[str] = SIGNALS
 ) -> Counter:
-    """Kill and continue a run, then compare it with one that was let alone.
+    """Kill and continue a run, then compare it with an undisturbed one.
 
     Args:
         directory: where the files go.
         suffix: of the trajectory.
         kills: how many.
         ensemble: nve, nvt or npt.
-        seed: of the moments.
+        seed: of the moments of the kills.
         signals: names, which take turns.
 
     Returns:
-        Numbers of steps, frames and kills, by what they met.
+        Numbers of steps and frames, and of kills by their signal and by what they met.
 
     Raises:
         Lost: something did not survive.
@@ -219,7 +209,7 @@ def kill_loop(
     write_box(directory / "box.pdb")
     rng, out, met = np.random.default_rng(seed), f"killed{suffix}", Counter(kills=kills)
     for number in range(kills):
-        # One more than the turns of early kills, so that these meet all signals.
+        # Shifted by one in every `ONE_IN` kills, so that early kills meet all signals.
         name = signals[(number + number // ONE_IN) % len(signals)]
         killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, ensemble, name)
         met[f"by SIG{name}"] += 1

@@ -10,7 +10,7 @@
     python benchmarks/molecules.py dihedrals valine.pdb --time 1000 --settle 20 --every 60 --temperature 400 \\
         --platform Reference
 
-Steps are in fs for each force evaluation; `dihedrals` compares SIER4G at 2 fs with LangevinMiddle at 0.5 fs. Bonds of
+Steps are in fs for each force evaluation; `dihedrals` compares SIER4G at 2 fs with LangevinMiddle at 0.5 fs. Bonds to
 hydrogen are constrained, PME is balanced (`--tolerance` is its ewaldErrorTolerance), and bonded forces act within the
 drifts (`--kicks` leaves them in the kicks).
 """
@@ -36,7 +36,7 @@ from openmm_sier.measure.sampling import body_state
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import block_means, mean_and_error
 
-#: Bins of a dihedral's distribution, and the blocks that its errors are from.
+#: Bins of a dihedral's distribution, and blocks from which its errors are taken.
 BINS, BLOCKS = 24, 40
 
 

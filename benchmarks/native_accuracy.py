@@ -3,9 +3,9 @@
     python benchmarks/native_accuracy.py [--box systems/tip3p-512.pdb | systems/peptide.pdb | co2] [--time 0.3]
         [--schemes sier4g ...] [--substeps 2 3 5] [--fs 1 2] [--on CPU OpenCL:double OpenCL:mixed] [--molecules 64]
 
-prints one line a run: the exact engine's on the CPU first, then the native engine's with the ratio of both. All runs of
-a box start from one phase point. The step is `--fs` times the force evaluations of the scheme. `--molecules` takes that
-many of the box, in a smaller one of the same density, for slow platforms.
+prints one line per run: the exact engine's on the CPU first, then the native engine's with the ratio of both. All runs
+of a box start from one phase point. The step is `--fs` times the force evaluations of the scheme. `--molecules` takes
+that many molecules of the box, in a smaller box of the same density, for slow platforms.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
 
 TEMPERATURE, SEED = 297.0, 7
 
-#: Steps of 2 fs before the runs, and of 1 fs in a strong bath before those where molecules were set on a lattice.
+#: Steps of 2 fs before the runs, and of 1 fs in a strong bath before those of boxes that are set up here.
 EQUILIBRATION, MELTING = 1000, 2000
 
 #: ps between two energies.
@@ -128,7 +128,7 @@ def start(path: str, molecules: int | None, tolerance: float = 1e-5) -> tuple[op
 
 
 def context_on(place: str, system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
-    """A Context on a place: a platform, and after a colon its precision."""
+    """A Context on `place`: a platform, and after a colon its precision."""
     name, _, precision = place.partition(":")
     properties = {"Precision": precision} if precision else {}
     return openmm.Context(system, integrator, openmm.Platform.getPlatformByName(name), properties)

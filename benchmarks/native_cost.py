@@ -3,7 +3,7 @@
     python benchmarks/native_cost.py [--box systems/tip3p-512.pdb] [--on CPU] [--rounds 20]
 
 Both take turns of 12 force evaluations in one process; ratios are those within a round, shown as their median and its
-standard error. Times are those that the process had a processor, so that other work on the machine counts little.
+standard error. Times are processor times of the process, so other work on the machine counts little.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STEP, EVALUATIONS = 0.002, 12
 
 
 def in_turns(actions: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
-    """Seconds of processor time that each action took in each round; one round before is not counted."""
+    """Seconds of processor time that each action took in each round; a first round is not counted."""
     times: dict[str, list[float]] = {name: [] for name in actions}
     for number in range(rounds + 1):
         for name, action in actions.items():

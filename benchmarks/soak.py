@@ -2,8 +2,8 @@
 
     python benchmarks/soak.py [--steps N] [--platform NAME] [--out FILE]
 
-prints a table and writes the same figures as JSON. The run is looked at from time to time; of what must stay small the
-table has the largest value seen.
+prints a table and writes the same figures as JSON. The run is checked from time to time; for quantities that must stay
+small, the table has the largest value seen.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from openmm_sier.measure.statistics import mean_and_error
 
 SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
 
-#: How often the run is looked at, steps between two energies, and ps of equilibration.
+#: How often the run is checked, steps between two energies, and ps of equilibration.
 LOOKS, EVERY, EQUILIBRATION = 20, 500, 20.0
 
 
@@ -38,7 +38,7 @@ def water(molecules: int, temperature: float, seed: int):
     """System and positions of a cubic box of TIP3P water on a lattice, at its density.
 
     The reaction field of a conductor and a switched Lennard-Jones potential leave no step at the cut-off, neither in
-    the energy nor in the forces: what drifts is the integrator.
+    the energy nor in the forces, so any drift is the integrator's.
     """
     make = _program(SYSTEMS / "make.py")
     forcefield = forcefields.load(["tip3p.xml"], SYSTEMS)
@@ -80,14 +80,14 @@ def deformation(positions, bodies: RigidBodies) -> float:
 
 
 def memory() -> float:
-    """Resident memory of this process in MiB; NaN where /proc does not tell."""
+    """Resident memory of this process in MiB; NaN where /proc does not have it."""
     status = Path("/proc/self/status")
     lines = status.read_text().splitlines() if status.exists() else []
     return next((int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS")), float("nan"))
 
 
 def look(context) -> dict[str, float]:
-    """What the Context and its bodies are like now."""
+    """The present figures of the Context and its bodies."""
     integrator = context.getIntegrator()
     bodies, state = integrator.bodies, integrator.getBodyState()
     positions = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
@@ -104,8 +104,8 @@ def look(context) -> dict[str, float]:
 def drift(parts: list[sampling.Series]) -> tuple[float, float]:
     """Slope of the total energy in kJ/mol/ps and its standard error.
 
-    The mean of the changes from each part of the run to the next, and the error of that mean: forces in single
-    precision let the energy walk at random, and the scatter about a straight line would make the slope look too sure.
+    It is the mean of the changes from each part of the run to the next, with the error of that mean: forces in single
+    precision let the energy walk at random, and the scatter about a straight line would make the error too small.
     """
     time, total = np.array([[part.time.mean(), part.total.mean()] for part in parts]).T
     return mean_and_error(np.diff(total) / np.diff(time))

@@ -1,4 +1,4 @@
-"""Which runs of water physical_validation passes, and which it finds out: SIER4G and hybrid Monte Carlo, and SIER2.
+"""Runs of water that physical_validation should pass, by SIER4G and hybrid Monte Carlo, and should fail, by SIER2.
 
     python benchmarks/validate_water.py --out DIR --time 150
 

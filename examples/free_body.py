@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """A body that tumbles freely: turned about its middle axis it flips over, again and again, as T-handles do in orbit.
 
-Only the exact free rotation is used, no OpenMM. The step may have any length: one step across the whole time ends where
-many do.
+Only the exact free rotation is used, without OpenMM. The step may have any length: one step over the whole time ends
+where many short steps do.
 """
 
 import argparse

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""From a PDB file to a trajectory, step by step: salt water, with the force field of the ions from XML of one's own."""
+"""From a PDB file to a trajectory, step by step: salt water, with the force field of the ions from your own XML."""
 
 import argparse
 from io import StringIO
@@ -45,9 +45,9 @@ system = forcefield.createSystem(
     ewaldErrorTolerance=1e-5,
     rigidWater=True,
 )
-balance_pme(system)  # forces five to eight times as exact and less of a step at the cut-off, as fast as before
+balance_pme(system)  # forces five to eight times as exact and a smaller step at the cut-off, as fast as before
 
-# The integrator finds the bodies by itself; here one can see them.
+# The integrator finds the bodies by itself; here it gets them, so that they can be shown.
 bodies = RigidBodies.from_system(system, modeller.topology)
 for species in bodies.species:
     name = list(modeller.topology.atoms())[species.atoms[0, 0]].residue.name

@@ -27,10 +27,10 @@ system = forcefield.createSystem(
     ewaldErrorTolerance=1e-5,
     rigidWater=True,
 )
-balance_pme(system)  # forces five to eight times as exact and less of a step at the cut-off, as fast as before
+balance_pme(system)  # forces five to eight times as exact and a smaller step at the cut-off, as fast as before
 
 # integrator = VerletIntegrator(1 * femtosecond)
-integrator = SIER4Integrator(4 * femtosecond)  # as many force evaluations a ps as the line above
+integrator = SIER4Integrator(4 * femtosecond)  # as many force evaluations per ps as the line above
 
 simulation = Simulation(pdb.topology, system, integrator)
 simulation.context.setPositions(pdb.positions)

@@ -15,15 +15,16 @@ from openmm_sier.dynamics.bodies import RigidBodies
 
 SUFFIX = ".h5"
 
-#: Bytes that are converted at a time.
+#: Bytes converted at a time.
 CHUNK_BYTES = 2**24
 
 
 class BodyStates(records.GrowingFile):
-    """An HDF5 file as `openmm_sier.context.body_states` describes it, of centres that are continuous paths.
+    """An HDF5 file in the layout of `openmm_sier.context.body_states`, whose centres follow continuous paths.
 
-    An HDF5 file that is cut off while being written is lost, so that the frames are kept in a plain file beside it
-    until the run ends. Both have all bits of the numbers: a finished file is taken apart again to be continued.
+    An HDF5 file that is cut off while being written is lost, so the frames are kept in a plain file beside it until
+    the run ends. Both hold every bit of the numbers, so a finished file can be turned back into a plain one and
+    continued.
     """
 
     def __init__(self, path: Path, bodies: RigidBodies, periodic: bool, size: int = 0, count: int = 0):
@@ -33,11 +34,11 @@ class BodyStates(records.GrowingFile):
             bodies: the rigid bodies.
             periodic: whether there is a box.
             size: bytes of the plain file to keep.
-            count: frames among them.
+            count: frames in these bytes.
 
         Raises:
             RecordError: the file to continue is missing, or too short.
-            ValueError: it has another layout, or is of other bodies.
+            ValueError: it has another layout, or holds other bodies.
         """
         self.target, self._bodies, self._periodic = path, bodies, periodic
         shapes = frame_shapes(bodies.n, periodic).items()
@@ -108,7 +109,7 @@ class BodyStates(records.GrowingFile):
 
     @staticmethod
     def check(path: Path) -> None:
-        """Refuse a name or an installation that no such file can have.
+        """Check that such a file can be written: its name, and the packages that it needs.
 
         Raises:
             RecordError: the name does not end in .h5.

@@ -21,13 +21,13 @@ from openmm_sier.measure.report import Advance, Table
 PS_PER_NS = 1000.0
 SECONDS_PER_DAY = 86400.0
 
-#: Seconds to the first line about progress where there is no terminal.
+#: Seconds until the first line about progress where there is no terminal.
 LINE_AFTER = 30.0
 
 
 @contextmanager
 def _standard_output() -> Iterator[None]:
-    """Make errors of writing name standard output, for example when it goes to a full disk."""
+    """Make write errors name standard output, for example when it goes to a full disk."""
     try:
         yield
     except OSError as error:
@@ -47,7 +47,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
         made.add_column(heading, justify="left" if i < left else "right", overflow="fold")
     for row in rows:
         made.add_row(*row)
-    # Lines are as long as they have to be where they go to a file.
+    # In a file, lines are as long as they need to be.
     with _standard_output():
         Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 
@@ -72,10 +72,10 @@ class _Rate(ProgressColumn):
 
 
 class ProgressBar(AbstractContextManager[Advance]):
-    """A progress bar on standard error, or lines now and then where that is no terminal.
+    """A progress bar on standard error, or occasional lines where that is not a terminal.
 
-    A context manager, whose value is a function of how much has been done in all, and of a new description if wanted.
-    A terminal that has been closed stops nothing.
+    A context manager. Its value is a function that takes how much has been done in all and, optionally, a new
+    description. A closed terminal does not stop the program.
     """
 
     def __init__(self, description: str, total: float = 1.0, ps: float | None = None, done: int = 0):
@@ -110,7 +110,7 @@ class ProgressBar(AbstractContextManager[Advance]):
 
 
 class _Lines:
-    """Lines about how much has been done: the first after `LINE_AFTER` s, then fewer, but one every ten minutes."""
+    """Lines about progress: the first after `LINE_AFTER` s, then less often, but at least every ten minutes."""
 
     def __init__(self, description: str, total: float, ps: float | None, begun_at: float):
         self._description, self._total, self._ps, self._begun_at = description, total, ps, begun_at
@@ -148,5 +148,5 @@ REPORT = ConsoleReport()
 
 
 def clock() -> float:
-    """Seconds, for differences."""
+    """Time in seconds, of which only differences mean anything."""
     return time.perf_counter()

@@ -11,8 +11,8 @@ A plan names a command, the options that all members share, and the values of th
     scheme = ["sier2", "sier4g"]
     seed = [1, 2, 3]
 
-Members are all combinations, here twelve. Several tables [[members]] add up, as methods with steps of their own. Files
-are looked for beside the plan, among the project's own boxes, and then as they are named.
+Members are all combinations, here twelve. Several tables [[members]] add up, for example for methods that each have
+their own steps. Files are looked for beside the plan, then among the project's own boxes, then under the given path.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ else:
 #: Tables and keys of a plan.
 KEYS = ("command", "options", "members")
 
-#: Commands whose members an ensemble may have, each with a run that can be repeated to the byte.
+#: Commands that members of an ensemble may execute. Repeating one gives the same bytes.
 COMMANDS = ("run", "equipartition", "schemes", "acceptance", "paper")
 
-#: Positional arguments, in place of options.
+#: Keys that are positional arguments, not options.
 POSITIONAL = ("box", "experiment")
 
 #: Options that the ensemble itself sets.
@@ -49,13 +49,13 @@ TAKEN = ("out", "restart", "overwrite")
 
 
 class PlanError(ValueError):
-    """A plan says something that no ensemble can be made of."""
+    """No ensemble can be made from a plan."""
 
 
 def run(
     plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, only_list: bool
 ) -> None:
-    """Carry out `openmm-sier ensemble`.
+    """Run `openmm-sier ensemble`.
 
     Raises:
         PlanError, EnsembleError, OSError: as their messages say.
@@ -90,7 +90,7 @@ def _workers(address: str) -> Executor:
     except ModuleNotFoundError as error:
         message = "--scheduler needs dask.distributed; install it with: pip install 'openmm-sier[cluster]'"
         raise ModuleNotFoundError(message) from error
-    # A member is no function of its arguments alone: what is there of it counts.
+    # The result of a member does not depend on its arguments alone, but also on the files that it already has.
     return Client(address).get_executor(pure=False)
 
 
@@ -101,7 +101,7 @@ def read_plan(path: Path) -> list[Member]:
     """The members of a plan.
 
     Raises:
-        PlanError: an option is unknown, has a wrong value, or is the ensemble's own.
+        PlanError: an option is unknown, has a wrong value, or is set by the ensemble itself.
         OSError: the file cannot be read.
     """
     try:
@@ -144,7 +144,7 @@ def _member(path: Path, command: str, options: Mapping[str, Any], varied: list[s
         if key not in POSITIONAL:
             arguments += _option(path, key, value)
     settings = _parsed(path, arguments)
-    # The command line takes options by their first letters, but a plan is kept and read again.
+    # The command line accepts abbreviated options, but a plan is kept and read again.
     if short := [key for key in options if key.replace("-", "_") not in vars(settings)]:
         raise PlanError(f"{path}: {command} has no option {', '.join(short)}")
     name = "-".join(_label(key, options[key]) for key in varied) or command
@@ -179,7 +179,7 @@ def _parsed(path: Path, arguments: list[str]) -> argparse.Namespace:
 
 
 def _label(key: str, value: Any) -> str:
-    """A part of a member's name: what varies, in letters that every file system takes."""
+    """A part of a member's name: what varies, in characters that every file system accepts."""
     text = Path(value).stem if isinstance(value, str) else str(value)
     text = "".join(c if c.isalnum() or c in "._" else "_" for c in text)
     return text if key in (*POSITIONAL, "scheme", "ensemble") else f"{key}{text}"

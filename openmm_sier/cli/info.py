@@ -27,7 +27,7 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
 
     Args:
         box: as `forcefields.read_box` gives it.
-        rigid: names of residues that are rigid bodies, of the geometry that they have in the PDB file.
+        rigid: names of residues to be held rigid, in the geometry that they have in the PDB file.
 
     Raises:
         RigidityError: constraints make no rigid bodies, or a named residue cannot be one.

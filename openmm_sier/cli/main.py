@@ -20,10 +20,10 @@ from openmm_sier.version import __version__
 if TYPE_CHECKING:
     from openmm_sier.cli.parser import Commands
 
-#: The keys of `measure.forcefields.CONSTRAINTS`, which are here without OpenMM.
+#: The keys of `measure.forcefields.CONSTRAINTS`, repeated here so that OpenMM is not imported.
 CONSTRAINTS = ("none", "hbonds", "allbonds", "hangles")
 
-#: Exit codes; further ones are an error's own `exit_code`, and 128 + n after signal n.
+#: Exit codes. An error may have its own `exit_code`, and after signal n the code is 128 + n.
 FAILED, MISUSED, SIGNALLED = 1, 2, 128
 
 EXIT_CODES = """exit codes:
@@ -31,7 +31,7 @@ EXIT_CODES = """exit codes:
   1    an error, in one line on standard error
   2    wrong arguments
   3    energy or temperature ran away, for example because the step is too long. The last good checkpoint is kept
-  4    nothing is left of the run that --restart is to go on with
+  4    the run that --restart should continue is already complete
   129, 130, 143
        ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,
        and --restart goes on. A second signal ends the run at once
@@ -40,7 +40,7 @@ EXIT_CODES = """exit codes:
 RIGID_HELP = "names of residues, besides water, to be held rigid in the geometry that they have in the PDB file"
 
 CONSTRAINTS_HELP = (
-    "constraints besides those of water: of bonds of hydrogen, of all bonds, or of bonds and angles of hydrogens "
+    "constraints besides those of water: of bonds to hydrogen, of all bonds, or of bonds and angles of hydrogens "
     "(default: none)"
 )
 
@@ -55,7 +55,7 @@ STEP_HELP = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Carry out a command line; returns the exit code."""
+    """Execute a command line and return the exit code."""
     try:
         options = build_parser().parse_args(arguments)
     except UsageError as error:
@@ -72,7 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
         streams.complain(str(stop) or "interrupted")
         return SIGNALLED + getattr(stop, "signum", signal.SIGINT)
     except BrokenPipeError:
-        # The reader of our output has gone, as `head` does: there is nobody to tell.
+        # Whatever read our output has ended, as `head` does: there is nobody to tell.
         streams.discard(sys.stdout)
         streams.discard(sys.stderr)
         return FAILED

@@ -1,9 +1,9 @@
 """A member of an ensemble in a process of its own: `python -m openmm_sier.cli.member COMMAND ...`.
 
-The arguments are a command line of `openmm-sier`, which is executed in the current directory, and goes on from where an
-earlier process was when it ended. The process ends where its standard input does: so it does not outlive the one that
-started it. Other signals than SIGKILL are ignored: a run that they stop writes a checkpoint at once, and on the CPU
-platform a checkpoint at another step than those of the undisturbed run changes the last bits of what follows.
+The arguments are a command line of `openmm-sier`. It is executed in the current directory, and goes on from where an
+earlier process ended. The process ends when its standard input does, so that it does not outlive the one that started
+it. Signals other than SIGKILL are ignored. They would make a run write a checkpoint at once, and on the CPU platform a
+checkpoint at a step where the undisturbed run has none changes the last bits of what follows.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.cli.stopping import SIGNALS
 from openmm_sier.measure.ensemble import COMPLETE
 
-#: Files of a member: the lock that one process holds, and what it is.
+#: Files of a member, which are the lock, held by one process at a time, and the arguments that identify the member.
 LOCK, NOTES = "lock", "member.json"
 
 #: Names of the files of a run.
 TRAJECTORY, CHECKPOINT = "run.dcd", "run.chk"
 
-#: Options of `openmm-sier run` that may change in a member: it goes on to its new length.
+#: Options of `openmm-sier run` that may change between calls. The member goes on to its new length.
 LENGTHS = ("--time", "--steps")
 
-#: Exit code for a directory that has another member.
+#: Exit code for a directory that holds another member.
 FAILED = 1
 
 
 def execute(arguments: list[str]) -> int:
-    """Do what is left of a member in the current directory; returns the exit code."""
-    # Two workers may have one member where a scheduler took the first for dead: the second waits.
+    """Finish the member in the current directory and return the exit code."""
+    # Two workers may get the same member if a scheduler believes the first one dead: the second then waits.
     with FileLock(LOCK):
         if _read(COMPLETE) == arguments:
             return 0
@@ -84,8 +84,8 @@ def _write(path: str, content: list[str]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its standard input ends; its files are good at any moment."""
-    # Not through sys.stdin, whose lock the interpreter would want when it ends.
+    """End this process when its standard input ends; its files are valid at any moment."""
+    # Not through sys.stdin, whose lock the interpreter needs when it exits.
     while os.read(0, 1024):
         pass
     os._exit(128 + signal.SIGTERM)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 
-#: The default method, whose scheme is that of our integrators too.
+#: The default method. Its scheme is also the default of this package's integrators.
 RECOMMENDED = "sier4g"
 
 #: Steps in fs that the README recommends for rigid water, by scheme. They are the default steps.
@@ -20,12 +20,12 @@ class Method:
     Attributes:
         name: for titles and messages.
         order: of its energy error in the step.
-        forces: evaluations a step.
+        forces: evaluations per step.
         usual_step: for rigid water, fs.
         ensembles: in which it can run, the default first.
         scheme: of this package's integrators; None where the integrator is one of OpenMM's own.
-        leapfrog: whether velocities are those half a step before positions.
-        bath: that keeps the temperature with one of OpenMM's own.
+        leapfrog: whether velocities are half a step behind positions.
+        bath: OpenMM's heat bath, for messages; empty for the schemes of this package.
     """
 
     name: str
@@ -43,13 +43,13 @@ class Method:
         return f"{bath}, MonteCarloBarostat" if bath and ensemble == "npt" else bath
 
 
-#: By the names that `--scheme` takes.
+#: Methods by the names that `--scheme` takes.
 METHODS = {
     key: Method(
         scheme.name,
         scheme.order,
         scheme.force_evaluations,
-        # 1 fs for each force evaluation where the README names none.
+        # 1 fs for each force evaluation where the README recommends no step.
         USUAL_STEPS.get(key, float(scheme.force_evaluations)),
         scheme=scheme,
     )

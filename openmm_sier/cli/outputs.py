@@ -1,4 +1,4 @@
-"""The output files of a run: their paths, checks before they are written, and the steps at which they are."""
+"""The output files of a run: their paths, checks before they are written, and the steps at which they are due."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def check_outputs(paths: Mapping[str, Path], inputs: Iterable[Path], existing: s
     """Refuse outputs that cannot be written, and any that would destroy an input or another output.
 
     Args:
-        paths: of `output_paths`.
+        paths: as `output_paths` gives them.
         inputs: files that are read.
         existing: what to do with outputs that exist: "refuse", "replace", or "continue".
 
@@ -76,7 +76,7 @@ def check_outputs(paths: Mapping[str, Path], inputs: Iterable[Path], existing: s
 
 
 def same_file(one: Path, two: Path) -> bool:
-    """Whether two names are those of one file, through symbolic or hard links too; neither has to exist."""
+    """Whether two names lead to the same file, also through symbolic or hard links; neither has to exist."""
     try:
         return os.path.samefile(one, two)
     except OSError:
@@ -87,7 +87,7 @@ def _check_writable(path: Path, existing: str) -> None:
     if path.is_dir():
         raise RunError(f"{path} is a directory, expected the name of a file")
     if os.path.lexists(path):
-        # A device, say: /dev/null would be replaced by a file.
+        # For example a device: /dev/null would be replaced by a file.
         if path.exists() and not path.is_file():
             raise RunError(f"{path} is no regular file")
         if existing == "refuse":
@@ -104,7 +104,7 @@ def _check_writable(path: Path, existing: str) -> None:
 
 
 class Outputs:
-    """Trajectory, log, body states and checkpoint of a run, new or cut back to what a checkpoint notes.
+    """Trajectory, log, body states and checkpoint of a run, new or cut back to the lengths that a checkpoint notes.
 
     Attributes:
         checkpoint: its path.
@@ -125,7 +125,7 @@ class Outputs:
             plan: of the run.
             box: what is simulated.
             bodies: its rigid bodies.
-            checkpoint: path of it.
+            checkpoint: its path.
             notes: of the checkpoint that is continued; empty for a new run.
             columns: of the log.
         """
@@ -165,12 +165,12 @@ class Outputs:
         values: Mapping[str, float] | None,
         start_energy: float | None,
     ) -> None:
-        """Write what is due; the checkpoint last, since it notes the lengths of the others.
+        """Write the files that are due, the checkpoint last, since it notes the lengths of the others.
 
         Args:
-            due: of `due`.
+            due: names, as the method `due` gives them.
             context: at the last completed step.
-            values: by column of the log; a row and a checkpoint need them.
+            values: by column of the log; needed for a row of the log and for a checkpoint.
             start_energy: conserved energy at the start of the run, kJ/mol, which the checkpoint notes.
 
         Raises:
@@ -226,7 +226,7 @@ class Outputs:
 
 
 def _subset(topology: app.Topology, listed: np.ndarray) -> app.Topology:
-    """The Topology of some atoms; names are all that a trajectory needs of them."""
+    """The Topology of some atoms, with names alone: a trajectory needs no more."""
     modeller = app.Modeller(topology, [openmm.Vec3(0, 0, 0)] * topology.getNumAtoms() * unit.nanometer)
     kept = set(listed.tolist())
     modeller.delete([atom for atom in topology.atoms() if atom.index not in kept])

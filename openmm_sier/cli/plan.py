@@ -10,14 +10,14 @@ from typing import Any
 
 from openmm_sier.cli.methods import METHODS, RECOMMENDED, Method
 
-#: K; that of the systems that the project ships.
+#: K; the temperature of the systems that come with the project.
 DEFAULT_TEMPERATURE = 297.0
 
-#: Steps of a trial of hybrid Monte Carlo.
+#: Steps in a trial of hybrid Monte Carlo.
 TRIAL = 10
 
-#: ps between pressure tensors. Sums over them take an oscillation of this period, and of its fractions, for a slow one:
-#: in rigid water these have a thousandth of the power of the slow ones.
+#: ps between pressure tensors. Sums over them mistake oscillations of this period, or a fraction of it, for slow ones;
+#: in rigid water such oscillations have a thousandth of the power of the slow ones.
 TENSOR_EVERY = 0.02
 
 #: Options that a restart takes from its checkpoint.
@@ -54,7 +54,7 @@ class RunError(ValueError):
 
 
 class NothingLeft(RunError):
-    """The run that is to go on is at its end already."""
+    """The run to be continued is already complete."""
 
     exit_code = 4
 
@@ -96,13 +96,13 @@ class Options:
 
     @property
     def equilibrates(self) -> bool:
-        """Whether the run begins with an equilibration. One that starts from a checkpoint does if it is asked to."""
+        """Whether the run begins with an equilibration. From a checkpoint it does so only if asked to."""
         return self.start is None or bool(self.equilibrate or self.minimize)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Settings that a run and its continuations have in common; units as in `Options`, 1/ps and bar.
+    """Settings that a run and its continuations share; units as in `Options`, friction in 1/ps, pressure in bar.
 
     Hybrid Monte Carlo is at constant volume where `pressure` is None, and draws momenta anew where `friction` is 0.
     """
@@ -143,7 +143,7 @@ class Plan:
 
     @property
     def counts_heat(self) -> bool:
-        """Whether the conserved energy is known: nobody counts the heat that OpenMM's own baths give."""
+        """Whether the conserved energy is known: the heat from OpenMM's own baths is not counted."""
         return self.method.scheme is not None or self.ensemble == "nve"
 
     @property
@@ -154,7 +154,7 @@ class Plan:
         return f"{self.method.name}, {self.ensemble.upper()}{bath}{piston}, {self.dt:g} fs"
 
     def interval(self, time: float) -> int:
-        """Steps that come nearest to a time, at least 1; whole trials of hybrid Monte Carlo."""
+        """Number of steps nearest to a time, at least 1; whole trials in hybrid Monte Carlo."""
         unit = self.steps_per_trial or 1
         return unit * max(1, round(time * 1000 / self.dt / unit))
 
@@ -170,7 +170,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
 
     Args:
         options: of the command.
-        origin: plan of the run from whose checkpoint this one starts. It tells what the system is.
+        origin: plan of the run from whose checkpoint this one starts. It defines the system.
 
     Raises:
         RunError: options contradict each other.
@@ -216,7 +216,7 @@ def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
 
 
 def _first(*values: Any) -> Any:
-    """The first of some values that is given, None if none is."""
+    """The first value that is not None, or None."""
     return next((value for value in values if value is not None), None)
 
 
@@ -260,7 +260,7 @@ def _length(options: Options, dt: float) -> int | None:
 
 
 def noted_plan(checkpoint: Path, saved: dict[str, Any]) -> Plan:
-    """The plan that a checkpoint notes, its files as they are to be found from here."""
+    """The plan that a checkpoint notes, with paths of files relative to the current directory."""
     beside = {
         name: os.path.normpath(os.path.join(os.path.dirname(checkpoint), saved[name]))
         for name in FILES
@@ -273,7 +273,7 @@ def continued_plan(options: Options, checkpoint: Path, saved: dict[str, Any]) ->
     """The plan of a checkpoint, with another length if one is given.
 
     Raises:
-        RunError: an option asks for something else than the checkpoint has.
+        RunError: an option contradicts the checkpoint.
     """
     if options.start:
         _check_combinations(options, saved["ensemble"])

@@ -1,4 +1,4 @@
-"""The command `openmm-sier properties`: what runs of a liquid say of it, beside experiment."""
+"""The command `openmm-sier properties`: properties of a liquid from runs, beside experiment."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EXPERIMENT = {
 
 
 class Row(NamedTuple):
-    """A property: its key, its name with the unit, how it follows from a run, and whether from motion."""
+    """A property: its key, its name with the unit, how it follows from a run, and whether it needs the motion."""
 
     key: str
     name: str
@@ -48,10 +48,10 @@ class Run(NamedTuple):
 
     Attributes:
         plan: of the command.
-        log: columns of the log after what is skipped.
+        log: columns of the log, without the skipped part.
         samples: of the trajectory.
         molecules: their number.
-        tensors: columns of the file of pressure tensors after what is skipped; None where there is none.
+        tensors: columns of the file of pressure tensors, without the skipped part; None where there is no file.
     """
 
     plan: Plan
@@ -62,7 +62,7 @@ class Run(NamedTuple):
 
     @property
     def temperature(self) -> float:
-        """K: that of the heat bath, or the mean where there is none."""
+        """K, of the heat bath; the mean temperature where there is no bath."""
         nve = self.plan.ensemble == "nve"
         return float(self.log["Temperature (K)"].mean()) if nve else self.plan.temperature
 
@@ -76,7 +76,7 @@ class Run(NamedTuple):
 
     @property
     def energy(self) -> np.ndarray:
-        """The energy whose fluctuations give the heat capacity: the enthalpy where the volume moves."""
+        """The energy whose fluctuations give the heat capacity: the enthalpy where the volume changes."""
         total = self.log["Total Energy (kJ/mole)"]
         if self.plan.moves_volume:
             total = total + (self.plan.pressure or 0.0) * BAR * self.log["Box Volume (nm^3)"]
@@ -84,7 +84,7 @@ class Run(NamedTuple):
 
 
 def _temperature(run: Run) -> Estimate | None:
-    """The mean temperature where no bath keeps it."""
+    """The mean temperature, where there is no heat bath."""
     return properties.mean(run.log["Temperature (K)"]) if run.plan.ensemble == "nve" else None
 
 
@@ -137,13 +137,13 @@ ROWS = (
 def properties_of(
     checkpoints: Sequence[Path], box: Path | None, skip: float, viscosity: float | None, out: Path
 ) -> None:
-    """Carry out `openmm-sier properties`.
+    """Run `openmm-sier properties`.
 
     Args:
         checkpoints: of the runs, or their directories.
         box: the PDB file; None takes that of the checkpoints.
         skip: ps to leave out at the beginning of each run.
-        viscosity: mPa s, for the size correction of diffusion; None: that of the runs, no correction without one.
+        viscosity: mPa s, for the size correction of diffusion; None takes that of the runs, if they give one.
         out: directory for the figure.
 
     Raises:
@@ -195,7 +195,7 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
 
 
 def estimated(row: Row, runs: Sequence[Run]) -> dict[str, Estimate | None]:
-    """A property of each run, by its trajectory; None where it has none. What is too short is said once."""
+    """A property of each run, by trajectory; None where a run has none. Runs that are too short share a note."""
     found: dict[str, Estimate | None] = {}
     short: dict[str, list[str]] = {}
     for run in runs:
@@ -212,7 +212,7 @@ def estimated(row: Row, runs: Sequence[Run]) -> dict[str, Estimate | None]:
 
 
 def _note_tail(runs: Sequence[Run]) -> None:
-    """Say so if the Green-Kubo integral has not come to its end."""
+    """Print a note if the Green-Kubo integral has not converged."""
     tail = properties.pooled([properties.viscosity_tail(*run.stress) for run in runs])
     if tail.value > 3 * tail.error:
         REPORT.note(
@@ -237,7 +237,7 @@ def _integrals(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def read_runs(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[Run]:
-    """Runs that differ in their seeds alone; arguments and errors as those of `properties_of`."""
+    """Runs that differ in their seeds alone; arguments and errors are those of `properties_of`."""
     runs: list[Run] = []
     boxes: dict[tuple, Box] = {}
     for path in checkpoints:

@@ -1,8 +1,8 @@
 """Files that survive a run being cut off at any moment: trajectory, log and checkpoint.
 
-Trajectory and log only grow, by one write a frame or row. The checkpoint notes how long they were, and is replaced as a
-whole. After a crash they are cut back to these lengths, and the run goes on from the checkpoint, without a gap and with
-no frame twice.
+Trajectory and log only grow, by one write for each frame or row. The checkpoint notes their lengths, and is replaced as
+a whole. After a crash they are cut back to these lengths, and the run goes on from the checkpoint, with no gap and no
+frame twice.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from openmm.unit import Quantity
 #: Version of what a checkpoint holds.
 FORMAT = 1
 
-#: The largest step number that DCD and XTC files hold. In longer runs a DCD file keeps this one, and an XTC file counts
-#: frames instead, so that its times stay right.
+#: The largest step number that DCD and XTC files hold. In longer runs a DCD file keeps this number, and an XTC file
+#: counts frames instead, so that its times stay right.
 LARGEST_STEP = 2**31 - 1
 
-#: The second title in OpenMM's header of a DCD file, the time of its making. It is left blank, so that the same run
-#: gives the same bytes.
+#: The second title in OpenMM's header of a DCD file, the time at which it was made. It is left blank, so that the same
+#: run gives the same bytes.
 DCD_DATE = slice(180, 260)
 
-#: Frames that are converted at a time.
+#: Frames converted at a time.
 CHUNK = 100
 
 
 class RecordError(ValueError):
-    """A file of a run is missing, damaged, or not of this run."""
+    """A file of a run is missing or damaged, or belongs to another run."""
 
 
 @contextmanager
@@ -66,11 +66,11 @@ class GrowingFile:
         """
         Args:
             path: of the file.
-            size: bytes to keep of the file that is there; what follows is cut off. With 0 it is made anew.
+            size: bytes to keep of an existing file; the rest is cut off. With 0 the file is made anew.
             count: records among the bytes kept.
 
         Raises:
-            RecordError: the file is missing, or has fewer bytes than are to be kept.
+            RecordError: the file is missing, or has fewer bytes than `size`.
             OSError: it cannot be written.
         """
         self.path, self.size, self.count = path, size, count
@@ -89,13 +89,13 @@ class GrowingFile:
         """Write a record.
 
         Raises:
-            OSError: it does not fit on the disk, say. The file then ends with the record before.
+            OSError: for example, the disk is full. The file then ends with the previous record.
         """
         with naming(self.path):
             try:
-                # One system call, so that a kill leaves whole records, but for an accident that cutting back mends.
+                # One system call, so that a kill nearly always leaves whole records; cutting back mends the rest.
                 written = self._file.write(record)
-                # A disk that is nearly full takes a part of the record, and refuses only the next one.
+                # A disk that is nearly full takes a part of the record, and refuses only the next write.
                 while written < len(record):
                     written += self._file.write(record[written:])
             except OSError:
@@ -126,7 +126,7 @@ class GrowingFile:
 
     @staticmethod
     def companions(path: Path) -> list[Path]:
-        """Further files that are written for one of this path."""
+        """Further files that are written along with the file at this path."""
         return []
 
 
@@ -160,9 +160,9 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
 
 
 class DCDTrajectory(GrowingFile):
-    """Frames of a DCD file, every one of the same length.
+    """Frames of a DCD file, all of the same length.
 
-    The frames are OpenMM's; the number of frames in the header is raised after the frame has been written.
+    OpenMM formats the frames; the number of frames in the header is raised after a frame has been written.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class DCDTrajectory(GrowingFile):
             dt: step, ps.
             interval: steps between frames.
             size: bytes of the file to keep.
-            count: frames among them.
+            count: frames in these bytes.
         """
         super().__init__(path, size, count)
         self._topology, self._dt, self._interval = topology, dt, interval
@@ -232,8 +232,8 @@ class XTCTrajectory(GrowingFile):
 class HDF5Trajectory(DCDTrajectory):
     """An HDF5 file in MDTraj's layout.
 
-    An HDF5 file that is cut off while being written is lost, so that the frames are kept in a DCD file beside it until
-    the run ends.
+    An HDF5 file that is cut off while being written is lost, so the frames are kept in a DCD file beside it until the
+    run ends.
     """
 
     def __init__(
@@ -264,7 +264,7 @@ class HDF5Trajectory(DCDTrajectory):
                 file.write(coordinates=positions, time=steps * self._dt, cell_lengths=lengths, cell_angles=angles)
 
     def _read(self, first: int, count: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """Positions in nm, and lengths (nm) and angles (degrees) of the box, or None, of some frames."""
+        """Positions of some frames in nm, and lengths (nm) and angles (degrees) of the box, None without one."""
         mark, n = "<i4", self._topology.getNumAtoms()
         record = [("x0", mark), ("x", "<f4", n), ("x1", mark), ("y0", mark), ("y", "<f4", n), ("y1", mark)]
         record += [("z0", mark), ("z", "<f4", n), ("z1", mark)]
@@ -286,7 +286,7 @@ def unfinished(path: Path) -> Path:
 
 
 def convert(growing: Path, target: Path, write: Callable[[Path], None]) -> None:
-    """Make an HDF5 file of the frames of another file, which is then removed.
+    """Make an HDF5 file from the frames of another file, which is then removed.
 
     Args:
         growing: holds the frames.
@@ -294,7 +294,7 @@ def convert(growing: Path, target: Path, write: Callable[[Path], None]) -> None:
         write: writes the frames to a path.
 
     Raises:
-        RecordError: the file could not be written. The frames are where they were.
+        RecordError: the file could not be written. The frames stay where they were.
     """
     temporary = unfinished(target)
     try:
@@ -342,7 +342,7 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
         notes: what JSON can hold.
 
     Raises:
-        OSError: it cannot be written; the old one is there still, and nothing of the new one.
+        OSError: it cannot be written. The old one is still there, and nothing of the new one.
     """
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:

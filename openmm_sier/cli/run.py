@@ -30,15 +30,16 @@ from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box, describe, first_line, locate, read_box
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
 
-#: Steps, and seconds that they may take, between two looks at temperatures and signals.
+#: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
 
-#: How far the energy of a checkpoint's positions may be from the one noted in it: platforms differ by single precision.
+#: Relative difference allowed between the energy of a checkpoint's positions and the energy noted in it. Platforms
+#: differ by single precision.
 ENERGY_TOLERANCE = 1e-4
 
 
 def run(options: Options) -> None:
-    """Carry out `openmm-sier run`.
+    """Run `openmm-sier run`.
 
     Raises:
         RunError: options contradict each other or the checkpoint, or a file is in the way or cannot be written.
@@ -86,10 +87,10 @@ def _run(options: Options, requests: StopRequests) -> None:
         _restore(context, state, notes, options, plan, paths.values())
     else:
         context = _begin(plan, box, bodies, fast, state, origin, options)
-    # From here on a signal cuts nothing short.
+    # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
     if not options.restart:
-        # The checkpoint goes first, so that none is ever left with files that are not its own.
+        # The checkpoint is removed first, so that it is never left with files that are not its own.
         for path in paths.values():
             path.unlink(missing_ok=True)
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
@@ -103,7 +104,7 @@ def _run(options: Options, requests: StopRequests) -> None:
 
 
 def _inputs(options: Options, box: Box | None = None) -> list[Path]:
-    """Files that are read and must not be written. The checkpoint of --restart is both."""
+    """Files that are read and must not be written. The checkpoint of --restart, which is both, is not among them."""
     files = [options.box, options.start]
     if box is not None:
         files += [Path(locate(file, options.box.parent)) for file in box.choice.files]
@@ -139,8 +140,8 @@ def _context(
 
 def _integrator(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERIntegrator:
     step, scheme = plan.dt / 1000, plan.method.scheme or SIER4G
-    # What the native engine has not, the exact one does on GPUs too: bodies that no constraints hold, and a pressure
-    # whose work is counted and with which restarts are exact, as they are not with OpenMM's barostats.
+    # The exact engine, which runs on GPUs too, has what the native one lacks: bodies that no constraints hold, and a
+    # constant pressure whose work is counted and whose restarts are exact, unlike those of OpenMM's barostats.
     engine = "exact" if plan.rigid or plan.ensemble == "npt" else "auto"
     if plan.ensemble == "nve":
         return SIERIntegrator(step, scheme, bodies, engine=engine, fastForceGroups=fast)
@@ -198,13 +199,13 @@ def _begin(
 ) -> openmm.Context:
     """The Context of a new run, with positions and velocities.
 
-    All methods begin alike: OpenMM's own integrators go on from where one of this package has begun.
+    All methods begin alike: OpenMM's own integrators go on from a start that one of this package has made.
 
     Args:
         state, origin: of the checkpoint that the run starts from, and the plan of its run.
 
     Raises:
-        RunError: the checkpoint that it starts from is of another system.
+        RunError: the checkpoint that it starts from belongs to another system.
         Runaway: the equilibration broke down.
     """
     stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED)
@@ -267,9 +268,9 @@ def _restore(
     """Set a Context to the state of a checkpoint.
 
     Raises:
-        RunError: the checkpoint is of another system, or nothing is left to be done.
+        RunError: the checkpoint belongs to another system, or the run is already complete.
     """
-    # An .h5 file comes last of all: a run that was killed before is still to be finished.
+    # An .h5 file is written last: a run that was killed before that still has to be finished.
     at_end = notes["step"] == plan.steps and all(path.exists() for path in paths)
     if at_end or notes["step"] > plan.steps:
         raise (NothingLeft if at_end else RunError)(
@@ -305,7 +306,7 @@ def _advance(
 
     Raises:
         RunError: a file cannot be written.
-        Runaway: energy or temperature passed a bound, before anything of that was written.
+        Runaway: energy or temperature passed a bound; nothing beyond the bound was written.
         Stopped: a signal arrived. The step has been completed, and all files are written.
     """
     integrator = context.getIntegrator()
@@ -339,10 +340,10 @@ def _advance(
 
 @contextmanager
 def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) -> Iterator[None]:
-    """Add to errors the step, the likely cause and the checkpoint that is left.
+    """Add to errors the step, the likely cause and the last checkpoint.
 
     Raises:
-        Runaway, RunError: in place of errors of a runaway and of the operating system.
+        Runaway, RunError: in place of the errors of a runaway and of the operating system.
     """
     try:
         yield

@@ -1,8 +1,8 @@
 """Bounds at which a run stops because its energy or temperature runs away, and at which its table warns.
 
-The conserved energy H is the total energy, less the heat that a heat bath and moves of the volume gave. It is compared
-with the kinetic energy K, since energy that an integrator makes ends as heat: half of it or so in the kinetic energy,
-so that a liquid whose H has grown by K/10 is hotter by a twentieth.
+The conserved energy H is the total energy less the heat that a heat bath and moves of the volume have added. It is
+compared with the kinetic energy K, since energy that an integrator creates ends as heat, about half of it as kinetic
+energy: a liquid whose H has grown by K/10 is hotter by a twentieth.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.measure.observables import energy_error, number_of_windows
 from openmm_sier.measure.statistics import rms
 
-#: Exit code of a run that was stopped here.
+#: Exit code of a run that was stopped for this reason.
 EXIT_CODE = 3
 
-#: Change of H within `WINDOW` ps, over K, that stops a run: a liquid is heated by 15 K/ps then. In water at 297 K it is
-#: at most 0.0009 for SIER2 at its usual 2 fs and 0.016 at 8 fs, and 0.0001 for SIER4G at its usual 6 fs.
+#: Change of H within `WINDOW` ps, over K, that stops a run. A liquid is then heated by 15 K/ps. In water at 297 K the
+#: change is at most 0.0009 for SIER2 at its usual 2 fs and 0.016 at 8 fs, and 0.0001 for SIER4G at its usual 6 fs.
 FASTEST, WINDOW = 0.1, 1.0
 
-#: Change of H since the start, over K, that stops a run at constant energy: the liquid is then hotter or colder by a
-#: quarter. With a heat bath it stops none, since the bath takes up what slowly accumulates.
+#: Change of H since the start, over K, that stops a run at constant energy. The liquid is then hotter or colder by a
+#: quarter. With a heat bath there is no such bound, since the bath takes up what slowly accumulates.
 LARGEST = 0.5
 
-#: A temperature in K that rigid molecules are not meant for. SIER integrators' own comparisons end there too.
+#: A temperature in K that rigid molecules are not meant for. Runs of the comparisons of integrators end there too.
 HOTTEST = 3000.0
 
-#: Few bodies may be hotter by chance: with a probability below exp(-this) beyond what `_by_chance` allows.
+#: A few bodies may be hotter by chance. They exceed what `_by_chance` allows with a probability below exp(-this).
 UNLIKELY = 50.0
 
-#: rms(H)/rms(V) about which the final table warns. Recommended steps give SIER2 0.9 to 1.3 % and the schemes of fourth
-#: order 0.01 to 0.41 %, by water model; this is two to three times the most.
+#: rms(H)/rms(V) above which the final table warns. Recommended steps give SIER2 0.9 to 1.3 % and the schemes of fourth
+#: order 0.01 to 0.41 %, by water model; these bounds are two to three times the largest values.
 LARGEST_FLUCTUATION = {2: 0.03, 4: 0.01}
 
-#: Rows of a log from which a fluctuation can be told.
+#: Fewest rows of a log that tell a fluctuation.
 FEWEST_ROWS = 10
 
 
@@ -60,7 +60,7 @@ class Guard:
     """Watches one run.
 
     Attributes:
-        start: H at the start of the run, kJ/mol; None before the first look.
+        start: H at the start of the run, kJ/mol; None before the first row.
     """
 
     def __init__(self, plan: Plan, dof: DegreesOfFreedom, start: float | None = None):
@@ -80,7 +80,7 @@ class Guard:
         """Compare a row of the log with the bounds.
 
         Raises:
-            Runaway: one of them is passed.
+            Runaway: a bound is passed.
         """
         time, energy = values["Time (ps)"], values["Conserved Energy (kJ/mole)"]
         self.look_at_temperatures(*(values.get(name, math.nan) for name in TEMPERATURES.values()))
@@ -92,7 +92,7 @@ class Guard:
         typical = self._kinetic_sum / self._looks
         self.start = energy if self.start is None else self.start
         self._recent.append((time, energy))
-        # The first that is left is the last one from before the window, so that no change goes unseen.
+        # The first row kept is the last one from before the window, so that no change goes unseen.
         while len(self._recent) > 1 and time - self._recent[1][0] >= WINDOW:
             self._recent.popleft()
         then, before = self._recent[0]
@@ -108,7 +108,7 @@ class Guard:
         NaN stands for no degrees of freedom; the last temperatures may be left out.
 
         Raises:
-            Runaway: one of them is passed.
+            Runaway: a bound is passed.
         """
         for name, value, bound in zip(TEMPERATURES, temperatures, self._bounds, strict=False):
             if value > bound:
@@ -154,15 +154,15 @@ def likely_cause(plan: Plan) -> str:
 def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None:
     """A warning where the energy fluctuates more than it does with the scheme's usual step; None where it does not.
 
-    H is taken about a straight line in each window, so that neither a slow drift nor the random walk on which a heat
-    bath sends it counts; see `energy_fluctuation`.
+    H is taken about a straight line in each window, so that neither a slow drift counts nor the random walk that a heat
+    bath causes; see `energy_fluctuation`.
 
     Args:
         plan: of the run.
-        log: columns of it, see `openmm_sier.context.conservation.COLUMNS`.
+        log: its columns, see `openmm_sier.context.conservation.COLUMNS`.
     """
     t, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
-    # Rounding to single precision tells nothing where the potential energy hardly changes.
+    # Where the potential energy hardly changes, the ratio shows only rounding to single precision.
     if np.isnan(H).any() or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
         return None
     bound = LARGEST_FLUCTUATION[2 if plan.method.order == 2 else 4]

@@ -12,16 +12,16 @@ import threading
 import time
 from typing import Any
 
-#: The signals. One that the parent ignores stays ignored, as `nohup` and the background jobs of a script ask for.
+#: The signals handled. One that the parent process ignores stays ignored, which `nohup` and background jobs rely on.
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
-#: Added to a signal's number it is the exit code, as shells have it.
+#: Added to a signal's number, this is the exit code, as in shells.
 SIGNALLED = 128
 
-#: Signals within this time in s are one: `timeout` sends SIGTERM twice at once, a closing terminal SIGHUP.
+#: Signals within this time in s count as one. `timeout` sends SIGTERM twice at once, a closing terminal SIGHUP.
 SAME = 0.5
 
-#: Seconds that OpenMM may take to return, from a minimization say, before a program with nothing to save is ended.
+#: Seconds that OpenMM may take to return, for example from a minimization, before a program with nothing to save ends.
 PATIENCE = 2.0
 
 
@@ -40,8 +40,8 @@ class Stopped(KeyboardInterrupt):
 class StopRequests:
     """Signals that arrive inside this context manager.
 
-    The first one raises `Stopped` at once until `defer` is called. After that it is only noted in `received`, so that
-    the step can be completed and the files be written. The second one ends the process at once, even from within
+    Until `defer` is called, the first signal raises `Stopped` at once. After that it is only noted in `received`, so
+    that the step can be completed and the files written. A second signal ends the process at once, even from within
     OpenMM.
 
     Attributes:
@@ -58,21 +58,21 @@ class StopRequests:
         """From now on note the first signal instead of raising.
 
         Raises:
-            Stopped: it has arrived already.
+            Stopped: a signal has arrived already.
         """
         self._deferred = True
         if self.received is not None:
             raise Stopped(self.received)
 
     def __enter__(self) -> StopRequests:
-        # Python lets no other thread handle signals.
+        # Python handles signals in the main thread only.
         if threading.current_thread() is not threading.main_thread():
             return self
         handled = [signum for signum in SIGNALS if signal.getsignal(signum) not in (signal.SIG_IGN, None)]
         if not handled:
             return self
         self._previous = {signum: signal.signal(signum, self._handle) for signum in handled}
-        # Python runs handlers between its own instructions only. The numbers of signals reach this socket at once.
+        # Python runs handlers only between its own instructions, but the numbers of signals reach this socket at once.
         self._reader, self._writer = socket.socketpair()
         self._writer.setblocking(False)
         self._old_descriptor = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)

@@ -20,7 +20,7 @@ def open_closed_streams() -> bool:
         try:
             os.fstat(number)
         except OSError:
-            # The lowest number that is free, which is this one.
+            # This takes the lowest free number, which is that of the closed stream.
             os.open(os.devnull, os.O_RDWR)
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115
@@ -36,7 +36,7 @@ def discard(stream: TextIO) -> None:
 
 
 def complain(message: str) -> None:
-    """Print one line on standard error, if it can be written; a closed terminal cannot."""
+    """Print one line on standard error, or nothing if that fails, as with a closed terminal."""
     try:
         print(f"{PROGRAM}: {message}", file=sys.stderr, flush=True)
     except OSError:

@@ -18,20 +18,20 @@ from openmm_sier.studies.step_study import PROPERTIES, StepRow, markdown, step_f
 #: Settings in which runs of one point may differ.
 FREE = ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every")
 
-#: Settings that are the same in all runs, so that points differ in box, method and step alone.
+#: Settings that must be the same in all runs, so that points differ in box, method and step alone.
 SHARED = ("temperature", "pressure")
 
 
 def study(runs: Sequence[Path], skip: float, out: Path) -> None:
-    """Carry out `openmm-sier study`.
+    """Run `openmm-sier study`.
 
     Args:
-        runs: checkpoints, or directories of an ensemble's members; those that are not at their end are left out.
+        runs: checkpoints, or directories of an ensemble's members; unfinished runs are left out.
         skip: ps to leave out at the beginning of each run.
         out: directory for the table and the figure.
 
     Raises:
-        RunError: temperatures or pressures differ, or no run is at its end.
+        RunError: temperatures or pressures differ, or no run is finished.
         RecordError, NoLiquidError, OSError: as their messages say.
     """
     points = _finished(runs)
@@ -51,7 +51,7 @@ def study(runs: Sequence[Path], skip: float, out: Path) -> None:
 
 
 def _finished(runs: Sequence[Path]) -> dict[tuple, list[tuple[Path, Plan]]]:
-    """The runs that are at their end, by what they have in common."""
+    """The finished runs, by what they have in common."""
     points: dict[tuple, list[tuple[Path, Plan]]] = {}
     first: tuple[Path, Plan] | None = None
     for path in runs:

@@ -14,14 +14,14 @@ from openmm_sier.measure.statistics import mean_and_error
 
 @dataclass(frozen=True)
 class Cost:
-    """Wall time of the steps of one run, without that of its files.
+    """Wall time of the steps of one run, without the time for its files.
 
     Attributes:
         steps: number of them.
         seconds: that they took.
-        force_seconds: of these, spent in evaluations of forces, and of energies for moves of the volume.
+        force_seconds: the part of these for evaluations of forces, and of energies for moves of the volume.
         evaluations: force evaluations that the integrator counted.
-        measured: force evaluations of which `force_seconds` has the time.
+        measured: force evaluations whose time is in `force_seconds`.
         ps: length of a step.
     """
 
@@ -35,7 +35,7 @@ class Cost:
     def rows(self) -> list[tuple[str, str]]:
         if not self.steps or not self.seconds:
             return []
-        # Forces that were not measured are counted in no time.
+        # The time of force evaluations that were not measured is unknown.
         known = self.evaluations and self.measured == self.evaluations
         share = (1 - self.force_seconds / self.seconds) * 100
         return [
@@ -49,7 +49,7 @@ class Cost:
 def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     """Names and values for the table at the end.
 
-    H is the conserved energy: the total energy less the heat that a thermostat or a volume move gave.
+    H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added.
 
     Args:
         log: columns of the log by name, see `openmm_sier.context.conservation.COLUMNS`.
@@ -83,7 +83,7 @@ def _flexible_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
 
 
 def acceptance_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    """The fraction of trials that were accepted, where the log has it; the argument is as above."""
+    """The fraction of accepted trials, where the log has it; the argument is that of `conservation_rows`."""
     if "Acceptance" not in log:
         return []
     errors = log["Energy Error (kT)"]
@@ -95,7 +95,7 @@ def acceptance_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
 
 
 def density_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    """The density, for the table at the end of a run at constant pressure; the argument is as above."""
+    """The density, for the table after a run at constant pressure; the argument is that of `conservation_rows`."""
     return [("density", _value(*mean_and_error(log["Density (g/mL)"]), "g/ml", ".4f", ".4f"))]
 
 

@@ -31,7 +31,7 @@ class Point(NamedTuple):
 
     Attributes:
         plan: of the first.
-        logs: columns of each, after what is skipped.
+        logs: columns of the log of each run, without the skipped part.
     """
 
     plan: Plan
@@ -44,14 +44,14 @@ class Point(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """A check and the runs that it is of."""
+    """A check and the runs that it concerns."""
 
     runs: str
     verdict: Verdict
 
 
 def validate(runs: Sequence[Path], skip: float, limit: float) -> None:
-    """Carry out `openmm-sier validate`.
+    """Run `openmm-sier validate`.
 
     Args:
         runs: checkpoints, or directories of an ensemble's members.
@@ -132,7 +132,7 @@ def _pressure(plan: Plan) -> float | None:
 
 
 def _pairs(items: Sequence[Any], plan_of: Callable[[Any], Plan], names: Sequence[str]) -> Iterator[tuple[Any, Any]]:
-    """Neighbours among items whose plans differ in one of some settings alone."""
+    """Pairs of neighbouring items whose plans differ in just one of the settings named."""
     for name in names:
         groups: dict[tuple, list[Any]] = {}
         for item in items:

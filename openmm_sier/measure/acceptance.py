@@ -1,7 +1,7 @@
 """The largest box in which hybrid Monte Carlo accepts a fraction of its trials.
 
-Molecules that are far from each other contribute to the energy error independently, so that its variance grows as
-their number; `openmm_sier.dynamics.metropolis` has the acceptance that follows.
+Molecules that are far from each other contribute to the energy error independently, so its variance is proportional to
+their number; `openmm_sier.dynamics.metropolis` computes the acceptance that follows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from openmm_sier.dynamics.metropolis import spread_at
 class Spread(NamedTuple):
     """Standard deviation of the energy error for one molecule, kT, and its standard error.
 
-    That of n molecules is sqrt(n) times as much.
+    For n molecules it is sqrt(n) times as large.
     """
 
     value: float
@@ -38,6 +38,6 @@ def pooled(molecules: Sequence[int], trials: Sequence[int], spreads: Sequence[fl
 
 
 def largest_box(spread: Spread, accepted: float = 0.5) -> tuple[float, float]:
-    """Number of molecules of which this fraction of trials is accepted, and its standard error."""
+    """Number of molecules at which this fraction of trials is accepted, and its standard error."""
     molecules = (spread_at(accepted) / spread.value) ** 2
     return molecules, 2 * molecules * spread.error / spread.value

@@ -1,9 +1,8 @@
 """Many simulations as one: members of an ensemble on the processes of an Executor, on this machine or on many.
 
-Each member is one command line of `openmm-sier`, and has a directory of its own, where a process of its own executes
-it. What happens to that process or to the worker that started it ends nothing: the member goes on from its last
-checkpoint, here or on another machine that sees the same directory. The only protocol is that of
-`concurrent.futures.Executor`.
+Each member is one command line of `openmm-sier`, executed by a process of its own in a directory of its own. If that
+process or the worker that started it is killed, the member goes on from its last checkpoint, here or on another machine
+that sees the same directory. Any `concurrent.futures.Executor` can be used.
 """
 
 from __future__ import annotations
@@ -21,17 +20,18 @@ from typing import Any, NamedTuple
 
 from openmm_sier.measure.report import SILENT, Advance, Report
 
-#: The module that executes a member in a process of its own, see there for its arguments.
+#: The module that executes a member in a process of its own; its docstring explains its arguments.
 WORKER = "openmm_sier.cli.member"
 
-#: Files in the directory of a member, which are the output of its commands, the log of an `openmm-sier run`, and the
-#: arguments that it is complete with.
+#: Files in the directory of a member, which are the output of its command, the log of an `openmm-sier run`, and the
+#: arguments with which it has been completed.
 OUTPUT, LOG, COMPLETE = "output.txt", "run.csv", "complete.json"
 
-#: A member whose process is killed so often without getting further in between is given up.
+#: A member is given up when its process has been killed this often without progress in between, or when more workers
+#: than this have been lost with it.
 MOST_KILLS = 5
 
-#: Seconds between two looks at how far members are.
+#: Seconds between two checks of the progress of members.
 LOOK = 0.5
 
 
@@ -40,8 +40,8 @@ class Member(NamedTuple):
 
     Attributes:
         name: of its directory.
-        arguments: command line of `openmm-sier`, without the places of files that it writes.
-        length: simulated ps, where progress within it is to be shown; 0 otherwise.
+        arguments: command line of `openmm-sier`, without the paths of files that it writes.
+        length: simulated ps, if progress within the member is to be shown; 0 otherwise.
     """
 
     name: str
@@ -54,9 +54,9 @@ class Outcome(NamedTuple):
 
     Attributes:
         name: of the member.
-        error: the last line that it said, if it failed; empty if it is complete.
-        restarts: how often its process ended before its time and was started again.
-        seconds: wall time on the worker that ended it.
+        error: the last line of its output, if it failed; empty if it is complete.
+        restarts: how often its process ended early and was started again.
+        seconds: wall time on the worker that finished it.
     """
 
     name: str
@@ -69,7 +69,7 @@ class EnsembleError(RuntimeError):
     """Members failed, or were stopped; all others are complete.
 
     Attributes:
-        outcomes: of the members that came to an end.
+        outcomes: of the members that ended.
     """
 
     def __init__(self, message: str, outcomes: Sequence[Outcome]):
@@ -85,22 +85,22 @@ def ensemble(
     threads: int | None = None,
     report: Report = SILENT,
 ) -> list[Outcome]:
-    """Carry out all members that are not complete yet.
+    """Run all members that are not complete yet.
 
     Args:
         members: with different names.
-        directory: in which each member has its own; workers must see it under this path.
-        executor: takes the members; None: as many processes of this machine as there are `processes`.
-        processes: at a time, without an executor; None: one for each core.
-        threads: of OpenMM in each process; None: one, or what the cores allow where members are fewer.
+        directory: holds a directory for each member; workers must see it under this path.
+        executor: takes the members; None runs `processes` processes on this machine.
+        processes: number at a time, without an executor; None: one for each core.
+        threads: of OpenMM in each process; None: the cores divided by the processes, at least one.
         report: receives the progress.
 
     Returns:
-        An outcome for each member, in their order, those that were complete before included.
+        An outcome for each member, in the given order, including members that were complete before.
 
     Raises:
         ValueError: names repeat, or a number is not positive.
-        EnsembleError: members failed. Those that did not are complete nevertheless.
+        EnsembleError: members failed. The others are complete nevertheless.
     """
     names = [member.name for member in members]
     if len(set(names)) < len(names):
@@ -118,7 +118,7 @@ def ensemble(
         try:
             return _sorted(members, _carry_out(pool, members, place, threads, report))
         except BaseException:
-            # Children end before the pool is left; their last checkpoints are what they go on from.
+            # Children end before the pool is left; members can go on from their last checkpoints.
             _CHILDREN.stop()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -136,7 +136,7 @@ def _sorted(members: Sequence[Member], found: dict[str, Outcome]) -> list[Outcom
 def _carry_out(
     executor: Executor, members: Sequence[Member], place: Path, threads: int, report: Report
 ) -> dict[str, Outcome]:
-    """Submit all members, and those again whose worker was lost."""
+    """Submit all members, and resubmit those whose worker was lost."""
     found = {m.name: Outcome(m.name, "", 0, 0.0) for m in members if is_complete(m, place)}
     lost = dict.fromkeys((member.name for member in members), 0)
     with report.progress(f"{len(members)} members", len(members)) as advance:
@@ -149,11 +149,13 @@ def _carry_out(
                 if error is None:
                     found[member.name] = future.result()._replace(restarts=future.result().restarts + lost[member.name])
                     continue
-                # The worker died, or its machine: an executor that lives on starts the member anew.
+                # The worker or its machine died: if the executor is still alive, it starts the member again.
                 lost[member.name] += 1
-                if lost[member.name] > MOST_KILLS:
-                    raise EnsembleError(f"{member.name}: its worker was lost: {error!r}", list(found.values()))
-                running[_submit(executor, member, place, threads)] = member
+                if lost[member.name] <= MOST_KILLS:
+                    running[_submit(executor, member, place, threads)] = member
+                else:
+                    message = f"its worker was lost {lost[member.name]} times, the last time by {error!r}"
+                    found[member.name] = Outcome(member.name, message, lost[member.name], 0.0)
             _show(advance, members, found, place)
     return found
 
@@ -169,7 +171,7 @@ def _show(advance: Advance, members: Sequence[Member], found: dict[str, Outcome]
 
 
 def is_complete(member: Member, place: Path) -> bool:
-    """Whether a member has been carried out with these arguments."""
+    """Whether a member has been completed with these arguments."""
     try:
         return json.loads((place / member.name / COMPLETE).read_text()) == list(member.arguments)
     except FileNotFoundError:
@@ -177,7 +179,7 @@ def is_complete(member: Member, place: Path) -> bool:
 
 
 def fraction_done(member: Member, place: Path) -> float:
-    """How much of a member's length its log has; 0 without a log."""
+    """The fraction of a member's length that its log covers; 0 without a log."""
     if not member.length:
         return 0.0
     try:
@@ -209,7 +211,7 @@ class _Children:
         self.stopped = False
 
     def start(self, command: Sequence[str], **settings: Any) -> subprocess.Popen[bytes] | None:
-        """Start a process, unless all are to stop."""
+        """Start a process, unless all have been told to stop."""
         with self._lock:
             if self.stopped:
                 return None
@@ -222,7 +224,7 @@ class _Children:
             self._running.discard(child)
 
     def stop(self) -> None:
-        """Tell all children to stop, and start no more: they end where their standard input does."""
+        """Tell all children to stop, and start no more: they end when their standard input does."""
         with self._lock:
             self.stopped = True
             for child in self._running:
@@ -234,7 +236,7 @@ _CHILDREN = _Children()
 
 
 def carry_out(member: Member, place: str, threads: int) -> Outcome:
-    """Execute a member in a process of its own, and again from its checkpoint where that process was killed.
+    """Execute a member in a process of its own, and restart it from its checkpoint whenever that process is killed.
 
     Args:
         member: of the ensemble.
@@ -242,7 +244,7 @@ def carry_out(member: Member, place: str, threads: int) -> Outcome:
         threads: of OpenMM.
 
     Returns:
-        Its end; it tells errors, and raises none of its own.
+        The outcome of the member, which reports its errors; they are not raised.
     """
     directory = Path(place) / member.name
     directory.mkdir(parents=True, exist_ok=True)
@@ -267,7 +269,7 @@ def carry_out(member: Member, place: str, threads: int) -> Outcome:
 
 
 def _wait_for(command: Sequence[str], directory: Path, environment: dict[str, str]) -> int | None:
-    """Exit code of a process in a directory; None if it was not to be started."""
+    """Exit code of a process in a directory; None if processes are to stop and it was not started."""
     with open(directory / OUTPUT, "ab") as output:
         child = _CHILDREN.start(command, cwd=directory, env=environment, stdout=output, stderr=subprocess.STDOUT)
         if child is None:
@@ -281,7 +283,7 @@ def _wait_for(command: Sequence[str], directory: Path, environment: dict[str, st
 
 
 def _was_killed(code: int) -> bool:
-    """Whether a signal ended a process, also one after which it wrote its files."""
+    """Whether a signal ended a process, at once or after it had written its files."""
     return code < 0 or code > 128
 
 

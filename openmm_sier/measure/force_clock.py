@@ -11,9 +11,9 @@ import openmm
 
 
 class ForceClock:
-    """Measures from outside the time of evaluations of forces and energies, and of setting positions for them.
+    """Measures from outside the time for evaluating forces and energies, and for setting positions.
 
-    It stands in front of `Context.getState` and `Context.setPositions`.
+    It wraps `Context.getState` and `Context.setPositions`.
 
     Attributes:
         seconds: spent in them.
@@ -24,7 +24,7 @@ class ForceClock:
         """
         Args:
             context: openmm.Context.
-            now: seconds; `time.process_time` gives the time of processors, which other programs hardly change.
+            now: clock in seconds; `time.process_time` counts processor time, which other programs hardly affect.
         """
         self.seconds, self.calls = 0.0, 0
         ask, place = context.getState, context.setPositions

@@ -28,11 +28,11 @@ REMARK = "REMARK  99 FORCEFIELD"
 CUTOFF = 0.9
 SWITCH = 0.75
 
-#: From it follow the mesh and, with more to spare, the Ewald parameter.
+#: The mesh follows from it. The Ewald parameter follows from a tolerance that `balance_pme` makes smaller still.
 EWALD_TOLERANCE = 1e-5
 
-#: What may be constrained besides water, as in OpenMM's createSystem: bonds of hydrogen, all bonds, these and the
-#: angles of hydrogens.
+#: What may be constrained besides water, as in OpenMM's createSystem, which is bonds to hydrogen, all bonds, or all
+#: bonds and the angles of hydrogens.
 CONSTRAINTS = {"none": None, "hbonds": app.HBonds, "allbonds": app.AllBonds, "hangles": app.HAngles}
 
 #: The cut-off as a fraction of the narrowest box width where the box is too small for `CUTOFF`. OpenMM refuses 0.5, and
@@ -51,8 +51,8 @@ class Choice:
 def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> Choice:
     """The force field of a PDB file for which the user named none.
 
-    Records "REMARK  99 FORCEFIELD file.xml" in the file decide; the project's own boxes have them. Without them it is
-    that of the water model whose geometry the file has, if that is one alone, see `openmm_sier.measure.water_models`.
+    Records "REMARK  99 FORCEFIELD file.xml" in the file decide; the project's own boxes have them. Without them the
+    geometry decides, if it is that of a single water model, see `openmm_sier.measure.water_models`.
 
     Args:
         path: the PDB file.
@@ -60,8 +60,8 @@ def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> Cho
         positions: (N, 3), nm, molecules whole.
 
     Raises:
-        ForceFieldError: there is no water, something besides water and ions, or the geometry is that of no model or of
-            several. The message names what `--forcefield` (here: `files` of `read_box`) may be given.
+        ForceFieldError: there is no water, or something besides water and ions, or the geometry is that of no model or
+            of several. The message says what `--forcefield` (here: `files` of `read_box`) may be.
     """
     named = tuple(
         line[len(REMARK) :].strip()
@@ -95,7 +95,7 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
     """A ForceField from files, looked for as given, in the directory `beside`, among the project's own, and in OpenMM.
 
     Raises:
-        ForceFieldError: a file is not found or no force field.
+        ForceFieldError: a file is not found, or is no force field.
     """
     try:
         return app.ForceField(*[locate(name, Path(beside)) for name in files])
@@ -106,10 +106,10 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
 
 
 def locate(name: str, beside: Path) -> str:
-    """The path of a force-field file, or its name where it is one of OpenMM's own; looked for as `load` does.
+    """The path of a force-field file, or its name where it is one of OpenMM's own; looked for as in `load`.
 
     Raises:
-        ForceFieldError: there is none.
+        ForceFieldError: the file is not found.
     """
     for directory in (Path(), beside, *SHIPPED):
         if (directory / name).is_file():
@@ -138,9 +138,9 @@ def add_virtual_sites(
 def pme_system(topology: app.Topology, forcefield: app.ForceField, constraints: str | None = None) -> openmm.System:
     """The System: rigid water, PME in a periodic box, no cut-off without one.
 
-    The cut-off is 0.9 nm, less in a box too small for it, with the sums of PME balanced (`openmm_sier.balance_pme`);
-    Lennard-Jones is switched off over the last sixth of it, with the usual correction for its tail. Nothing removes the
-    motion of the centre of mass.
+    The cut-off is 0.9 nm, less in a box too small for it, and the sums of PME are balanced (`openmm_sier.balance_pme`).
+    Lennard-Jones is switched off over the last sixth of the cut-off, with the usual correction for its tail. The motion
+    of the centre of mass is not removed.
 
     Args:
         topology: openmm.app.Topology.
@@ -239,7 +239,7 @@ def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
     first = np.array([next(atom.residue.atoms()).index for atom in topology.atoms()])
     arms = positions - positions[first]
     for vector in reversed(np.array(box.value_in_unit(unit.nanometer))):
-        # In OpenMM's reduced form the last non-zero component of a vector is its own.
+        # In OpenMM's reduced form the last non-zero component of a box vector is the one along its own axis.
         axis = int(np.flatnonzero(vector)[-1])
         arms = arms - np.outer(np.round(arms[:, axis] / vector[axis]), vector)
     return positions[first] + arms

@@ -18,13 +18,13 @@ from openmm_sier.measure.forcefields import Box
 #: Unit of charges.
 CHARGE = unit.elementary_charge
 
-#: Frames that are read at a time.
+#: Frames read at a time.
 CHUNK = 200
 
 #: Bins of pair distributions in nm.
 BIN = 0.002
 
-#: Interval in ps between the frames whose pairs are counted. Nearer ones are much alike.
+#: Interval in ps between the frames whose pairs are counted. Frames closer in time are much alike.
 APART = 1.0
 
 
@@ -33,9 +33,9 @@ class LiquidSamples(NamedTuple):
 
     Attributes:
         interval: ps between frames.
-        centres: (n, m, 3), nm, of the molecules' first atoms, unwrapped, without the motion of the whole.
+        centres: (n, m, 3), nm, of the molecules' first atoms, unwrapped, without their mean motion.
         directions: (n, m, 3), unit vectors from the second atom to the third, H to H in water.
-        dipoles: (n, 3) of the box, e nm; None where molecules are charged, so that it depends on their images.
+        dipoles: (n, 3) of the box, e nm; None where molecules are charged, since it then depends on their images.
         volumes: (n,), nm^3.
         distances: (b,), nm, middles of the bins of pair distances.
         pairs: (b,), radial distribution of the first atoms.
@@ -51,7 +51,7 @@ class LiquidSamples(NamedTuple):
 
 
 class NoLiquidError(ValueError):
-    """A trajectory is not that of a periodic liquid of one kind of molecule with three atoms or more."""
+    """A trajectory is not of a periodic liquid of one kind of molecule with three atoms or more."""
 
 
 def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0) -> LiquidSamples:
@@ -59,7 +59,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
 
     Args:
         trajectory: .dcd, .xtc or .h5.
-        box: the PDB file, whose listed atoms the trajectory has.
+        box: the PDB file; the trajectory has the atoms that it lists.
         interval: ps between frames.
         skip: ps to leave out at the beginning.
 
@@ -77,7 +77,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     sites = _Sites(box)
     count = min(len(first), 512)
     chosen = topology.select_pairs(oxygens[:count], oxygens)
-    # The same bins in all runs, whose boxes may become smaller than that of the PDB file.
+    # All runs need the same bins, and their boxes may become smaller than that of the PDB file.
     reach = min(1.0, 0.45 * float(_edges(box, trajectory).min()))
     settings = {} if trajectory.suffix == ".h5" else {"top": topology}
     for chunk in _chunks(mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=round(skip / interval), **settings)):
@@ -144,9 +144,9 @@ def _first_atoms(box: Box) -> np.ndarray:
 
 
 def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Places (n, m, 3) followed through the faces of rectangular boxes of edges (n, 3), without the mean motion.
+    """Positions (n, m, 3) followed through the faces of rectangular boxes of edges (n, 3), without the mean motion.
 
-    Each step is the shortest one in the box at its end, which keeps diffusion right where the box changes.
+    Each step is the shortest one in the box at its end, which keeps diffusion correct where the box changes.
 
     Source: von Bülow, Bullerjahn and Hummer, J. Chem. Phys. 153, 021101 (2020).
     """

@@ -1,6 +1,6 @@
 """Energy conservation of a run: fluctuation and drift, each defined once.
 
-Temperatures are in `openmm_sier.context.temperature`, since integrators state them too.
+Temperatures are in `openmm_sier.context.temperature`, since integrators report them too.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from openmm_sier.measure.statistics import rms, slope_and_error
 #: Length in ps of the windows for the energy's fluctuation, so that it does not depend on the length of the run.
 WINDOW = 1.0
 
-#: Least number of values in a window: a straight line through few takes away what fluctuates.
+#: Fewest values in a window. A straight line through fewer values would take away the fluctuation itself.
 LEAST = 8
 
 
@@ -29,9 +29,9 @@ def energy_fluctuation(time: np.ndarray, total: np.ndarray, window: float | None
     Args:
         time: ps, (n,).
         total: what is conserved, kJ/mol, (n,).
-        window: H is taken about a straight line in each window of this length in ps, since what accumulates is the
-            drift; windows are longer where they would have fewer than `LEAST` values. None takes H about its mean: the
-            definition of van Zon and Schofield (2007, section IV), made for runs of 1 ps.
+        window: ps. H is taken about a straight line in each window of this length, since what accumulates is the drift.
+            Windows are longer where they would have fewer than `LEAST` values. None takes H about its mean, which is
+            the definition of van Zon and Schofield (2007, section IV), made for runs of 1 ps.
 
     Returns:
         NaN for fewer than three values.
@@ -50,7 +50,7 @@ def energy_fluctuation(time: np.ndarray, total: np.ndarray, window: float | None
 
 
 def energy_error(time: np.ndarray, total: np.ndarray, potential: np.ndarray, window: float | None = WINDOW) -> float:
-    """rms(H)/rms(V), the measure of energy conservation; rms(V) is about the mean of the run.
+    """rms(H)/rms(V), the measure of energy conservation; V is taken about its mean over the run.
 
     Args:
         time: ps, (n,).

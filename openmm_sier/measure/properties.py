@@ -1,7 +1,7 @@
 """Properties of liquids from samples of a run: averages, fluctuations and correlations, each with its standard error.
 
-Errors come from the number of independent samples in a series (`pymbar.timeseries`), and where a property is no mean
-of a series, from the scatter between parts of the run, which must be longer than what relaxes in it.
+Errors come from the number of independent samples in a series (`pymbar.timeseries`). Where a property is not the mean
+of a series, they come from the scatter between parts of the run, which must be longer than the relaxation in it.
 """
 
 from __future__ import annotations
@@ -22,21 +22,24 @@ PERMITTIVITY = 5.72765723e-4
 #: 1 nm^2/ps in 10^-9 m^2/s, and kJ/mol/(nm^3) ps in mPa s.
 NM2_PER_PS, KJ_PER_NM3_PS = 1e3, 1.66053907e-3
 
-#: Of a cubic lattice with a neutralizing background (Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004), Eq. 12).
+#: The constant of a cubic lattice with a neutralizing background (Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004),
+#: Eq. 12).
 YEH_HUMMER = 2.837297
 
-#: ps; to where the pressure's correlation is integrated for the viscosity. In liquid water at room temperature, stress
-#: relaxes with some 0.6 ps, so that less than a thousandth follows, while the error grows with the root of the limit.
+#: ps; upper limit of the integral of the pressure's correlation for the viscosity. In liquid water at room temperature,
+#: stress relaxes in some 0.6 ps, so less than a thousandth of the integral lies beyond, while the error grows with the
+#: square root of the limit.
 MEMORY = 5.0
 
-#: ps; longest interval of pressures for the viscosity. Molecules of water librate with 30 fs and more, and what is as
-#: fast as the interval is taken for slow: the error is 0.1 % at 20 fs, 0.4 % at 24 fs and 1 % at 30 fs in SPC/E.
+#: ps; longest interval between pressures for the viscosity. Water molecules librate with periods of 30 fs and more, and
+#: motion as fast as the interval is mistaken for slow motion. The error is 0.1 % at 20 fs, 0.4 % at 24 fs and 1 % at
+#: 30 fs in SPC/E.
 COARSEST = 0.03
 
-#: Displacements to which the slope for self-diffusion is fitted; more hardly lower its error.
+#: Displacements to which the slope for self-diffusion is fitted; more would hardly lower its error.
 SLOPE_POINTS = 11
 
-#: Parts of a run whose scatter is the error of what is no mean of a series.
+#: Parts of a run, whose scatter gives the error of a property that is not the mean of a series.
 PARTS = 8
 
 
@@ -73,14 +76,14 @@ def mean(series: np.ndarray) -> Estimate:
 
 
 def _is_constant(values: np.ndarray) -> bool:
-    """Whether values differ by rounding alone, as the density of a box that keeps its volume."""
+    """Whether values differ by rounding alone, as does the density of a box of constant volume."""
     return bool(np.ptp(values) <= 1e-13 * np.abs(values).max())
 
 
 def inefficiency(values: np.ndarray) -> float:
     """How many samples of a series (n,) are worth one independent sample."""
     try:
-        # It advises at each import to install JAX.
+        # At each import, pymbar advises to install JAX.
         logging.getLogger("pymbar").setLevel(logging.ERROR)
         from pymbar.timeseries import statistical_inefficiency
     except ModuleNotFoundError as error:
@@ -90,7 +93,7 @@ def inefficiency(values: np.ndarray) -> float:
 
 
 def pooled(estimates: Sequence[Estimate]) -> Estimate:
-    """Mean over independent runs of one length; the error from their scatter where there are five or more."""
+    """Mean over independent runs of equal length; the error is from their scatter if there are five or more."""
     values, errors = np.array(estimates, dtype=float).T
     n = len(values)
     if _is_constant(values) and not errors.any():
@@ -103,7 +106,7 @@ def of_parts(estimate: Callable[[np.ndarray], float], n: int, parts: int = PARTS
     """An estimate from all of n samples, and its standard error by the jackknife over equal parts of the run.
 
     Args:
-        estimate: from indices of samples to a number.
+        estimate: takes indices of samples and returns a number.
         n: number of samples.
         parts: how many; each must be longer than the correlation time.
     """
@@ -162,8 +165,8 @@ def _squares_inefficiency(vectors: np.ndarray) -> float:
 def vaporization_enthalpy(potential: Estimate, temperature: float, molecules: int) -> Estimate:
     """Enthalpy of vaporization of rigid molecules to an ideal gas, kJ/mol.
 
-    The gas has no potential energy, and the volume of the liquid is left out. No correction for the polarization of the
-    liquid is added: SPC/E, TIP4P/2005 and others were made with one.
+    The gas has no potential energy, and the volume of the liquid is neglected. No correction for the polarization of
+    the liquid is added: SPC/E, TIP4P/2005 and others were parametrized with one.
 
     Args:
         potential: mean of the potential energy of the liquid, kJ/mol.
@@ -177,7 +180,7 @@ def vaporization_enthalpy(potential: Estimate, temperature: float, molecules: in
 
 
 def mean_square_displacements(centres: np.ndarray) -> np.ndarray:
-    """Mean over molecules and origins of the squared displacement, (n,) by the number of frames between.
+    """Mean over molecules and origins of the squared displacement, (n,), by the number of frames in between.
 
     Args:
         centres: (n, m, 3), unwrapped.
@@ -190,7 +193,7 @@ def mean_square_displacements(centres: np.ndarray) -> np.ndarray:
     transform = np.fft.rfft(centres, 2 * n, axis=0)
     products = np.fft.irfft((np.abs(transform) ** 2).sum(axis=(1, 2)), 2 * n)[:n] / counts
     ends = np.concatenate([squares, np.zeros((1, squares.shape[1]))]).sum(axis=1)
-    # Sums of the squares at both ends of all intervals of one length, from those of the intervals that are one shorter.
+    # Sums of the squares at both ends of all intervals of one length follow from those of intervals one frame shorter.
     sums = 2 * ends[:-1].sum() - np.concatenate([[0], np.cumsum(ends[: n - 1])])
     sums -= np.concatenate([[0], np.cumsum(ends[n - 1 : 0 : -1])])
     return (sums / counts - 2 * products) / centres.shape[1]
@@ -230,9 +233,9 @@ def viscosity_integrals(
 ) -> np.ndarray:
     """Running Green-Kubo integrals, mPa s, whose mean is the viscosity: (c, k), from 0 to `last` in k samples.
 
-    They are those of five components of the traceless pressure tensor, which are independent and fluctuate alike in a
-    liquid, in up to eight parts of the run, each ten times as long as `last` or more. Integrals are sums of trapezoids:
-    these are exact where nothing in the correlation is as fast as the interval.
+    There is one for each of five components of the traceless pressure tensor, which are independent and fluctuate alike
+    in a liquid, in each of up to eight parts of the run, each at least ten times as long as `last`. Integrals are by
+    the trapezoidal rule, which is exact where nothing in the correlation is as fast as the interval.
 
     Args:
         tensors: (n, 6), bar, components xx, yy, zz, xy, xz and yz.
@@ -244,7 +247,7 @@ def viscosity_integrals(
     Raises:
         TooShortError: the run is not twice as long as `last`, or the interval is longer than `COARSEST`.
 
-    Source: Daivis and Evans, J. Chem. Phys. 100, 541 (1994), whose sum over all components this is.
+    Source: Daivis and Evans, J. Chem. Phys. 100, 541 (1994), the sum over all components.
     """
     if interval > COARSEST * (1 + 1e-9):
         raise TooShortError(f"viscosity needs pressures {COARSEST:g} ps apart or less, got {interval:g} ps")
@@ -272,8 +275,8 @@ def shear_viscosity(
 ) -> Estimate:
     """Shear viscosity, mPa s, by the formula of Green and Kubo; the arguments are those of `viscosity_integrals`.
 
-    The upper limit of the integral is a time that is given, not one that is read off the integral, where noise would
-    choose it. `viscosity_tail` tells whether it is late enough.
+    The upper limit of the integral is given, not read off the integral, where noise would choose it. `viscosity_tail`
+    tells whether it is late enough.
     """
     return _of_components(viscosity_integrals(tensors, interval, volume, temperature, last)[:, -1])
 
@@ -291,13 +294,13 @@ def _of_components(values: np.ndarray) -> Estimate:
 
 
 def without_finite_size(diffusion: Estimate, temperature: float, edge: float, viscosity: float | Estimate) -> Estimate:
-    """Coefficient of self-diffusion of an infinite liquid from that of a cubic box, both in 10^-9 m^2/s.
+    """Coefficient of self-diffusion of an infinite liquid from that in a cubic box, both in 10^-9 m^2/s.
 
     Args:
         diffusion: in the box.
         temperature: K.
         edge: of the box, nm.
-        viscosity: of the same model, mPa s; with an error, this counts too.
+        viscosity: of the same model, mPa s; its error, if it has one, is propagated.
 
     Source: Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004), Eq. 12.
     """
@@ -308,7 +311,7 @@ def without_finite_size(diffusion: Estimate, temperature: float, edge: float, vi
 
 
 def orientation_correlation(directions: np.ndarray, longest: int) -> np.ndarray:
-    """<P2(u(0) u(t))> over molecules and origins, (longest + 1,) by the number of frames between.
+    """<P2(u(0) u(t))> over molecules and origins, (longest + 1,), by the number of frames in between.
 
     Args:
         directions: (n, m, 3), unit vectors.
@@ -332,7 +335,7 @@ def rotation_time(directions: np.ndarray, interval: float, parts: int = PARTS) -
         parts: of the run, whose scatter gives the error.
 
     Raises:
-        TooShortError: the correlation does not come down to 0.1 in a part of the run.
+        TooShortError: the correlation does not fall to 0.1 in a part of the run.
     """
     found = []
     for part in np.array_split(directions, parts):

@@ -16,7 +16,7 @@ class Table(NamedTuple):
     Attributes:
         title: above the table.
         columns: headings; none are shown if all are empty.
-        rows: cells, as many a row as there are columns.
+        rows: cells, in each row one for each column.
         left: number of leading columns that are aligned to the left, the others being numbers.
     """
 

@@ -72,8 +72,8 @@ class Method:
         name: for tables.
         force_evaluations: per step.
         make: step in ps -> integrator.
-        bias: what a step of h does to the temperature of a degree of freedom of frequency w, -bias (h w)^2 of it to
-            leading order; NaN where there is no such law. For Verlet there is none: SETTLE's free rotation, which is
+        bias: a step h changes the temperature of a degree of freedom of frequency w by the fraction -bias (h w)^2, to
+            leading order; NaN where there is no such law. There is none for Verlet: SETTLE's free rotation, which is
             not exact, has a bias of its own.
     """
 
@@ -124,8 +124,8 @@ def sample(
 ) -> Series:
     """Run a Context and record energies and temperatures at whole steps.
 
-    OpenMM's leapfrog keeps velocities half a step back; its temperatures are taken on step, from the velocities that
-    half a step of the forces turns them into, as OpenMM's own kinetic energy is.
+    OpenMM's leapfrog keeps velocities half a step behind. Its temperatures are taken at the whole step, from velocities
+    that the forces have advanced by half a step, as OpenMM's own kinetic energy is.
 
     Args:
         context: with positions and velocities.
@@ -135,7 +135,7 @@ def sample(
         progress: called with the number of steps done.
 
     Raises:
-        Unstable: an energy is not finite, a temperature is above `HIGHEST_TEMPERATURE`, or molecules are torn.
+        Unstable: an energy is not finite, a temperature is above `HIGHEST_TEMPERATURE`, or molecules are torn apart.
     """
     integrator = context.getIntegrator()
     conserved = MomentumConservation.of_system(context.getSystem(), bodies).holds(integrator)
@@ -165,7 +165,7 @@ class Sample(NamedTuple):
 
     @property
     def sane(self) -> bool:
-        # A temperature is NaN where nothing moves so.
+        # A temperature is NaN where there is no such motion.
         hot = self.translation > HIGHEST_TEMPERATURE or self.rotation > HIGHEST_TEMPERATURE
         return math.isfinite(self.potential) and math.isfinite(self.kinetic) and not hot
 
@@ -179,7 +179,7 @@ def observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> Sa
     Args:
         context: with positions and velocities.
         bodies: its rigid bodies.
-        conserved: whether the total momentum is, see `MomentumConservation`.
+        conserved: whether the total momentum is conserved, see `MomentumConservation`.
     """
     state = context.getState(energy=True)
     found = temperatures(bodies, body_state(context, bodies), conserved)
@@ -204,7 +204,7 @@ def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
 def steepness(context: openmm.Context, bodies: RigidBodies, samples: int, every: int) -> tuple[float, float]:
     """Temperature times the mean squared frequency of translation and of rotation, K/ps^2.
 
-    In equilibrium <F M^-1 F> = kT <tr M^-1 V''>, and the like with torques and moments, so that forces tell it.
+    In equilibrium <F M^-1 F> = kT <tr M^-1 V''>, and likewise with torques and moments, so it follows from forces.
 
     Args:
         context: of a SIERIntegrator, with positions and velocities in equilibrium.

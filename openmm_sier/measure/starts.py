@@ -33,12 +33,12 @@ LARGE_FORCE = 5e3
 FRICTION = 5.0
 SCHEME, STEP = SIER4G, 0.006
 
-#: Of the longest step that follows a system's bonds, what an equilibration takes where it is less than `STEP`: energies
-#: of bonds in the kicks are off by a tenth at that step, and by the fourth power of this share less.
+#: Fraction of the longest step that a system's bonds allow which an equilibration takes, if it is less than `STEP`. At
+#: that longest step, energies of bonds in the kicks are off by a tenth, which falls as the fraction's fourth power.
 SHARE_OF_LONGEST = 0.75
 
-#: Temperatures and potential energies are averaged over windows, of this length in ps. The last two must agree with
-#: what was asked and with each other; whatever came before is forgotten.
+#: Temperatures and potential energies are averaged over windows of this length in ps. The last two windows must agree
+#: with the requested temperature and with each other; earlier ones do not count.
 WINDOW = 1.0
 FEWEST_WINDOWS = 3
 
@@ -48,10 +48,10 @@ EVERY = 6
 #: ps, after which an equilibration gives up.
 LONGEST = 20.0
 
-#: K: no bound on a temperature is tighter, since no scheme's error is.
+#: K. No bound on a temperature is tighter than this, since schemes have errors of their own.
 TIGHTEST = 1.0
 
-#: Least kinetic energy, as a fraction of that at the temperature, that a run at constant energy is started with.
+#: Least kinetic energy with which a run at constant energy is started, as a fraction of that at its temperature.
 LEAST_MOTION = 0.1
 
 #: Properties of a Platform that make two Contexts compute alike.
@@ -99,9 +99,9 @@ def prepare(
 ) -> None:
     """Positions and velocities of a new run: minimized, equilibrated, the centre of mass at rest, the clock at zero.
 
-    A run at constant energy gets the kinetic energy that makes its total energy the mean one of the equilibration, so
-    that its mean temperature is that of the bath. A snapshot of the bath would leave it off by T sqrt(k/C), with the
-    heat capacity C: 4 K for 512 molecules of water.
+    A run at constant energy gets the kinetic energy that makes its total energy equal to the mean over the
+    equilibration, so that its mean temperature is that of the bath. From a snapshot of the bath it would be off by
+    T sqrt(k/C), with the heat capacity C: 4 K for 512 molecules of water.
 
     Args:
         context: with a SIERIntegrator.
@@ -109,7 +109,7 @@ def prepare(
         temperature: K.
         seed: of velocities and noise.
         time: of the equilibration, ps; None goes on until the liquid has settled, see `equilibrate`.
-        minimize: whether to minimize first; None does where the start has forces that a liquid has not.
+        minimize: whether to minimize first; None does so where forces are larger than in a liquid.
         report: gets notes and progress.
     """
     context.setPositions(positions)
@@ -153,7 +153,7 @@ class Equilibration:
         state: positions, velocities and box.
         time: that it took, ps.
         translation, rotation, flexible: mean temperatures in K over the last two windows, see
-            `openmm_sier.context.temperature`; NaN where nothing moves so.
+            `openmm_sier.context.temperature`; NaN where there is no such motion.
         potential: mean potential energy over the same time, kJ/mol.
         settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
     """
@@ -174,23 +174,22 @@ def equilibrate(
 
     It has settled when, over the last two windows of 1 ps,
 
-    - T_trans, T_rot and that of flexible molecules are each within one canonical standard deviation T sqrt(2/dof) of
-      a snapshot of them (or 1 K if that is more) of the temperature. With a friction of 5/ps the mean over 2 ps
-      scatters by a third of that, so that one in a hundred windows is taken for unsettled by chance;
+    - the means of T_trans, T_rot and the temperature of flexible molecules differ from the given temperature by at most
+      T sqrt(2/dof), the canonical standard deviation of a snapshot, or 1 K if that is more. With a friction of 5/ps the
+      mean over 2 ps scatters by a third of that, so one in a hundred windows counts as unsettled by chance;
     - the mean potential energy of the second differs from that of the first by less than 2 kT sqrt(dof/2), two
-      canonical standard deviations of the kinetic energy. What a start from a lattice still gives up is many times
-      that, while the bath may already hold the temperature.
+      canonical standard deviations of the kinetic energy. A start from a lattice still releases many times that, even
+      when the bath already holds the temperature.
 
-    The first window counts for nothing. An equal seed gives an equal result where the platform's forces are
-    deterministic.
+    The first window is ignored. The same seed gives the same result where the platform's forces are deterministic.
 
     Args:
         context: of a SIERIntegrator. It holds the positions to start from, and the pressure in its integrator or
             System; it is left as it was.
         temperature: K.
         seed: of velocities and noise.
-        time: ps. None goes on until the liquid has settled, for 20 ps at most, and warns if it has not by then. A
-            number is kept, whether the liquid has settled or not.
+        time: ps. None goes on until the liquid has settled, for 20 ps at most, and warns if it has not by then. With a
+            number it runs for that time, whether the liquid has settled or not.
         report: gets notes and progress.
     """
     bath = _bath_context(context, temperature, seed)
@@ -200,7 +199,7 @@ def equilibrate(
     if step < STEP:
         report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds vibrate that no constraint holds")
     steps = round((LONGEST if time is None else time) / step)
-    # Windows of nearly equal length, that none counts for more than it knows.
+    # Windows have nearly equal lengths, so that no short one counts as much as a long one.
     each = math.ceil(steps / max(1, round(steps * step / WINDOW)))
     windows: list[_Window] = []
     done, settled = 0, False
@@ -240,7 +239,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
 
 
 def _step_of(context: openmm.Context) -> float:
-    """Step of an equilibration, ps: the usual one, or one that is short enough for the bonds of a System."""
+    """Step of an equilibration, ps: the usual one, or one short enough for the bonds of a System."""
     integrator = context.getIntegrator()
     groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
     vibrations = Vibrations(context.getSystem(), integrator.bodies)
@@ -257,7 +256,7 @@ class _Window(NamedTuple):
 
 
 def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> _Window:
-    """Run for some steps after those done before, and average."""
+    """Run for a number of steps after those already done, and average."""
     integrator, samples = bath.getIntegrator(), []
     for begin in range(0, steps, EVERY):
         taken = min(EVERY, steps - begin)
@@ -313,7 +312,7 @@ def stop_centre_of_mass(context: openmm.Context) -> None:
 
 
 def _set_energy(context: openmm.Context, temperature: float, potential: float) -> None:
-    """Scale all velocities so that the total energy is the mean one at a temperature.
+    """Scale all velocities so that the total energy is the mean total energy at a temperature.
 
     Args:
         context: at the end of an equilibration, the centre of mass at rest.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-#: Groups that are left out in turn by the jackknife.
+#: Number of groups that the jackknife leaves out in turn.
 GROUPS = 40
 
 
@@ -29,7 +29,7 @@ def mean_and_error(values: np.ndarray, blocks: int = 20) -> tuple[float, float]:
     Args:
         values: the series; a remainder that fills no block is left out at its start.
         blocks: how many, each of which must be longer than the correlation time. There are fewer where the series is so
-            short that a block would have less than two values; the error is NaN where it has less than four.
+            short that a block would have fewer than two values; the error is NaN where it has fewer than four.
     """
     blocks = max(1, min(blocks, len(values) // 2))
     means = block_means(values, blocks)
@@ -39,11 +39,11 @@ def mean_and_error(values: np.ndarray, blocks: int = 20) -> tuple[float, float]:
 def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> tuple[float, float]:
     """Slope of a straight line through a correlated series and its standard error, from the means of equal blocks.
 
-    The error is that of independent block means, so that blocks must be longer than the correlation time.
+    The error is that of independent block means, so blocks must be longer than the correlation time.
 
     Args:
         x, y: the series.
-        blocks: how many. A series with fewer values has a slope without an error, and one of two values or less none.
+        blocks: how many. A series with fewer values has a slope but no error, one of two values or fewer has neither.
     """
     if len(x) < 3:
         return math.nan, math.nan
@@ -68,7 +68,7 @@ def jackknife(estimate: Callable[[np.ndarray], float], n: int) -> tuple[float, f
     """An estimate from all of n samples, and its standard error from leaving out groups of them.
 
     Args:
-        estimate: from the indices of samples to a number.
+        estimate: takes the indices of samples and returns a number.
         n: number of samples; each is a group of its own if there are fewer than `GROUPS`.
     """
     everything = np.arange(n)

@@ -2,12 +2,12 @@
 
 - Kinetic energies of translation, rotation and flexible molecules, each a group of its own: their mean and width
   (`distribution(strict=False)`, errors by bootstrap) and their whole distribution (`strict=True`, the test of
-  Kolmogorov and Smirnov, its probability turned into standard errors of a normal distribution). Together these are the
-  test of equipartition.
+  Kolmogorov and Smirnov, its probability turned into standard errors of a normal distribution). Together these test
+  equipartition.
 - Potential energy, enthalpy or volume of two runs that differ in temperature or pressure: the logarithm of the ratio of
   their probabilities is a straight line whose slope is known, whatever the system (`ensemble.check`).
 
-All assume independent samples: of each series one in g is taken, the statistical inefficiency of that series.
+All assume independent samples: one sample in g is taken of each series, with its statistical inefficiency g.
 
 Sources: Merz and Shirts, PLoS ONE 13, e0202764 (2018); Shirts, J. Chem. Theory Comput. 9, 909 (2013).
 """
@@ -27,7 +27,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure.observables import WINDOW, energy_fluctuation
 from openmm_sier.measure.properties import inefficiency
 
-#: Standard errors beyond which a check fails. Chance takes one number in 16000 so far.
+#: Standard errors beyond which a check fails. By chance, one number in 16000 lies so far out.
 LIMIT = 4.0
 
 #: Independent samples below which bootstrap errors mean little.
@@ -36,8 +36,8 @@ FEWEST = 20
 #: Seed of the bootstrap, so that the same runs have the same verdict.
 BOOTSTRAP_SEED = 5
 
-#: Share by which a ratio of fluctuations may be off at finite steps. Terms of the next order are (w h)^2/12 of it, 4 %
-#: for the librations of water at 2 fs.
+#: Fraction by which a ratio of fluctuations may be off at finite steps. Terms of the next order are (w h)^2/12 of it,
+#: 4 % for the librations of water at 2 fs.
 NEXT_ORDER = 0.1
 
 #: Columns of the log by the group whose temperature they are.
@@ -97,7 +97,7 @@ class Verdict(NamedTuple):
 
 
 def independent(*series: np.ndarray) -> np.ndarray:
-    """One in g of the samples of k series (n,), with the largest g of them; (k, n/g)."""
+    """One sample in g of k series (n,), with g the largest statistical inefficiency among them; (k, n/g)."""
     every = math.ceil(max(inefficiency(values) if values.std() > 0 else 1.0 for values in series))
     return np.array(series)[:, ::every]
 
@@ -114,7 +114,7 @@ def sampled(logs: Sequence[Mapping[str, np.ndarray]], temperature: float, pressu
     ends, volumes = [], []
     for log in logs:
         groups = kinetic_groups(log)
-        # They share what is slow, the exchange of heat with the bath, and the noise of g is less where it counts twice.
+        # Groups exchange heat with the same bath: the slowest of them decides how far samples must be apart.
         kept = independent(*(group.energies for group in groups))
         for group, energies in zip(groups, kept, strict=True):
             found.setdefault(group.name, []).append(group._replace(energies=energies))
@@ -133,8 +133,8 @@ def sampled(logs: Sequence[Mapping[str, np.ndarray]], temperature: float, pressu
 def kinetic_groups(log: Mapping[str, np.ndarray]) -> list[Group]:
     """Kinetic energies (n,) of all rows of a log by group.
 
-    Degrees of freedom are those by which the log's temperatures were made: the kinetic energy of all motion is linear
-    in these temperatures, and its coefficients tell them.
+    Degrees of freedom are those from which the log's temperatures were computed: the kinetic energy of all motion is
+    linear in these temperatures, and its coefficients give the degrees of freedom.
     """
     names = [name for name, column in GROUPS.items() if column in log and not np.isnan(log[column]).all()]
     temperatures = np.array([log[GROUPS[name]] for name in names])
@@ -172,7 +172,7 @@ def kinetic_verdicts(sample: Sampled) -> list[Verdict]:
         mean, width = pv.kinetic_energy.distribution(data, strict=False, **options)
         probability = pv.kinetic_energy.distribution(data, strict=True, **options)
         scale = 2 / (group.dof * GAS_CONSTANT)
-        # The width that a group of these degrees of freedom has at a temperature is proportional to it.
+        # For given degrees of freedom, the width of the distribution is proportional to the temperature.
         by_mean = f"T = {scale * group.energies.mean():.1f} K, {sample.temperature:g} K expected"
         by_width = f"T = {math.sqrt(2 / group.dof) / GAS_CONSTANT * group.energies.std():.1f} K by the width"
         found += [
@@ -186,7 +186,7 @@ def kinetic_verdicts(sample: Sampled) -> list[Verdict]:
 
 
 def _system(pv: Any, dof: float) -> Any:
-    """A system of so many degrees of freedom: that of the package has atoms and constraints."""
+    """A system with this many degrees of freedom, given to the package as atoms and constraints."""
     atoms = math.ceil(dof / 3)
     return pv.data.SystemData(
         natoms=atoms, nconstraints=3 * atoms - dof, ndof_reduction_tra=0, ndof_reduction_rot=0, mass=np.ones(atoms)
@@ -194,7 +194,7 @@ def _system(pv: Any, dof: float) -> Any:
 
 
 def errors_of(probability: float) -> float:
-    """Standard errors of a normal distribution beyond which so much probability lies on both sides."""
+    """Standard errors of a normal distribution beyond which this probability lies, on both sides together."""
     from scipy.special import ndtri
 
     return float(-ndtri(max(probability, 1e-300) / 2))
@@ -204,7 +204,7 @@ def errors_of(probability: float) -> float:
 
 
 def ensemble_verdict(one: Sampled, two: Sampled) -> Verdict:
-    """Whether the distributions of two runs that differ in temperature or in pressure stand in the right ratio.
+    """Whether the distributions of two runs that differ in temperature or in pressure have the right ratio.
 
     Raises:
         ValueError: they differ in both, or in neither.
@@ -236,7 +236,7 @@ def ensemble_verdict(one: Sampled, two: Sampled) -> Verdict:
 
 
 def suggested_interval(sample: Sampled) -> dict[str, float]:
-    """Intervals of temperature (dT, K) and pressure (dP, bar) to a second run that tell most: two widths apart."""
+    """Intervals of temperature (dT, K) and pressure (dP, bar) to the most telling second run, two widths apart."""
     pv = _package()
     with contextlib.redirect_stdout(io.StringIO()):
         return pv.ensemble.estimate_interval(_data(pv, sample), verbosity=0, data_is_uncorrelated=True)

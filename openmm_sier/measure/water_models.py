@@ -1,7 +1,7 @@
 """Water models by their geometry, and recognition of the model in a PDB file.
 
 Rigid water models share few geometries. TIP3P, in Amber's form and in CHARMM's, has that of TIP4P and TIP5P without
-their charge sites; SPC has that of SPC/E. A PDB file of such a geometry does not tell its model.
+their charge sites; SPC has that of SPC/E. A PDB file with such a geometry does not identify its model.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PDB_RESOLUTION = 1e-4
 #: OpenMM's default constraint tolerance, 1e-5, of the longest distance in a molecule, nm.
 CONSTRAINT_ERROR = 2e-6
 
-#: Models that are named when none fits.
+#: Number of models that are named when none fits.
 NEAREST = 3
 
 
@@ -56,7 +56,7 @@ class WaterModel:
 _TIP = (0.09572, 0.15139)
 _SPC = (0.1, 0.163298)
 
-#: Geometries from the force-field files themselves, and for the models that OpenMM has no file for from their papers:
+#: Geometries are from the force-field files themselves or, for models without a file in OpenMM, from their papers:
 #: SPC, Berendsen et al., in Intermolecular Forces, ed. Pullman (1981), 331; TIP4P-D, Piana et al., J. Phys. Chem. B
 #: 119, 5113 (2015). Files with the same parameters (amber19, charmm36_2024) are listed once.
 WATER_MODELS = (
@@ -78,9 +78,9 @@ WATER_MODELS = (
 
 
 def recognize(waters: Sequence[app.topology.Residue], positions: np.ndarray, ions: bool = False) -> WaterModel:
-    """The one model whose geometry water molecules have.
+    """The one water model that has the geometry of these molecules.
 
-    Without virtual sites in the file, the geometry of the atoms alone has to tell it.
+    Without virtual sites in the file, the geometry of the atoms alone has to identify it.
 
     Args:
         waters: residues of an openmm.app.Topology, all of them water.
@@ -129,12 +129,12 @@ def _common_size(waters: Sequence[app.topology.Residue]) -> int:
 
 
 def _fits(measured: np.ndarray, model: WaterModel) -> bool:
-    """Whether distances (n, 2 or 3) are those of a model but for the rounding of a PDB file.
+    """Whether distances (n, 2 or 3) are those of a model, up to the rounding of a PDB file.
 
     A coordinate rounded to d has a variance of d^2/12, so that a distance has the standard deviation d/sqrt(6), 4e-5
     nm, and at most an error of sqrt(3) d. The mean over n molecules is known to 4e-5/sqrt(n) nm, 2e-6 nm for 512, and
-    the closest models, TIP4P and TIP4P/2005, are 5e-4 nm apart. Four such errors are allowed. What rounding across the
-    bond adds to a distance r on average, d^2/6r, is 2e-7 nm at most.
+    the closest models, TIP4P and TIP4P/2005, are 5e-4 nm apart. Four such errors are allowed. Rounding across the bond
+    adds d^2/6r to a distance r on average, 2e-7 nm at most.
     """
     errors = measured - np.array(model.distances[: measured.shape[1]])
     of_mean = 4 * PDB_RESOLUTION / math.sqrt(6 * len(measured)) + CONSTRAINT_ERROR
@@ -143,7 +143,7 @@ def _fits(measured: np.ndarray, model: WaterModel) -> bool:
 
 
 def _distance(means: np.ndarray, model: WaterModel) -> float:
-    """The largest difference of a mean distance, nm."""
+    """The largest difference between a mean distance and the model's, nm."""
     return float(np.abs(means - model.distances[: len(means)]).max())
 
 

@@ -1,7 +1,7 @@
 """Acceptance of hybrid Monte Carlo against the number of molecules: the measurement behind `openmm-sier acceptance`.
 
-All schemes follow trajectories of the same length from the same boxes, and Verlet's beside them: kick, drift, kick
-with a step of RATTLE that is solved to rounding, so that it reverses and can be accepted or rejected exactly.
+All schemes follow trajectories of the same length from the same boxes, Verlet among them: kick, drift, kick with a
+step of RATTLE that is solved to rounding, so that it is reversible and can be accepted or rejected exactly.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from openmm_sier.studies.acceptance_trials import METHODS, AcceptanceSettings, M
 from openmm_sier.studies.bench.replicas import Replica, of_size
 from openmm_sier.version import __version__
 
-#: The file of the numbers, and the directory of what is kept on the way.
+#: The file of the numbers, and the directory of intermediate results.
 FILE, KEPT = "acceptance.json", "trials"
 
 #: Settings that all files of a directory must share.
 SHARED = ("box", "forcefield", "time", "temperature", "equilibrate", "seed", "platform")
 
-#: Below, spreads are not pooled with those of larger boxes: cut-offs are shorter in boxes that are narrower than twice
-#: the usual one.
+#: Spreads of boxes below this size are not pooled with those of larger ones, since cut-offs are shorter in boxes that
+#: are narrower than twice the usual cut-off.
 SMALLEST_POOLED = 512
 
 
@@ -47,7 +47,7 @@ class Row:
         acceptance: mean of min(1, exp(-error)).
         spread: standard deviation of the energy error.
         mean: of the energy error, half the square of the spread if errors are normal.
-        noise: standard deviation of the energy by rounding, of which a trial has two.
+        noise: standard deviation of the energy from rounding, which enters each trial twice.
     """
 
     molecules: int
@@ -64,7 +64,7 @@ class Row:
 
     @classmethod
     def of(cls, member: Member) -> Row:
-        """What the trials of a member say."""
+        """The row for the trials of a member."""
         errors = np.array([math.inf if error is None else error for error in member.errors])
         followed, none = errors[np.isfinite(errors)], (math.nan, math.nan)
         accepted, mean, spread = none, none, none
@@ -86,9 +86,9 @@ class Limit:
 
     Attributes:
         spread: of the energy error for one molecule, kT, from all boxes of 512 molecules and more; for n it is sqrt(n)
-            times as much.
-        measured: the largest box that was measured with an acceptance above one half; 0: none.
-        extrapolated: number of molecules at one half by that law, with its standard error.
+            times as large.
+        measured: the largest box that was measured with an acceptance above one half; 0 if there is none.
+        extrapolated: number of molecules with an acceptance of one half by that law, with its standard error.
     """
 
     method: str
@@ -101,8 +101,8 @@ class Limit:
 def run(settings: AcceptanceSettings, out: Path, report: Report = SILENT) -> list[Row]:
     """Measure, and write acceptance.json and, with matplotlib, acceptance.png to a directory.
 
-    Boxes and trials are kept there, each when it is done: a run that was stopped goes on where it was, and one with
-    further sizes, schemes or steps adds to them. What is written and returned is everything that the directory has.
+    Boxes and trials are kept there as soon as they are done: a stopped run goes on where it was, and a run with further
+    sizes, schemes or steps adds to them. All results in the directory are written and returned.
 
     Args:
         settings: what is measured.
@@ -125,13 +125,13 @@ def run(settings: AcceptanceSettings, out: Path, report: Report = SILENT) -> lis
 
 
 def _measure_size(settings: AcceptanceSettings, replica: Replica, box: Box, kept: Path, report: Report) -> None:
-    """Make the trials of all methods in one box that are not on disk."""
+    """Make those trials of all methods in one box that are not on disk yet."""
     molecules = replica.molecules
     wanted, begun = settings.trials_of(molecules), None
     for name, dt in itertools.product(settings.schemes or METHODS, settings.dt):
         path = kept / f"{molecules}-{name}-{dt:g}.json"
         if (member := _known(path, wanted)) is None:
-            # A box that was cut has other faces, and needs as long as it takes.
+            # A cropped box has new faces, so it is equilibrated until it has settled.
             time = None if molecules < box.topology.getNumResidues() else settings.equilibrate
             begun = begun or trials.start(replica, kept / f"{molecules}.npz", settings, time, report)
             member = trials.measure(begun, METHODS[name], dt, wanted, settings, report)
@@ -160,7 +160,7 @@ def _shared(settings: AcceptanceSettings) -> dict[str, Any]:
 
 
 def _share(settings: AcceptanceSettings, path: Path) -> None:
-    """Note the settings of a directory's files, or refuse others than those noted."""
+    """Note the settings of a directory's files, or refuse settings that differ from those noted."""
     mine = _shared(settings)
     if not path.exists():
         path.write_text(json.dumps(mine, indent=1))

@@ -24,11 +24,11 @@ from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.studies.bench.replicas import Replica
 from openmm_sier.studies.files import replace_file
 
-#: Random displacements of the molecules that tell the noise of the energy, nm, and how many. Single precision holds
-#: coordinates of a large box to as much.
+#: Size in nm and number of the random displacements of molecules that tell the noise of the energy. Single precision
+#: resolves the coordinates of a large box about as well.
 NOISE_STEP, NOISE_SAMPLES = 1e-6, 16
 
-#: Trials of a box where none are given: as many as make this number of molecules, between a least and a most.
+#: Default number of trials in a box, which is `MOLECULES` over the molecules of the box, within the two bounds.
 MOLECULES, FEWEST, MOST = 163840, 10, 400
 
 
@@ -37,10 +37,10 @@ class AcceptanceSettings:
     """Settings of the measurement. Times in ps; `dt`, the simulated time per force evaluation, in fs.
 
     Attributes:
-        sizes: numbers of molecules: multiples of those of the box, or less.
-        trials: of each size, or one for all; None makes fewer in larger boxes.
-        time: of each trajectory, to a whole number of steps.
-        equilibrate: at each size, of the box that was repeated; one that was cut takes as long as it needs.
+        sizes: numbers of molecules, multiples of that of the box or smaller.
+        trials: their number at each size, or one number for all; None makes fewer in larger boxes.
+        time: of each trajectory, rounded to a whole number of steps.
+        equilibrate: at each size, for repeated boxes; cropped ones are equilibrated until they have settled.
     """
 
     box: Path
@@ -71,7 +71,7 @@ class Method:
     rotation: Rotation = exact
 
 
-#: By the names that users give.
+#: Methods by the names that users give.
 METHODS = {"verlet": Method("Verlet, RATTLE", SIER2, rattle)} | {
     name: Method(scheme.name, scheme) for name, scheme in CATALOGUE.items()
 }
@@ -84,12 +84,12 @@ class Member:
     Attributes:
         molecules: of the box.
         method: name.
-        fs_per_force: step over force evaluations a step.
+        fs_per_force: step over its number of force evaluations.
         step: fs.
         steps: of each trial.
         errors: of the energy at the end of each trial, kT; None where a trajectory could not be followed.
-        reversal: by which an atom missed its start when the first trajectory was followed back, nm.
-        noise: standard deviation of the energy by rounding, kT.
+        reversal: distance by which an atom missed its start when the first trajectory was followed back, nm.
+        noise: standard deviation of the energy from rounding, kT.
         broken: why there are no trials.
     """
 
@@ -122,14 +122,14 @@ class Start:
 def start(
     replica: Replica, kept: Path, settings: AcceptanceSettings, time: float | None, report: Report = SILENT
 ) -> Start:
-    """Equilibrate a box, or read from a file how that ended before.
+    """Equilibrate a box, or read the end of an earlier equilibration from a file.
 
     Args:
         replica: the box.
         kept: an NPZ file, which is made if it does not exist.
         settings: of the measurement.
-        time: of the equilibration, ps; None: until the liquid has settled. Molecules that are too close are moved apart
-            first.
+        time: of the equilibration, ps; None goes on until the liquid has settled. Molecules that are too close are
+            moved apart first.
         report: gets notes and progress.
     """
     context = make_context(replica.system, SIERIntegrator(0.001, SIER2), settings.platform)
@@ -147,10 +147,10 @@ def start(
 
 
 def energy_noise(context: openmm.Context, seed: int = 1) -> float:
-    """Standard deviation of a Context's potential energy by rounding, kJ/mol.
+    """Standard deviation of a Context's potential energy from rounding, kJ/mol.
 
-    Molecules are displaced at random, so little that their forces tell how the energy changes. It scatters about that
-    by rounding alone, of positions and of sums.
+    Molecules are displaced at random, by so little that their forces predict the change of the energy. The scatter
+    about this prediction is from rounding alone, of positions and of sums.
 
     Args:
         context: of a SIERIntegrator, with positions. It is left as it was.
@@ -187,7 +187,7 @@ def measure(
     Args:
         begun: the box.
         method: what makes trajectories.
-        fs_per_force: step over force evaluations a step.
+        fs_per_force: step over its number of force evaluations.
         trials: how many.
         settings: of the measurement.
         report: gets progress.

@@ -62,9 +62,9 @@ class Row:
     """One method at one step; temperatures in K, energies in kJ/mol, density in g/cm^3, each mean with standard error.
 
     Attributes:
-        fs_per_force: step over force evaluations a step.
+        fs_per_force: step over its number of force evaluations.
         broken: why the run ended early; the means are NaN then.
-        predicted: what the difference is to leading order in the step, NaN where that is not known; see
+        predicted: the difference to leading order in the step, NaN where that is not known; see
             `openmm_sier.measure.sampling.Method`.
     """
 
@@ -88,7 +88,7 @@ class Row:
 
 
 def compare(settings: EquipartitionSettings, report: Report = SILENT) -> list[Row]:
-    """Run every method at every step from equilibrated starts, one a replica, and pool the replicas."""
+    """Run every method at every step from equilibrated starts, one for each replica, and pool the replicas."""
     methods(settings)
     box = read_box(settings.box, settings.forcefield)
     bodies = RigidBodies.from_system(box.system, box.topology)
@@ -103,7 +103,7 @@ def compare(settings: EquipartitionSettings, report: Report = SILENT) -> list[Ro
             barostat.setRandomNumberSeed(seed)
         start = equilibrated(box, mine.temperature, mine.seed, mine.equilibrate, mine.platform, report)
         chosen = methods(mine)
-        # Forces are asked for where some method has a law (NaN is not above 0).
+        # Forces are needed only where some method has a law (NaN is not above 0).
         lawful = any(method.bias > 0 for method in chosen)
         slope = _slope(box.system, bodies, start, mine) if lawful else float("nan")
         for method in chosen:
@@ -234,12 +234,12 @@ def pool(directories: Sequence[Path], out: Path, report: Report = SILENT) -> lis
     """Pool the runs of earlier comparisons, and write what `run` does.
 
     Args:
-        directories: what they wrote to; all of one box, ensemble, temperature, friction and pressure.
+        directories: of these comparisons, all with the same box, ensemble, temperature, friction and pressure.
         out: directory for the result.
         report: gets the table and notes.
 
     Raises:
-        ValueError: two of them were made with other settings, or have runs of the same seeds.
+        ValueError: two of them were made with different settings, or have runs with the same seed.
     """
     records = [json.loads((directory / FILE).read_text()) for directory in directories]
     for directory, record in zip(directories, records, strict=True):

@@ -23,7 +23,7 @@ LARGEST_DRAWN = 262144
 
 
 def equipartition_figure(rows: Sequence[Any], ensemble: str, path: Path) -> None:
-    """T_rot - T_trans against the step per force evaluation, one line a method, and what is predicted for SIER2.
+    """T_rot - T_trans against the step per force evaluation, one line per method, and the prediction for SIER2.
 
     Args:
         rows: of `openmm_sier.studies.equipartition.compare`.
@@ -104,7 +104,7 @@ def _draw_integrals(axes: Axes, times: np.ndarray, integrals: np.ndarray, colour
 
 
 def schemes_figure(rows: Sequence[Any], path: Path) -> None:
-    """Energy error and drift against force evaluations per picosecond, one line a scheme.
+    """Energy error and drift against force evaluations per picosecond, one line per scheme.
 
     Args:
         rows: of `openmm_sier.studies.scheme_comparison.compare`.
@@ -137,7 +137,7 @@ def schemes_figure(rows: Sequence[Any], path: Path) -> None:
 
 
 def cost_figure(points: Sequence[Any], path: Path) -> None:
-    """Energy error against force evaluations per picosecond, and speed against energy error, one line a method.
+    """Energy error against force evaluations per picosecond, and speed against energy error, one line per method.
 
     Args:
         points: of `openmm_sier.studies.bench.accuracy.compare_accuracy`.
@@ -164,12 +164,12 @@ def cost_figure(points: Sequence[Any], path: Path) -> None:
 
 
 def acceptance_figure(rows: Sequence[Any], spreads: Sequence[tuple[str, float, Spread]], path: Path) -> None:
-    """Acceptance and spread of the energy error against the number of molecules, one line a method and step.
+    """Acceptance and spread of the energy error against the number of molecules, one line per method and step.
 
     Args:
         rows: of `openmm_sier.studies.acceptance.run`.
-        spreads: method, time per force evaluation in fs, and spread of the energy error for one molecule, kT, by which
-            lines are drawn.
+        spreads: method, time per force evaluation in fs, and spread of the energy error for one molecule, kT, from
+            which lines are drawn.
         path: PNG file to write.
     """
     with style.context():

@@ -40,7 +40,8 @@ def _gradients_outside(share: float) -> tuple[Stage, ...]:
     return (*half, Stage(KICK, 1 - 2 * share), *reversed(half))
 
 
-#: Published schemes that the catalogue leaves out: for any number of forces one of its own does as well or better.
+#: Published schemes that the catalogue leaves out, because for any number of forces it has one that does as well or
+#: better.
 OTHERS = {
     "s6": alternating(
         "Blanes-Moan S6",
@@ -105,7 +106,7 @@ class Row:
         order: of the scheme.
         force_evaluations: per step.
         step: fs.
-        fs_per_force: step over force evaluations.
+        fs_per_force: step over its number of force evaluations.
         time: length of the run, ps.
         error: rms(H)/rms(V), see `openmm_sier.measure.observables.energy_error`.
         drift: of the energy of the whole box, with its standard error, kJ/mol/ps.
@@ -128,7 +129,7 @@ class Row:
 
 
 def known() -> dict[str, tuple[Method, int]]:
-    """Method and order of everything that the survey can measure, by the name that the user gives."""
+    """Method and order of everything that the comparison can measure, by the name that the user gives."""
     methods = {"verlet": (sampling.nve_methods()["verlet"], 2)}
     for name, scheme in {**CATALOGUE, **OTHERS}.items():
         method = Method(scheme.name, scheme.force_evaluations, partial(SIERIntegrator, scheme=scheme))

@@ -12,7 +12,7 @@ import numpy as np
 from openmm_sier.measure.properties import Estimate
 from openmm_sier.studies import style
 
-#: Properties by the names that rows know them by: name in the table, label in the figure.
+#: Properties by their keys in rows, with their names in the table and labels in the figure.
 PROPERTIES = {
     "density": ("density, g/cm³", "density (g/cm³)"),
     "energy": ("potential energy, kJ/mol", "potential energy (kJ/mol)"),
@@ -20,7 +20,7 @@ PROPERTIES = {
     "diffusion": ("self-diffusion in the box, 10⁻⁹ m²/s", "self-diffusion (10⁻⁹ m²/s)"),
 }
 
-#: fs by which the points of methods are set apart.
+#: fs by which the points of different methods are shifted apart.
 APART = 0.03
 
 
@@ -31,10 +31,10 @@ class StepRow(NamedTuple):
         box: name of it.
         method: name of it.
         step: fs.
-        fs_per_force: step over force evaluations a step.
+        fs_per_force: step over its number of force evaluations.
         runs: their number.
-        time: simulated, after what is skipped, of all runs, ps.
-        found: by the keys of `PROPERTIES`; what could not be had is missing.
+        time: simulated time of all runs, without what is skipped, ps.
+        found: by the keys of `PROPERTIES`; properties that the runs do not give are missing.
     """
 
     box: str
@@ -47,7 +47,7 @@ class StepRow(NamedTuple):
 
 
 def step_table(rows: Sequence[StepRow]) -> tuple[list[str], list[list[str]]]:
-    """Head and cells of the table, boxes and methods in the order of their first rows."""
+    """Header and cells of the table, boxes and methods in the order of their first rows."""
     head = ["box", "method", "step, fs", "fs per force", "runs", "ps", *(name for name, _ in PROPERTIES.values())]
     cells = [
         [row.box, row.method, f"{row.step:g}", f"{row.fs_per_force:g}", str(row.runs), f"{row.time:.4g}"]
@@ -65,7 +65,7 @@ def markdown(rows: Sequence[StepRow]) -> str:
 
 
 def in_order(rows: Sequence[StepRow]) -> list[StepRow]:
-    """Rows by box and method, in the order in which these come first, and by step."""
+    """Rows by box and method, in the order in which these first appear, and by step."""
     boxes, methods = (list(dict.fromkeys(getattr(row, name) for row in rows)) for name in ("box", "method"))
     return sorted(rows, key=lambda row: (boxes.index(row.box), methods.index(row.method), row.fs_per_force))
 
@@ -112,7 +112,7 @@ def _draw(axes: Any, rows: Sequence[StepRow], key: str) -> None:
 
 
 def _style(method: str) -> dict[str, Any]:
-    """A sampler by Metropolis has the colour of its scheme."""
+    """The style of a method; hybrid Monte Carlo has the colour of its scheme."""
     if method.endswith(" HMC"):
         return style.of_method(method.removesuffix(" HMC")) | {"marker": "*", "ms": 9, "ls": ":"}
     return style.of_method(method)

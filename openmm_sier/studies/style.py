@@ -27,8 +27,8 @@ RC: Any = {
 
 GREY = "0.35"
 
-#: Colour and marker of every method. Those of this package have saturated colours; with a heat bath a method keeps its
-#: own.
+#: Colour and marker of every method. Methods of this package have saturated colours; one with a heat bath looks as
+#: without it.
 METHODS = {
     "SIER2": ("#0072b2", "o"),
     "SIER4": ("#d55e00", "D"),

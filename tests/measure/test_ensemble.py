@@ -101,6 +101,21 @@ def test_a_lost_worker_is_replaced(tmp_path):
     assert (tmp_path / "to2" / LOG).read_text() == counted(2)
 
 
+def test_a_member_that_loses_all_its_workers_does_not_hinder_the_others(tmp_path):
+    class Losing(ThreadPoolExecutor):
+        """Loses every task of one member."""
+
+        def submit(self, function, member, *arguments):
+            if member.name == "to2":
+                return super().submit(os.stat, "no such worker")
+            return super().submit(function, member, *arguments)
+
+    with pytest.raises(EnsembleError, match=r"to2 failed: its worker was lost 6 times, .*No such file") as caught:
+        ensemble(counters(2, 3), tmp_path, Losing(1))
+    assert [bool(o.error) for o in caught.value.outcomes] == [True, False]
+    assert (tmp_path / "to3" / LOG).read_text() == counted(3)
+
+
 def test_an_interrupt_stops_the_children(tmp_path):
     class Interrupting:
         """A report whose progress is interrupted once the member runs."""

@@ -1,8 +1,7 @@
 """Cost of a step beyond its forces, and cost of accuracy: the measurements behind `openmm-sier bench`.
 
-All timings of one table come from one run. What is compared takes turns, several rounds of it, and ratios are taken
-within a round, so that changes of a machine's speed cancel; medians over the rounds are shown with their standard
-errors.
+All timings in a table come from one run. The things compared take turns for several rounds, and ratios are taken within
+a round, so that changes of a machine's speed cancel. Medians over the rounds are shown with their standard errors.
 """
 
 from __future__ import annotations

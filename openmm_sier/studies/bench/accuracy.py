@@ -131,7 +131,7 @@ def _of_peer(peer: peers.Peer, liquid: peers.Liquid, dt: float, settings: BenchS
 def step_at(points: list[Point], method: str, level: float) -> float:
     """fs per force evaluation at which a method reaches an error; NaN where its points do not enclose it.
 
-    Between two points the error is a power of the step. The longest such step counts.
+    Between two points the error is taken as a power of the step. The longest such step is returned.
     """
     mine = sorted((p.fs_per_force, p.error) for p in points if p.method == method and not math.isnan(p.error))
     for (h1, e1), (h2, e2) in reversed(list(pairwise(mine))):
@@ -141,7 +141,7 @@ def step_at(points: list[Point], method: str, level: float) -> float:
 
 
 def summary(points: list[Point], level: float) -> dict[str, dict[str, float]]:
-    """For each method the step, forces per ps and speed at an error."""
+    """For each method the step, forces per ps and speed at a given error."""
     found = {}
     for name in dict.fromkeys(point.method for point in points):
         dt = step_at(points, name, level)
@@ -152,7 +152,7 @@ def summary(points: list[Point], level: float) -> dict[str, dict[str, float]]:
 
 
 def record(points: list[Point]) -> dict:
-    """The measured points and what follows, for JSON."""
+    """The measured points and what follows from them, for JSON."""
     levels = [{"level": level, "methods": summary(points, level)} for level in LEVELS]
     return {"points": [asdict(point) for point in points], "levels": levels}
 
@@ -187,7 +187,7 @@ def tables(points: list[Point]) -> list[Table]:
 
 
 def notes(points: list[Point]) -> list[str]:
-    """Differences of the other programs that took part."""
+    """How the other programs that took part differ."""
     return [
         f"{name}: {difference}"
         for name, difference in peers.DIFFERENCES.items()

@@ -19,7 +19,7 @@ from openmm_sier.studies.bench.timing import BenchSettings, apart
 STEP = 1e-3
 STEPS = 20
 
-#: Sizes for the growth of cost and memory; below, calls cost more than bodies.
+#: Sizes between which growth of cost and memory is measured; below, calls cost more than bodies.
 SMALLEST, LARGEST = 4096, 131072
 
 OH, HH = 0.09572, 0.15139
@@ -49,7 +49,7 @@ def context_of(n: int, integrator: openmm.Integrator) -> openmm.Context:
 
 
 def time_layer(settings: BenchSettings, report: Report) -> dict:
-    """Nanoseconds a body and step of the layer, growth exponent, bytes a molecule, seconds of start-up."""
+    """Nanoseconds of the layer per body and step, growth exponent, bytes per molecule, seconds of start-up."""
     sizes = [n for n in settings.bodies if SMALLEST <= n <= LARGEST] or [settings.bodies[-1]]
     cost = _nanoseconds(sizes, settings.rounds)
     record: dict = {"nanoseconds": cost}
@@ -62,7 +62,7 @@ def time_layer(settings: BenchSettings, report: Report) -> dict:
 
 
 def _nanoseconds(sizes: list[int], rounds: int) -> dict[int, tuple[float, float]]:
-    """Of a step of free bodies outside the force calls, a body. Sizes take turns, which are equally long."""
+    """Nanoseconds per body of a step of free bodies, outside the force calls. Sizes take turns of equal length."""
     contexts = {n: context_of(n, SIER2Integrator(STEP)) for n in sizes}
     clocks = {n: ForceClock(context) for n, context in contexts.items()}
     found, largest = np.empty((rounds + 1, len(sizes))), max(sizes)
@@ -71,7 +71,7 @@ def _nanoseconds(sizes: list[int], rounds: int) -> dict[int, tuple[float, float]
             calls = largest // n
             outside, _ = apart(clocks[n], partial(_run, contexts[n].getIntegrator(), calls))
             turn[i] = 1e9 * outside / (calls * STEPS * n)
-    # The first turn sets up what later ones find.
+    # The first turn does the set-up for later ones, and does not count.
     return {n: median_and_error(values) for n, values in zip(sizes, found[1:].T, strict=True)}
 
 
@@ -81,9 +81,9 @@ def _run(integrator: openmm.Integrator, calls: int) -> None:
 
 
 def bytes_per_molecule(n: int) -> float | None:
-    """Memory of a Context with SIER2 beyond that of one with Verlet; None where the system does not tell.
+    """Memory of a Context with SIER2 beyond that of one with Verlet; None where the system does not report it.
 
-    A first Context takes what the heap has free from before, so that the second and third show what they need.
+    A first Context uses up what was free in the heap, so that the second and third show what they need.
     """
     if not Path("/proc/self/statm").exists():
         return None

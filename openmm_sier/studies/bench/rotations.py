@@ -20,9 +20,9 @@ WATER_MOMENTS = (0.0061, 0.0115, 0.0176)
 
 
 def time_rotations(settings: BenchSettings, report: Report) -> list[dict[str, Any]]:
-    """Nanoseconds a body of each free-rotation map at the thermal motion of water, for several numbers of bodies.
+    """Nanoseconds per body of each free-rotation map at the thermal motion of water, for several numbers of bodies.
 
-    One thread does the work, whatever their number is elsewhere.
+    One thread does the work, however many are used elsewhere.
     """
     rows = []
     for n in settings.bodies:

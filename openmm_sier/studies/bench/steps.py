@@ -30,15 +30,15 @@ BARE, NUMPY = "bare force", "SIER2, NumPy"
 #: Force evaluations in a turn, a multiple of SIER4's. OpenMM's `Simulation` asks for ten steps at a time.
 EVALUATIONS = 12
 
-#: Molecules with which there are as many rounds as asked for. In smaller boxes, whose turns are shorter, there are more
-#: and in larger ones less, within these factors.
+#: Number of molecules with which there are as many rounds as requested. Smaller boxes, whose turns are shorter, have
+#: more and larger ones fewer, within these factors.
 USUAL_SIZE = 4096
 LEAST, MOST = 1 / 3, 8
 
-#: Turns at least in which steps are compared with the force calls in them.
+#: Fewest turns in which steps are compared with the force calls in them.
 FEWEST = 3
 
-#: Positions that the bare forces go through, in turns: as many as let OpenMM's neighbour lists grow old.
+#: Number of positions through which the bare forces cycle, enough for OpenMM's neighbour lists to grow old.
 FRAMES = 60
 
 
@@ -59,7 +59,7 @@ def _ratios(copies: int, settings: BenchSettings, report: Report) -> list[dict]:
     pairs = [(name, BARE) for name in contexts] + [("SIER2", "OpenMM Verlet")]
     ratios = {f"{name} / {base}": (seconds[name] / seconds[base], seconds[name]) for name, base in pairs}
     for name in (name for name in ("SIER2", NUMPY) if name in contexts):
-        # It is the sharper measure, as a machine's changes of speed concern both alike.
+        # This is the sharper measure, since changes of the machine's speed affect both alike.
         ratios[f"{name} / the force calls in it"] = _over_own_force(name, contexts[name], max(FEWEST, rounds // 4))
     rows = [_row(name, molecules, *values) for name, values in ratios.items()]
     for row in rows:
@@ -104,7 +104,7 @@ def _steps(name: str, context: openmm.Context) -> None:
 
 
 def _over_own_force(name: str, context: openmm.Context, turns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Time of turns over that of the calls of OpenMM in them for positions and forces, and the former in seconds."""
+    """Time of each turn over that of its OpenMM calls for positions and forces, and its time in seconds."""
     clock = ForceClock(context)
     outside, inside = np.array([apart(clock, partial(_steps, name, context)) for _ in range(turns)]).T
     return 1 + outside / inside, outside + inside

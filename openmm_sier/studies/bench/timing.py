@@ -25,15 +25,15 @@ class BenchSettings:
     Attributes:
         box: PDB file of the unit that larger boxes repeat.
         forcefield: of it; None picks one.
-        copies: repetitions of the box along each edge, one size each.
+        copies: repetitions of the box along each edge, one number for each size.
         bodies: sizes of the sets of bodies for the rotation and the layer alone.
-        rounds: how often everything takes its turn; steps of small boxes more often, of large ones less.
+        rounds: how often everything takes its turn; steps in small boxes do so more often, in large ones less often.
         time: length of the runs that measure the energy error, ps.
         temperature, equilibrate: K, and ps before those runs.
-        parts: names of what is measured, of `openmm_sier.studies.bench.PARTS`; None takes `platform` where a
-            platform is given, and else all others.
+        parts: names of what is measured, from `openmm_sier.studies.bench.PARTS`; None takes `platform` if a platform is
+            given, and all others if not.
         platform: OpenMM platform; None takes the fastest.
-        molecules: sizes of the box on the platform, multiples of that of the box.
+        molecules: numbers of molecules for the platform, multiples of that of the box.
         seed: of velocities.
     """
 
@@ -71,9 +71,10 @@ def machine() -> dict:
 
 
 def interleaved(actions: Mapping[str, Callable[[], None]], rounds: int) -> dict[str, np.ndarray]:
-    """Seconds that each action took in each round; one round before is not counted.
+    """Seconds that each action took in each round; a first round is not counted.
 
-    What is compared should take its turns within some tenths of a second: a machine's speed changes over seconds.
+    Actions to be compared should take their turns within some tenths of a second: a machine's speed changes over
+    seconds.
     """
     times: dict[str, list[float]] = {name: [] for name in actions}
     for number in range(rounds + 1):

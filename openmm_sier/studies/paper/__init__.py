@@ -31,8 +31,8 @@ EXPERIMENTS = ("free-rotation", "dipole", "water")
 #: Where results go if nothing else is said.
 DIRECTORY = Path("sier-paper")
 
-#: Minutes that experiments take on two cores of a server of the 2020s: in their quick form, and in full. Water is that
-#: with Numba, an extra; without it the molecular cut-off alone takes two hours in full.
+#: Minutes that experiments take on two cores of a server of the 2020s, in their quick form and in full. The times of
+#: water are with Numba, an extra; without it the molecular cut-off alone takes two hours in full.
 EXPECTED_MINUTES = {"free-rotation": (0.3, 6), "dipole": (0.1, 1), "water": (1, 60)}
 
 
@@ -54,15 +54,15 @@ def run(
 ) -> dict[str, Finding]:
     """Carry out experiments, and write numbers (JSON, CSV) and a figure (PNG) for each.
 
-    The runs of water are members of an ensemble in `out`: those that are there are not made again.
+    The runs of water are members of an ensemble in `out`: runs that are already there are not repeated.
 
     Args:
         experiment: one of `EXPERIMENTS`, or "all".
-        quick: less of everything, within two minutes for all of them on two cores.
+        quick: less of everything, so that all experiments take two minutes on two cores.
         out: directory for the files; None is `DIRECTORY`. It is made if it does not exist.
         seed: of everything random.
         report: gets tables, notes and progress.
-        processes: for the runs of water, at a time; None: one for each core.
+        processes: for the runs of water, how many at a time; None: one for each core.
 
     Returns:
         What was found, by experiment.
@@ -76,7 +76,7 @@ def run(
     if experiment not in (*EXPERIMENTS, "all"):
         raise ValueError(f"the experiment must be one of {', '.join((*EXPERIMENTS, 'all'))}, got {experiment!r}")
     chosen = EXPERIMENTS if experiment == "all" else (experiment,)
-    # What is missing is to be said before hours of computing.
+    # Missing packages must be reported before hours of computing.
     style.require()
     if "free-rotation" in chosen:
         reference.require()
@@ -91,7 +91,7 @@ def run(
 
 
 def run_phase_point(name: str, quick: bool, out: Path, seed: int, report: Report = SILENT) -> None:
-    """The runs of water from one phase point, which `run` has an ensemble carry out.
+    """Make the runs of water from one phase point, which is a member of the ensemble that `run` starts.
 
     Args:
         name: of the point, as in "pme-3".
@@ -110,7 +110,7 @@ def run_phase_point(name: str, quick: bool, out: Path, seed: int, report: Report
 
 
 class Order(NamedTuple):
-    """How experiments are to be carried out, see `run`."""
+    """The settings of experiments, see `run`."""
 
     quick: bool
     seed: int

@@ -5,12 +5,12 @@ each alone in the field, runs for a few ps from the same initial states with eve
 
 - Energy: rms(H)/rms(V) along each trajectory, and the mean of this ratio over the ensemble. The ratio of the
   ensemble's mean rms values is nearly the same; the median is much smaller, since the error grows steeply with |L|.
-- L_z: the rms over trajectories and ensemble of L_z - <L_z>, over <|L_z|>. Only SEJ4 does not conserve L_z. Few
-  molecules make its error, so that the mean over trajectories instead of the root of the mean square is several times
-  smaller, and it grows slowly with the length of the run.
+- L_z: the rms over trajectories and ensemble of L_z - <L_z>, over <|L_z|>. Only SEJ4 does not conserve L_z. Its error
+  comes from few molecules, so it would be several times smaller as a mean over trajectories than as a root mean square,
+  and it grows slowly with the length of the run.
 
-The field does not lie along an axis of coordinates. If it did, the third component of every torque would be zero and
-L_z constant to the bit for whatever conserves L in free rotation; so rounding shows.
+The field does not lie along a coordinate axis. If it did, the third component of every torque would be zero, and every
+map that conserves L in free rotation would keep L_z constant to the last bit; as it is, rounding shows.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ QUICK = DipoleSettings(bodies=2000)
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of Table 1, with the averages that it could have been.
+    """One entry of Table 1, with the averages that the paper may have meant.
 
     Attributes:
-        method, force_step_fs: which; the step is f times the latter.
+        method, force_step_fs: of the entry; the step is f times the latter.
         energy, energy_error: mean over trajectories of rms(H)/rms(V), and its standard error.
         energy_of_means: mean of rms(H) over the mean of rms(V).
         energy_median: median over trajectories of rms(H)/rms(V).

@@ -142,7 +142,7 @@ def _water_curve(axes: Axes, points: Sequence[Any], name: str, slope: float | No
         return
     x, y, error = np.array([(p.force_step_fs, 100 * p.energy, 100 * p.energy_error) for p in points]).T
     label = name if slope is None or not np.isfinite(slope) else f"{name}, slope {slope:.2f}"
-    # What the paper found to lie on SIER2 is drawn around its points.
+    # Methods that the paper found to coincide with SIER2 are drawn around the points of SIER2.
     around = {"ls": "none", "mfc": "none", "ms": 11, "mew": 1.6, "zorder": 1}
     special = around if name in ("MRDL", "SEJ4") else {"zorder": 3}
     axes.errorbar(x, y, error, capsize=2, label=label, **(style.of_method(name) | special))

@@ -2,13 +2,13 @@
 
 The paper's measure is delta = <Tr[(A - A_ex)(A - A_ex)^T]/6>^(1/2) over a canonical ensemble, and tau, the time at
 which the attitude is off by 10 %, is defined by delta = t/(10 tau). Here tau is t/(10 delta) at the last recorded time
-at which delta has not passed 0.1. For MRDL and SEJ4 delta does grow linearly and tau is that time, but with MRDL
-a body near the separatrix can end up on the wrong side of it and be off at once: where delta is small a few such bodies
-make it up and a small ensemble says little. The median over bodies, given beside, does not see them.
+at which delta has not passed 0.1. For MRDL and SEJ4 delta does grow linearly and tau is that time. With MRDL, however,
+a body near the separatrix can end up on the wrong side of it and be far off at once: where delta is small, a few such
+bodies dominate it, and a small ensemble says little. The median over bodies, also given, is not affected by them.
 
-SIER is exact but for rounding. Rounding errors of A make the energy wander and with it the phase, so that delta grows
+SIER is exact except for rounding. Rounding errors of A make the energy wander, and with it the phase, so delta grows
 faster than t. The paper's linear law is then an extrapolation from the time at which delta is measured, here the length
-of a run; that of the fitted power law to delta = 0.1 is given beside it. The reference carries 34 digits.
+of a run; the extrapolation by the fitted power law to delta = 0.1 is also given. The reference carries 34 digits.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ class FreeRotationSettings:
         steps_fs: steps, fs.
         span: length of a run, ps. The paper takes 100 ps for the free flight of a molecule in a gas.
         bodies: in the ensemble of MRDL and SEJ4.
-        exact_bodies: in that of SIER2 and SIER4, whose reference takes some 10 ms a body.
+        exact_bodies: in the ensemble of SIER2 and SIER4, whose reference takes some 10 ms per body.
         marks_per_decade: times at which delta is recorded.
-        timed_bodies, timings: of the cost of a map, the number of bodies and of repetitions.
+        timed_bodies, timings: numbers of bodies and of repetitions for the cost of a map.
         seed: of the initial states.
     """
 
@@ -67,7 +67,7 @@ class Curve:
     """Error of one method at one step.
 
     Attributes:
-        method, step_fs: which.
+        method, step_fs: of the curve.
         times: ps.
         delta, delta_error: the paper's measure at these times, and its standard error.
         energy: rms over bodies of the deviation of the energy at the last time over the mean energy.
@@ -95,7 +95,7 @@ class Cost:
     """Time of a free-rotation map for one body and one step.
 
     Attributes:
-        method, step_fs: which.
+        method, step_fs: of the map.
         nanoseconds: the least of many measurements.
         ratio: to that of MRDL.
         ratio_low, ratio_high: quartiles of the ratio in single rounds, in which all maps are timed.
@@ -218,7 +218,7 @@ def _root_mean(squares: np.ndarray) -> Callable[[np.ndarray], float]:
 
 
 def _costs(settings: FreeRotationSettings) -> tuple[Cost, ...]:
-    """The three maps, all executed by NumPy, timed in turn, so that what else the computer does affects all alike."""
+    """The three maps, all executed by NumPy, timed in turn, so that other work on the computer affects all alike."""
     maps = {"MRDL": rotation.mrdl, "SIER2": rotation.exact, "SEJ4": rotation.sej4}
     bodies, start = _start(settings.timed_bodies, settings)
     costs = []

@@ -84,7 +84,7 @@ def molecular_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.Force:
 
 
 def require() -> None:
-    """Refuse an OpenMM that cannot have the molecular cut-off.
+    """Check that this OpenMM supports the molecular cut-off.
 
     Raises:
         ImportError: this OpenMM is too old.
@@ -115,9 +115,9 @@ def pme_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.NonbondedForce:
 
 
 def context(system: openmm.System, integrator: openmm.Integrator, kind: str) -> openmm.Context:
-    """A Context for a liquid: double precision where the energy has no floor of its own to hide in.
+    """A Context for a liquid, in double precision with the molecular cut-off.
 
-    The PME system runs on the CPU platform, whose nonbonded forces are single precision, as its users run it.
+    The PME system runs as its users run it: on the CPU platform, whose nonbonded forces are in single precision.
     """
     if kind == MOLECULAR:
         return openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))

@@ -23,7 +23,7 @@ class Method:
     Attributes:
         name: as in the paper.
         scheme: what is done in a step.
-        rotation: how bodies turn in it.
+        rotation: the free-rotation map in it.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Method:
 
     @property
     def forces(self) -> int:
-        """Force evaluations a step, the paper's f."""
+        """Force evaluations per step, the paper's f."""
         return self.scheme.force_evaluations
 
 

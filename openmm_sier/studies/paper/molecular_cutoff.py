@@ -1,11 +1,11 @@
 """TIP4P water with a smooth molecular cut-off: the potential of the paper's liquid, as a force for OpenMM.
 
-The interaction of two molecules, all of it, is multiplied by one function of the distance R of their oxygens,
+The whole interaction of two molecules is multiplied by one function of the distance R of their oxygens,
 
     V = sum_{I<J} S(R_IJ) v_IJ,     v_IJ = LJ(R_IJ) + sum_ab k q_a q_b / r_ab,
 
-so that a molecule never is cut in two. S falls from 1 to 0 between R_on and R_off with four continuous derivatives:
-with fewer the kinks, and not the integrator, would limit a fourth-order scheme.
+so that a molecule is never cut in two. S falls from 1 to 0 between R_on and R_off with four continuous derivatives:
+with fewer, the kinks rather than the integrator would limit a fourth-order scheme.
 
 None of OpenMM's forces does this fast for four sites, since S of one distance multiplies functions of the others (tests
 compare with a `CustomCompoundBondForce` over all pairs, some fifty times slower). A `PythonForce` lets NumPy do it, or
@@ -86,7 +86,7 @@ class MolecularCutoff:
         n = sites.shape[2]
         forces = np.zeros((3, SITES, n))
         energy = 0.0
-        # Sites that meet, as they do when steps are too long, give forces that are not finite; integrators see to it.
+        # Sites that meet, as they do when steps are too long, give forces that are not finite; integrators handle that.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for i, j in _pairs_within(sites[:, 0], box, self.off):
                 energy += self._add_block(sites, i, j, box, forces)

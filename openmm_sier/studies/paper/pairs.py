@@ -49,7 +49,7 @@ def _sum_over_pairs(switch, lennard_jones):
     """The loop, calling given versions of the formulas."""
 
     def sum_over_pairs(sites, box, strengths, sigma, epsilon, on, off, forces):
-        """The energy; forces are added to.
+        """Return the energy, and add the forces to `forces`.
 
         Args:
             sites: (n, 4, 3), nm, O, H, H, M.

@@ -15,8 +15,8 @@ TAU = {
 #: Sec. IV A: time of a step over that of MRDL, as ranges. SEJ4 is said to be 20 % slower than SIER2.
 COST = {"MRDL": (1.0, 1.0), "SIER2": (1.7, 2.0), "SEJ4": (2.0, 2.4)}
 
-#: Table 1: rms(H)/rms(V) in per cent for (method, h/f in fs). The error of SIER2 at 11 fs is printed as 0.4;
-#: beside the same value for SEJ4 stands 0.04.
+#: Table 1: rms(H)/rms(V) in per cent for (method, h/f in fs). The error of SIER2 at 11 fs is printed as 0.4; for SEJ4,
+#: with the same value, it is 0.04.
 ENERGY = {
     ("MRDL", 4.2): (1.8, 0.3),
     ("MRDL", 11.0): (11.4, 1.6),

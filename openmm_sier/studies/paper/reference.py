@@ -36,7 +36,7 @@ def squared_deviations(A: np.ndarray, body_L: np.ndarray, moments: np.ndarray, s
         body_L: angular momenta at the start, (3, n), dalton nm^2/ps, the same in both frames.
         moments: principal moments, (3,), ascending and different, dalton nm^2.
         step: ps, a float that is taken to be exact.
-        count: steps taken; the time is their product.
+        count: steps taken; the time is `count` times `step`.
 
     Returns:
         (n,), with the rounding of the difference alone.
@@ -97,7 +97,7 @@ def _propagator(mp: Any, l: Any, I: Any, time: Any) -> Any:
 
 
 def _jacobi(mp: Any, u: Any, m: Any) -> tuple[Any, Any, Any, Any]:
-    """Amplitude, counted on through the periods, and sn, cn, dn."""
+    """Amplitude, continued through the periods, and sn, cn, dn."""
     half_period = 2 * mp.ellipk(m)
     turns = mp.nint(u / half_period)
     rest = u - turns * half_period

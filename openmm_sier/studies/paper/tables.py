@@ -15,7 +15,7 @@ PS_UNITS = ((1e12, "s"), (1e9, "ms"), (1e6, "µs"), (1e3, "ns"), (1.0, "ps"))
 
 
 def picoseconds(value: float, like: float | None = None) -> str:
-    """A time that is given in ps, with a unit that suits it, or another one that it is to be compared with."""
+    """A time, given in ps, in a unit that suits it, or that suits the time `like` that it is compared with."""
     if not math.isfinite(value):
         return "-"
     scale, unit = unit_of(value if like is None else like)
@@ -172,7 +172,7 @@ def _percent(point: Any) -> str:
 
 
 def crossing_table(result: Water) -> Table:
-    """Where SIER4 stops to be better, and the orders."""
+    """Where SIER4 stops being better, and the orders."""
     rows = [
         (
             crossing.kind,

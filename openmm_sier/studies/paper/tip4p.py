@@ -18,11 +18,11 @@ CHARGE = 0.52
 SIGMA = 0.1 * (600e3 / 610) ** (1 / 6)
 EPSILON = 4.184 * 610**2 / (4 * 600e3)
 
-#: Those of OpenMM's force fields, dalton.
+#: Masses of O, H, H as in OpenMM's force fields, dalton.
 MASSES = (15.99943, 1.007947, 1.007947)
 MOLECULE_MASS = sum(MASSES)
 
-#: Of liquid water at 297 K and 1 atm, g/cm^3: M. Tanaka et al., Metrologia 38, 301 (2001), Eq. 1.
+#: Density of liquid water at 297 K and 1 atm, g/cm^3, from M. Tanaka et al., Metrologia 38, 301 (2001), Eq. 1.
 DENSITY = 0.99734
 
 #: Positions of O, H, H in a frame whose y axis is the bisector, nm.
@@ -34,7 +34,7 @@ GEOMETRY = np.array(
     ]
 )
 
-#: Weights of H and H in the position of M, that of O being what lacks to 1.
+#: Weight of each H in the position of M. The weight of O makes up the rest to 1.
 M_WEIGHT = R_OM / (2 * R_OH * math.cos(ANGLE / 2))
 
 

@@ -17,8 +17,8 @@ from openmm_sier.studies.paper import liquids
 from openmm_sier.studies.paper.methods import METHODS
 from openmm_sier.studies.paper.water_runs import PhasePoint, Run, WaterSettings
 
-#: Ranges of h/f in fs in which the order is read off: above, higher orders take part; below, SIER4 meets rounding. With
-#: PME, whose forces of single precision leave an error of 0.005 %, no range is left to SIER4.
+#: Ranges of h/f in fs in which the order is read off. Above, higher orders contribute; below, rounding limits SIER4.
+#: With PME, whose single-precision forces leave an error of 0.005 %, no range is left for SIER4.
 SLOPE_RANGES = {
     liquids.MOLECULAR: {"SIER2": (0.3, 2.5), "SIER4": (0.3, 1.2)},
     liquids.PME: {"SIER2": (0.3, 2.5)},
@@ -30,7 +30,7 @@ class Point:
     """One point of the figure.
 
     Attributes:
-        kind, method, force_step_fs: which.
+        kind, method, force_step_fs: of the point.
         energy, energy_error: mean rms(H) over mean rms(V), and its standard error over the runs.
         rms_H, rms_V: means over the runs, kJ/mol.
         drift: mean slope of H in a run, kJ/mol/ps.
@@ -50,7 +50,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where SIER4 stops to be better than SIER2.
+    """Where SIER4 stops being better than SIER2.
 
     Attributes:
         kind: of the system.
@@ -93,7 +93,7 @@ def result_of(settings: WaterSettings, origin: str, edge: float, runs: Mapping[s
 
 
 def samples_of(settings: WaterSettings, kind: str, runs: Sequence[Run]) -> dict[tuple[str, float], list]:
-    """For each method and h/f the list of (rms(H), rms(V), drift) of the runs that came to their end."""
+    """For each method and h/f the list of (rms(H), rms(V), drift) of the runs that finished."""
     first = PhasePoint(kind, 1)
     samples: dict[tuple[str, float], list] = {
         (method.name, step): [] for method in METHODS for step in settings.steps_of(method, first)
@@ -131,7 +131,7 @@ def _crossing(kind: str, samples: dict[tuple[str, float], list]) -> Crossing:
 
 
 def _curve(samples: dict[tuple[str, float], list], method: str, kept: np.ndarray) -> dict[float, float]:
-    """h/f to rms(H)/rms(V), from some of the runs; where there are few, from all of them."""
+    """h/f to rms(H)/rms(V), from the runs `kept`; from all runs where none of these exist."""
     curve = {}
     for (name, step), values in samples.items():
         if name == method and values:

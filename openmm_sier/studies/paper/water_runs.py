@@ -22,7 +22,7 @@ from openmm_sier.studies.paper.methods import FS, METHODS, Method, Progress
 #: Beyond this rms(H)/rms(V) a method has broken down, and longer steps are not tried.
 BROKEN = 1.0
 
-#: Beginnings of the names of phase points. PME takes longest, and comes first.
+#: Prefixes of the names of phase points. PME takes longest, and comes first.
 PREFIXES = {liquids.PME: "pme", liquids.MOLECULAR: "molecular"}
 
 #: The file of a phase point.
@@ -37,7 +37,7 @@ class PhasePoint(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As in `pme-3`."""
+        """For example `pme-3`."""
         return f"{PREFIXES[self.kind]}-{self.number}"
 
 
@@ -53,8 +53,8 @@ class WaterSettings:
         force_steps_fs: h/f, fs, for SIER2 and SIER4.
         compared_from_fs: MRDL and SEJ4 run from this h/f on; below they cannot be told from SIER2.
         compared_to_fs: and up to this one.
-        fine_below_fs: for h/f below this fewer runs are averaged, since they take long, and none with PME, whose forces
-            of single precision would hide the errors.
+        fine_below_fs: for h/f below this, fewer runs are averaged, since they take long, and none with PME, whose
+            single-precision forces would hide the errors.
         span: length of a run, ps.
         runs, fine_runs: number of runs averaged.
         relax: time between the starts of two runs, ps.
@@ -107,7 +107,7 @@ class Run(NamedTuple):
     Attributes:
         method: name.
         force_step_fs: h/f, fs.
-        found: rms(H), rms(V), kJ/mol, and the drift of H, kJ/mol/ps; None if it did not get to its end.
+        found: rms(H), rms(V), kJ/mol, and the drift of H, kJ/mol/ps; None if the run did not finish.
     """
 
     method: str
@@ -120,7 +120,7 @@ class Run(NamedTuple):
 
 
 def phase_points(settings: WaterSettings) -> list[PhasePoint]:
-    """All phase points of an experiment, those first that take longest."""
+    """All phase points of an experiment, starting with those that take longest."""
     kinds = [kind for kind in PREFIXES if kind in settings.kinds]
     return [PhasePoint(kind, 1 + i) for kind in kinds for i in range(settings.runs)]
 
@@ -146,7 +146,7 @@ def make_runs(
         box: the liquid.
         point: where they start.
         settings: of the experiment.
-        directory: for the file of runs; those that it has are not made again. None writes nothing.
+        directory: for the file of runs; runs that it already has are not repeated. None writes nothing.
         show: gets the progress.
     """
     plan = {method: settings.steps_of(method, point) for method in METHODS}
@@ -215,5 +215,5 @@ def _run(
     if not np.isfinite(H).all():
         return Run(method.name, step, None)
     time = h * stride * np.arange(len(H))
-    # The paper's H is about its mean.
+    # The paper takes H about its mean.
     return Run(method.name, step, (energy_fluctuation(time, H, window=None), rms(V), energy_drift(time, H)[0]))
