@@ -4,8 +4,8 @@
 
 At the end the trajectory must have every frame once, in order. Trajectory, log and body states must be those of an
 undisturbed run: byte for byte for .dcd, .xtc and .csv files, number by number for .h5. A signal that can be handled
-must give its exit code and, after the first step, leave a checkpoint of the step that the message names. The status is 1 if
-not.
+must give its exit code and, after the first step, leave a checkpoint of the step that the message names. The status is
+1 if not.
 """
 
 from __future__ import annotations

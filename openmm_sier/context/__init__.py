@@ -1,1 +1,1 @@
-"""All that touches OpenMM: integrators, bodies of a System, checks, reporters."""
+"""Everything that uses OpenMM: integrators, bodies of a System, checks, reporters."""

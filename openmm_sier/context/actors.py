@@ -19,8 +19,8 @@ class Actors:
     """Forces of a System that change positions, velocities or the box.
 
     Attributes:
-        are_present: whether there are any but CMMotionRemovers.
-        are_barostats: whether the others are barostats, which leave velocities alone.
+        are_present: whether there are any other than CMMotionRemovers.
+        are_barostats: whether all of those are barostats, which leave velocities alone.
     """
 
     def __init__(self, system: openmm.System):
@@ -31,7 +31,7 @@ class Actors:
         self._sweep_frequencies = [f.getFrequency() for f in forces if isinstance(f, openmm.CMMotionRemover)]
 
     def swept(self, bodies: RigidBodies, state: BodyState, steps: int) -> BodyState:
-        """What a CMMotionRemover does, for bodies, before the step after so many."""
+        """Do what a CMMotionRemover does, for bodies, before the step that follows `steps` completed ones."""
         if not any(steps % frequency == 0 for frequency in self._sweep_frequencies):
             return state
         return replace(state, p=state.p - bodies.masses * bodies.centre_velocity(state.p))
@@ -42,7 +42,7 @@ def act(integrator: Host) -> None:
     h = integrator.getStepSize()
     try:
         integrator.setGlobalVariableByName(PART, -1)
-        # AndersenThermostat must know of the whole step.
+        # AndersenThermostat must see the whole step.
         openmm.CustomIntegrator.setStepSize(integrator, h)
         openmm.CustomIntegrator.step(integrator, 1)
     finally:
@@ -64,7 +64,7 @@ class VolumeMoves:
         self._move = piston.operator(bodies, context.getMolecules())
 
     def apply(self, state: BodyState, steps: int, groups: int) -> BodyState:
-        """Try a move before the step after so many.
+        """Try a move before the step that follows `steps` completed ones.
 
         Args:
             state: of the bodies.

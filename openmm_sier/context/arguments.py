@@ -1,4 +1,4 @@
-"""Arguments of integrators, checked and brought to one form."""
+"""Arguments of integrators, checked and converted to one form."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def group_mask(name: str, groups: Iterable[int] | int | None) -> int:
 
     Raises:
         ValueError: a group is not from 0 to 31.
-        TypeError: it is no set of numbers and no mask.
+        TypeError: it is neither a set of numbers nor a mask.
     """
     if groups is None:
         return 0

@@ -10,7 +10,7 @@ import openmm
 from openmm_sier.context.snapshot import Snapshot, read_vectors
 from openmm_sier.dynamics.bodies import RigidBodies
 
-#: Of `Atoms.placed` where the positions are those of no bodies.
+#: Value of `Atoms._placed` if the positions are not those of placed bodies.
 NOWHERE = (None, None)
 
 
@@ -18,7 +18,8 @@ class Atoms:
     """Positions, velocities and forces of a Context, as bodies write and read them.
 
     Attributes:
-        positions, velocities: as they were last written, (N, 3), nm and nm/ps; those of atoms of no body are kept here.
+        positions, velocities: as they were last written, (N, 3), nm and nm/ps; those of atoms in no body are stored
+            here.
     """
 
     def __init__(self, context: openmm.Context):
@@ -57,27 +58,27 @@ class Atoms:
         self._placed = (q, A)
 
     def forces(self, groups: int) -> np.ndarray:
-        """Forces of some groups where the atoms are, (N, 3), kJ/mol/nm; overwritten by the next call."""
+        """Forces of some groups at the present positions, (N, 3), kJ/mol/nm; overwritten by the next call."""
         found = self.context.getState(forces=True, groups=groups)
         return read_vectors(found, openmm.State.Forces, self._forces)
 
     def take_positions(self, now: Snapshot) -> None:
-        """Positions were changed in the Context."""
+        """Take over positions that were changed in the Context."""
         self.positions[:] = now.positions
         self.forget_place()
 
     def forget_place(self) -> None:
-        """Write positions to the Context the next time, whatever is there."""
+        """Make the next `place` write positions to the Context, whatever is there."""
         self._placed = NOWHERE
 
     def rewind(self, mark: openmm.State) -> None:
-        """Undo what was changed in a step that was not completed: the box, and atoms of no body.
+        """Undo the changes of an incomplete step to the box and to atoms of no body.
 
         Args:
             mark: State with the positions before the step.
         """
         self.context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
-        # A barostat moves what belongs to no body too.
+        # A barostat also moves atoms of no body.
         self.positions[:] = mark.getPositions(asNumpy=True)._value
 
     def box(self) -> np.ndarray:
@@ -86,18 +87,18 @@ class Atoms:
 
 
 class PotentialEnergies:
-    """Potential energies of a Context's bodies, the last two of which are kept: those of the ends of a trajectory."""
+    """Potential energies of a Context's bodies; the last two are kept, for the start and end of a trajectory."""
 
     def __init__(self, atoms: Atoms) -> None:
         self._atoms = atoms
         self.forget()
 
     def forget(self) -> None:
-        """Positions, box or potential were changed."""
+        """Drop the kept energies: positions, box or potential were changed."""
         self._kept: list[tuple[np.ndarray, np.ndarray, float]] = []
 
     def __call__(self, bodies: RigidBodies, q: np.ndarray, A: np.ndarray, groups: int) -> float:
-        """The energy in kJ/mol of some force groups, always the same, with bodies at (q, A).
+        """The energy in kJ/mol with bodies at (q, A), of force groups that must not change between calls.
 
         Raises:
             NotFiniteError: a position is not finite.

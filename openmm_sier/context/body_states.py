@@ -1,4 +1,4 @@
-"""Files of bodies' phase points: HDF5 that says what it holds. Needs h5py and scipy, an extra.
+"""Self-describing HDF5 files of the bodies' phase points. Needs h5py and scipy, an extra.
 
 Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3), L (T, n, 3),
 heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies: species (n,),
@@ -45,7 +45,7 @@ UNITS = {
     "box": "nm",
 }
 
-#: Size of a chunk in numbers: 64 kB.
+#: Size of a chunk in numbers, 64 kB.
 CHUNK = 8192
 
 #: Values of the attribute `wrapped` of q.
@@ -68,8 +68,7 @@ def body_frame_values(
         time: ps.
         motion: the bodies' phase point.
         box: box vectors as rows, (3, 3), nm; None without periodic boundaries.
-        unwrapped: centres as they stand in the Context, which are continuous paths; otherwise those images of them
-            that lie in the box.
+        unwrapped: centres as they are in the Context, along continuous paths; otherwise their images in the box.
     """
     _, Rotation = import_extras()
     turns = Rotation.from_matrix(motion.A.transpose(2, 1, 0))
@@ -116,7 +115,7 @@ def _constant(group: h5py.Group, name: str, values: ArrayLike, unit: str) -> Non
 
 
 class BodyStateFile:
-    """An HDF5 file that grows by a frame at a time.
+    """An HDF5 file that grows one frame at a time.
 
     Every frame is flushed, so that the file of a run that was killed can be read; the last frame may be damaged.
     """
@@ -127,18 +126,18 @@ class BodyStateFile:
         """
         Args:
             path: of the HDF5 file.
-            bodies: whose states follow.
+            bodies: the bodies whose states are written.
             periodic: whether there is a box.
             unwrapped: see `body_frame_values`.
-            append: go on after the last frame of an existing file, instead of replacing it.
+            append: continue after the last frame of an existing file, instead of replacing it.
 
         Raises:
             ModuleNotFoundError: h5py or scipy is missing.
-            ValueError: the file to go on with has another layout or wrapping, or is of other bodies.
+            ValueError: the file to be continued has another layout or wrapping, or is of other bodies.
         """
         h5py, _ = import_extras()
         self._periodic, self._unwrapped = periodic, unwrapped
-        # The oldest file format marks no file as open for writing, which would keep readers out after a kill.
+        # The oldest file format does not mark files as open for writing; the mark would lock readers out after a kill.
         self._file = h5py.File(path, "r+" if append else "w", libver="earliest")
         if append:
             try:

@@ -12,7 +12,7 @@ from openmm_sier.context.geometries import RESOLUTION
 from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 
-#: These do nothing in `updateContextState`. With any other kind the Context is updated and read at each step.
+#: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
 PASSIVE_FORCES = (
     openmm.NonbondedForce,
     openmm.HarmonicBondForce,
@@ -33,7 +33,7 @@ PASSIVE_FORCES = (
     openmm.CustomGBForce,
     openmm.CustomHbondForce,
     openmm.CustomManyParticleForce,
-    # It has an effect, which `Engine._without_drift` takes over: a sum over bodies is cheaper than reading atoms back.
+    # It has an effect, which `Actors.swept` takes over: a sum over bodies is cheaper than reading atoms back.
     openmm.CMMotionRemover,
 )
 
@@ -86,7 +86,7 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
         bodies: the rigid bodies.
 
     Raises:
-        RigidityError: a barostat scales atoms one by one, or by molecules of which several share a body.
+        RigidityError: a barostat scales atoms one by one, or moves apart molecules that share a body.
     """
     barostats = [force for force in system.getForces() if isinstance(force, BAROSTATS)]
     if not barostats:
@@ -111,13 +111,13 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
 
 
 def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:
-    """Refuse rigid bodies of three or more atoms in a row that constraints hold.
+    """Refuse rigid bodies of three or more atoms on a line that constraints hold.
 
-    OpenMM's own solvers of constraints divide by zero there: minimization, `applyConstraints` and
+    OpenMM's own constraint solvers divide by zero there: minimization, `applyConstraints` and
     `setVelocitiesToTemperature` give NaN.
 
     Raises:
-        RigidityError: naming the first one.
+        RigidityError: there is one; the message names the first.
     """
     lines = [s for s in bodies.species if s.atoms.shape[1] > 2 and s.moments[0] == 0]
     if not lines:
@@ -134,7 +134,7 @@ def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None
 
 
 def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
-    """Warn of atoms that fitting bodies to them moves by more than the rounding of a PDB file.
+    """Warn of atoms that move by more than the rounding of a PDB file when bodies are fitted to them.
 
     Args:
         bodies: the rigid bodies.

@@ -1,7 +1,7 @@
-"""Nonbonded interactions of atoms that few bonds separate, as bonded forces, which can act within drifts.
+"""Nonbonded interactions of atoms a few bonds apart, as bonded forces, which can act within drifts.
 
-Atoms up to four bonds apart feel steep nonbonded forces while angles bend, whose periods are 20 fs with hydrogen. In
-the kicks these forces limit the step of a peptide: inside the drifts its energy error at 6 fs is a seventh.
+Atoms up to four bonds apart feel steep nonbonded forces while angles bend, with periods of 20 fs for hydrogen. In the
+kicks these forces limit the step of a peptide; with them inside the drifts its energy error at 6 fs is a seventh.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 import openmm
 from openmm import unit
 
-#: Bonds between atoms whose interaction is taken. Beyond these it makes no difference.
+#: Largest number of bonds between atoms whose interaction is moved. Moving those further apart makes no difference.
 REACH = 4
 
 #: 1/(4 pi epsilon_0) in kJ/mol nm/e^2, as OpenMM has it.
 COULOMB = 138.93545764438198
 
-#: The methods that treat an exception and any other pair alike but for the parameters: Coulomb's law is whole in both.
+#: Methods that treat exceptions like any other pair except for the parameters, with Coulomb's law unmodified for both.
 METHODS = (openmm.NonbondedForce.NoCutoff, openmm.NonbondedForce.Ewald, openmm.NonbondedForce.PME)
 
-#: nm, more than four bonds span. Lennard-Jones must be whole up to here.
+#: Distance in nm, longer than four bonds. Lennard-Jones must be unmodified up to here.
 SPAN = 0.65
 
-#: Forces which OpenMM wants to exclude the same pairs as the NonbondedForce.
+#: Forces that OpenMM requires to exclude the same pairs as the NonbondedForce.
 WITH_EXCLUSIONS = (openmm.CustomNonbondedForce, openmm.CustomGBForce, openmm.GBSAOBCForce, openmm.CustomHbondForce)
 
 NAME = "ClosePairs"
@@ -56,18 +56,18 @@ def _whole_up_to(force: openmm.NonbondedForce) -> float:
 
 
 def move_close_pairs(system: openmm.System, edges: np.ndarray, movable: np.ndarray, group: int) -> int:
-    """Give pairs of atoms up to `REACH` bonds apart a force of their own; the potential energy stays what it is.
+    """Give pairs of atoms up to `REACH` bonds apart a force of their own; the potential energy is unchanged.
 
-    Exceptions of the NonbondedForce lose their parameters, and pairs without one get one, without interaction.
+    Exceptions of the NonbondedForce lose their parameters, and pairs without an exception get one, without interaction.
 
     Args:
         system: openmm.System for which `why_not` is None.
         edges: bonded pairs of particles, (b, 2).
         movable: for each particle whether its pairs may be moved, (N,).
-        group: force group of the new Force, a CustomBondForce of the name `NAME`.
+        group: force group of the new Force, a CustomBondForce named `NAME`.
 
     Returns:
-        How many pairs were moved; without any there is no new Force.
+        How many pairs were moved; if none, there is no new Force.
     """
     (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
     moved = openmm.CustomBondForce(f"{COULOMB!r}*q/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)")

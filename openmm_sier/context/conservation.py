@@ -17,7 +17,7 @@ from openmm_sier.dynamics.constants import GRAM_PER_CM3
 #: Columns of the temperatures of translation, of rotation and of flexible molecules.
 TEMPERATURES = ("Translational Temperature (K)", "Rotational Temperature (K)", "Flexible Temperature (K)")
 
-#: All columns, named and in the units as OpenMM's StateDataReporter has them, as far as it has them.
+#: All columns, with the names and units of OpenMM's StateDataReporter where it has them.
 COLUMNS = (
     "Step",
     "Time (ps)",
@@ -38,15 +38,15 @@ Volume = TypeVar("Volume", float, np.ndarray)
 
 
 def density(mass: float, volume: Volume) -> Volume:
-    """g/ml of a mass in dalton in a volume, or an array of volumes, in nm^3."""
+    """Density in g/ml of a mass in dalton in a volume, or an array of volumes, in nm^3."""
     return mass / volume / GRAM_PER_CM3
 
 
 def sier_integrator(context: openmm.Context) -> SIERIntegrator | StockIntegrator:
-    """The integrator of a Context, of this package or observed by it.
+    """The integrator of a Context, one of this package or a `StockIntegrator`.
 
     Raises:
-        TypeError: it is another one.
+        TypeError: it is of another kind.
     """
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERIntegrator | StockIntegrator):
@@ -55,18 +55,19 @@ def sier_integrator(context: openmm.Context) -> SIERIntegrator | StockIntegrator
 
 
 def columns(integrator: openmm.Integrator) -> tuple[str, ...]:
-    """`COLUMNS`, and what an integrator of this package reports besides."""
+    """`COLUMNS`, and the additional columns of an integrator of this package."""
     return (*COLUMNS, *integrator.reported()) if isinstance(integrator, SIERIntegrator) else COLUMNS
 
 
 def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[float, ...]:
     """Values of `columns` at the last completed step.
 
-    The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a thermostat,
-    and volume moves, of this package gave; it is NaN where OpenMM's give some, who count none. Temperatures follow the
-    rule of `openmm_sier.context.temperature`. Angular momentum is about the origin, with positions as they stand in the
-    Context; periodic boundaries do not conserve it. Volume and density are NaN for a System without periodic
-    boundaries.
+    The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a thermostat
+    and volume moves of this package gave. Thermostats and barostats of OpenMM do not count their heat: with OpenMM's integrators
+    the conserved energy is then NaN, with integrators of this package it lacks that heat.
+    Temperatures follow the rule of `openmm_sier.context.temperature`. Angular momentum is about the origin, with
+    positions as they are in the Context; periodic boundaries do not conserve it. Volume and density are NaN for a
+    System without periodic boundaries.
 
     Args:
         context: of an integrator of this package, or of a `StockIntegrator`.

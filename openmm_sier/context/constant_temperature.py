@@ -33,7 +33,7 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
             temperature: K.
             frictions: of translation and of rotation, 1/ps.
             pressure: a quantity or a number in bar; None: the volume is kept.
-            interval: from one attempt to change the volume to the next.
+            interval: number of steps or trials between attempts to change the volume.
         """
         self._bath = OrnsteinUhlenbeck(temperature, frictions[0], frictions[1], seed=0)
         if (interval := whole_number("barostatInterval", interval)) == 0:
@@ -48,7 +48,7 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
             stored_settings.store(self, "pressure", (piston.pressure, piston.interval))
         self._tell_program()
 
-    #: Until the settings of the scheme are in place.
+    #: A placeholder until the settings of the scheme are in place.
     _bath = OrnsteinUhlenbeck(0.0, 0.0, 0.0, seed=0)
 
     def _take_settings(self, rotation: Rotation | None = None) -> None:
@@ -81,7 +81,7 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
         return self._bath.friction / unit.picosecond
 
     def getPressure(self) -> unit.Quantity | None:
-        """Pressure that is kept, a quantity in bar; None where the volume is."""
+        """Pressure that is kept, a quantity in bar; None if the volume is kept."""
         return None if self._piston is None else self._piston.pressure / BAR * unit.bar
 
     def setPressure(self, pressure: Any) -> None:
@@ -92,23 +92,23 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
         self._store_surroundings()
 
     def getBarostatInterval(self) -> int | None:
-        """The `barostatInterval` that the integrator was made with; None where the volume is kept."""
+        """The `barostatInterval` that the integrator was made with; None if the volume is kept."""
         return None if self._piston is None else self._piston.interval
 
     def setRandomNumberSeed(self, seed: int) -> None:
-        """Set the seed of the noise for the next Context; as in OpenMM, 0 takes another one for every Context."""
+        """Set the seed of the noise for the next Context; as in OpenMM, 0 means a new one for every Context."""
         super().setRandomNumberSeed(whole_number("seed", seed))
 
     def getHeat(self) -> unit.Quantity:
         """Energy that the bath, and moves of the volume, have given to the bodies, a quantity.
 
-        The total energy less it is conserved. The work P dV is not in it.
+        The total energy less this heat is conserved. The work P dV is not included in the heat.
         """
         return self._bound().heat() * unit.kilojoule_per_mole
 
     def _bind(self, context: openmm.Context) -> None:
         super()._bind(context)
-        # A Context that was reinitialized with its state goes on with the seed that it has.
+        # A Context that was reinitialized with its state keeps its seed.
         if self.getGlobalVariableByName(SEED) == 0:
             seed = self.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
             self.setGlobalVariableByName(SEED, seed)
@@ -117,7 +117,7 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
     def _read_record(self, state: BodyState, known: BodyState | None, disturbed: bool) -> BodyState:
         if self.getGlobalVariableByName(SEED) == 0:
             # Somebody wrote the variables of another integrator over ours, as openmmtools' ContextCache does. Noise
-            # must not be used twice, so that what was known before holds.
+            # must not be used twice, so the values known before are restored.
             self.setGlobalVariableByName(SEED, self._bath.seed)
             if known is None:
                 self._clear_record()

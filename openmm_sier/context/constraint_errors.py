@@ -8,11 +8,11 @@ import openmm
 from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.dynamics.bodies import RigidityError
 
-#: Atoms this far off their constraints, in nm or nm/ps, were put there from outside and are moved onto them. OpenMM's
-#: own constraints leave up to 5e-9 nm, since SETTLE works with lengths of single precision.
+#: Atoms further than this off their constraints, in nm or nm/ps, were put there from outside and are moved onto them.
+#: OpenMM's own constraints leave errors of up to 5e-9 nm, since SETTLE works with lengths in single precision.
 OFF = 1e-7
 
-#: Atoms still this far off in nm afterwards have not converged.
+#: Atoms still further off than this afterwards, in nm, have not converged.
 NOT_CONVERGED = 1e-4
 
 
@@ -32,10 +32,10 @@ class Constraints:
     def satisfy(self, context: openmm.Context, tolerance: float) -> None:
         """Move the atoms of a Context, and their velocities, onto the constraints.
 
-        Atoms that satisfy them stay as they are, to the bit.
+        Atoms that satisfy them are unchanged, bit for bit.
 
         Raises:
-            RigidityError: OpenMM cannot do it.
+            RigidityError: OpenMM cannot satisfy them.
         """
         if not len(self.pairs):
             return

@@ -42,11 +42,11 @@ class _Point(NamedTuple):
 class Engine:
     """Binding of a `SIERIntegrator` to a Context in which this package moves the bodies.
 
-    Between two calls of `run` the Context agrees with `state`. `_echo` is a snapshot taken at the end of a call: the
-    Context was changed from outside if it differs from the snapshot later.
+    Between two calls of `run` the Context agrees with `state`. `_echo` is a snapshot taken at the end of a call: a
+    Context that later differs from it was changed from outside.
 
     Attributes:
-        forces: forces and torques on them, computed by the Context.
+        forces: forces and torques on the bodies, computed by the Context.
     """
 
     #: The value of `SIERIntegrator.engine`.
@@ -109,7 +109,7 @@ class Engine:
         return self._point
 
     def _settle_by(self, positions: np.ndarray) -> RigidBodies:
-        """Bodies with the geometry that the Context's state carries, or with that of the positions the first time."""
+        """Bodies with the geometry that the Context's state carries or, the first time, with that of the positions."""
         sites = np.array(self._integrator.getPerDofVariableByName(SITES))
         if self._bodies is not None and np.array_equal(stored_state.sites(self._bodies), sites):
             return self._bodies
@@ -153,7 +153,7 @@ class Engine:
                 self._forget_past()
             for _ in range(count):
                 if alone or not (self._actors.are_present or self._moves_volume_now()):
-                    # The Context learns of the step when the last one is published.
+                    # The Context is updated only after the last step.
                     self._complete(self.state, step, h)
                 else:
                     self._step_with_actors(step, h)
@@ -164,7 +164,7 @@ class Engine:
             raise
 
     def start_anew(self) -> None:
-        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it to the bit."""
+        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it bit for bit."""
         self._starts_anew = self._remembers_list
 
     def _forget_past(self) -> None:
@@ -192,7 +192,7 @@ class Engine:
                 f"In step {steps + 1} {error}. Is the step size too long? The Context is left at the last completed "
                 "step."
             ) from error
-        # All of it at once, so that an interrupt finds the clock and the bodies in agreement.
+        # All in one assignment, so that an interrupt finds the clock and the bodies in agreement.
         self._point = _Point(state, time + h, steps + 1)
 
     def _acted_on(self, h: float) -> BodyState:
@@ -216,7 +216,7 @@ class Engine:
         self._publish()
         before = self._echo
         act(self._integrator)
-        # A CustomIntegrator's own clock goes on at the step size that it had when its Context was created.
+        # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
         self._context.setTime(self._reached().time + h)
         self._echo = Snapshot(self._context)
         return self._reconciliation.reconcile(self.state, before, self._echo)
@@ -236,7 +236,7 @@ class Engine:
         return replace(state, q=q, p=self.bodies.constraints.project(q, state.p), A=A)
 
     def restore(self) -> None:
-        """Write the last completed step to the Context, even if Ctrl-C comes meanwhile."""
+        """Write the last completed step to the Context, even if Ctrl-C is pressed meanwhile."""
         whatever_interrupts(self._recover)
 
     def _recover(self) -> None:
@@ -251,7 +251,7 @@ class Engine:
         return self._forces_of(self._groups & ~self._integrator._fast_groups, q, A)
 
     def all_forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces and torques on bodies at (q, A), each (3, n), fast ones too."""
+        """Forces and torques on bodies at (q, A), each (3, n), including fast forces."""
         self.forces.evaluations += 1
         return self._forces_of(self._groups, q, A)
 
@@ -263,7 +263,7 @@ class Engine:
             raise self._blown_up("force on", error) from None
 
     def potential_energy(self, state: BodyState) -> float:
-        """Of the bodies at the positions of a state, in kJ/mol, with all forces that move them."""
+        """Potential energy of the bodies at the positions of a state, in kJ/mol, from all forces that move them."""
         try:
             return self._energies(self.bodies, state.q, state.A, self._groups)
         except NotFiniteError as error:
@@ -277,7 +277,7 @@ class Engine:
             self._motion.fast.follow(self._context)
 
     def renew_forces(self) -> None:
-        """The potential was changed."""
+        """Respond to a change of the potential."""
         self._integrator._potential_changed()
         self._energies.forget()
         self.forces.invalidate()
@@ -298,11 +298,11 @@ class Engine:
         )
 
     def set_groups(self) -> None:
-        """Other force groups move the bodies from now on."""
+        """Respond to a change of the force groups that move the bodies."""
         self.renew_forces()
 
     def notice(self) -> None:
-        """Positions or velocities were set from outside; `adopt` finds out by itself."""
+        """Do nothing: `adopt` itself detects positions and velocities that were set from outside."""
 
     def heat(self) -> float:
         """Energy that the bath and moves of the volume have given, kJ/mol."""
@@ -374,8 +374,8 @@ class Engine:
 def _weakly(method: Callable[..., Any]) -> Callable[..., Any]:
     """A method that does not keep its object alive.
 
-    The engine has a Context of its own for fast forces, and so must not wait for the garbage collector, which may
-    delete that Context's System before it.
+    The engine owns a Context for fast forces, and so must not be left to the garbage collector, which may delete that
+    Context's System before the Context.
     """
     reference = weakref.WeakMethod(method)
 

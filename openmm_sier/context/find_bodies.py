@@ -1,4 +1,4 @@
-"""Rigid bodies of an OpenMM System: those that its constraints make, and those that the user names."""
+"""Rigid bodies of an OpenMM System: those defined by its constraints, and those named by the user."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from openmm_sier.context.notices import tell
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError, Species
 
-#: The value of `rigid` by which each heavy atom with its hydrogens is a body.
+#: The value of `rigid` that makes each heavy atom and its hydrogens one body.
 HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 
 #: Values of the argument `rigid`.
@@ -42,25 +42,25 @@ class RigidBodies(dynamics.RigidBodies):
     ) -> RigidBodies:
         """Find the bodies of a System.
 
-        Particles that the user names form bodies of the geometry that they have. Of the others, molecules in which
-        every distance is constrained form bodies whose geometry the constraint lengths define, and every massive
-        particle that is left is a point body, with what constraints there are between them. Virtual sites ride along.
-        Massless particles that are no virtual sites stay where they are.
+        Particles that the user names form bodies with their present geometry. Of the others, molecules in which every
+        distance is constrained form bodies whose geometry the constraint lengths define. Every remaining particle with
+        mass is a point body, joined to others by its constraints. Virtual sites follow their atoms. Massless particles
+        that are not virtual sites stay where they are.
 
-        Molecules of one kind whose lengths or positions differ a little, as those of a PDB file do, share the average
+        Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
         geometry, and a warning says so.
 
         Args:
             system: openmm.System.
             topology: openmm.app.Topology, for the names of residues in messages, and for some choices of `rigid`.
-            rigid: rigid bodies besides those that constraints make. Lists of particle indices; or a mapping {residue
-                name: "rigid"}; or "heavy atoms with hydrogens", by which each heavy atom and the hydrogens bonded to it
-                are one body. That fixes H-X-H angles besides bonds of hydrogen, and leaves all torsions free.
+            rigid: rigid bodies in addition to those that constraints define. Lists of particle indices; or a mapping
+                {residue name: "rigid"}; or "heavy atoms with hydrogens", which makes each heavy atom and the hydrogens
+                bonded to it one body. The last fixes bonds to hydrogen and H-X-H angles, and leaves all torsions free.
             positions: (N, 3), nm or a Quantity, from which the geometry of `rigid` is taken.
 
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
-                massless particle that is no virtual site is in a body, or positions are needed and were not given.
+                massless particle that is not a virtual site is in a body, or positions are needed and were not given.
             ValueError: `rigid` names particles or residues that do not exist, or a particle twice; or it needs the
                 topology.
         """
@@ -103,11 +103,11 @@ class BodyPlan:
 
         Args:
             positions: (N, 3), nm.
-            sites: (N, 3), nm, the atoms in the principal frames of their bodies. Named bodies get exactly these sites,
-                unless the frames are not principal.
+            sites: (N, 3), nm, atom positions in the principal frames of their bodies. Named bodies get exactly these
+                sites, unless the frames are not principal.
 
         Raises:
-            RigidityError: positions are needed and there are none, or they contradict the constraints.
+            RigidityError: positions are needed and were not given, or they contradict the constraints.
         """
         if positions is None:
             if self.needs_positions:
@@ -217,7 +217,7 @@ class KnownBodies:
 
 
 def plan_bodies(system: openmm.System, given: Bodies) -> BodyPlan | KnownBodies:
-    """The plan of a System's bodies, from those that a user gave, as lists of particle indices, or None.
+    """The plan of a System's bodies, from what a user gave: `RigidBodies`, lists of particle indices, or None.
 
     Raises:
         ValueError: the System has another number of particles or other masses.
@@ -262,7 +262,7 @@ def _residues_named(topology: openmm.app.Topology, rigid: Mapping[str, str]) -> 
 
 
 def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Cluster, bool]]) -> list[list[int]]:
-    """Each heavy atom with its hydrogens, but for those of molecules that constraints hold already."""
+    """Each heavy atom with its hydrogens, except in molecules that constraints already hold rigid."""
     molecule = {i: cluster[0] for cluster, rigid in clusters if rigid for i in cluster}
     groups: dict[int, list[int]] = {}
     grouped: set[int] = set()
@@ -330,9 +330,9 @@ def _inside(named: Sequence[Cluster], lengths: Lengths) -> tuple[list[Lengths], 
 
 
 def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Cluster, bool]]:
-    """Particles that constraints join, and whether they are a molecule in which every distance is constrained.
+    """Clusters that constraints join, each with whether it is a molecule in which every distance is constrained.
 
-    A rigid group in a larger molecule does not count. Fast forces move points only, so its constraints hold it.
+    A rigid group in a larger molecule does not count: fast forces move only points, so constraints hold its atoms.
     """
     clusters = _clusters(lengths)
     sizes = np.fromiter(map(len, clusters), int, len(clusters))
@@ -367,7 +367,7 @@ def _clusters(pairs: Iterable[tuple[int, int]]) -> list[Cluster]:
 
 
 def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
-    """Bodies that a user gave, with the constraints between them and the molecules that a System has.
+    """Bodies that a user gave, with a System's constraints between them and its molecules.
 
     Raises:
         ValueError: the System has another number of particles or other masses.

@@ -1,7 +1,7 @@
 """The geometry of rigid bodies: from constraint lengths, or from the positions of atoms.
 
-All bodies of one kind share one geometry. Each kind costs a step some 25 us, and lengths or positions from a PDB file,
-which are rounded, would make every molecule a kind of its own.
+All bodies of one kind share one geometry. Each kind adds some 25 us to a step. Lengths or positions from a PDB file are
+rounded, and would make every molecule a kind of its own.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ EMBEDDING_TOLERANCE = 1e-4
 #: Atoms of a body this close in nm to a line or a plane lie on it; PDB files round to 1e-4 nm.
 RESOLUTION = 5e-4
 
-#: Lengths of two molecules that differ by less, in nm, are one length, measured twice in a PDB file: there each
-#: coordinate is off by up to 5e-5 nm, and so a length by up to sqrt(3) 1e-4 nm. Bonds of different types in a force
-#: field differ by 1e-3 nm.
+#: Lengths of two molecules that differ by less than this, in nm, count as one length that a PDB file has rounded. There
+#: each coordinate is off by up to 5e-5 nm, and so a length by up to sqrt(3) 1e-4 nm. Bonds of different types in a
+#: force field differ by 1e-3 nm.
 LENGTH_TOLERANCE = 3.5e-4
 
-#: Named bodies with the same masses share a geometry from which none of their atoms is further away, in nm. Minimized
-#: or thermal molecules of one conformation are within it: a bond angle that is off by 4 degrees moves a hydrogen by
-#: 0.007 nm. Torsions that differ by 10 degrees move one by 0.017 nm and make another geometry.
+#: Named bodies with the same masses share a geometry if none of their atoms is further than this from it, in nm.
+#: Minimized or thermal molecules of one conformation are within it, since a bond angle that is off by 4 degrees moves a
+#: hydrogen by 0.007 nm. A torsion that differs by 10 degrees moves one by 0.017 nm and makes another geometry.
 SHARING_TOLERANCE = 0.01
 
-#: Rounding of positions and lengths in nm, of which nobody needs to hear.
+#: Deviations of positions and lengths, in nm, that are rounding and cause no warning.
 ROUNDING = 1e-6
 
 Cluster = tuple[int, ...]
 
 
 class Sharing(NamedTuple):
-    """Bodies whose own geometries differ a little from the one that they share.
+    """Bodies whose own geometries differ slightly from the one that they share.
 
     Attributes:
         clusters: particle indices of each.
-        deviation: the largest one, nm.
+        deviation: the largest deviation, nm.
         worst: particle indices of the body that has it.
     """
 
@@ -50,15 +50,15 @@ class Sharing(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """Clusters of particles with the same masses, in their order, and the same constraints.
+    """Clusters of particles with the same masses in the same order, and the same constraints.
 
     Attributes:
         masses: dalton.
         clusters: particle indices of each body.
         pairs: constrained pairs of atoms, by their numbers in the cluster.
         lengths: of the pairs, nm; the mean over the clusters.
-        sharing: where the lengths of the clusters differ.
-        model: the bodies with the geometry that constraints give them; None where constraints do not.
+        sharing: set if the lengths of the clusters differ.
+        model: the bodies with the geometry that constraints define; None if constraints do not define it.
     """
 
     masses: tuple[float, ...]
@@ -83,7 +83,7 @@ class KindCollector:
     def add(
         self, cluster: Cluster, masses: Sequence[float] | np.ndarray, lengths: Mapping[tuple[int, int], float]
     ) -> None:
-        """Take a cluster.
+        """Add a cluster.
 
         Args:
             cluster: particle indices.
@@ -100,7 +100,7 @@ class KindCollector:
         rows.append([length for _, _, length in numbered])
 
     def kinds(self, describe: Callable) -> list[Kind]:
-        """The kinds, in the order in which their first clusters came.
+        """The kinds, in the order in which their first clusters were added.
 
         Args:
             describe: gives a name to particle indices, for messages.
@@ -178,7 +178,7 @@ def _embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def by_handedness(model: Species, positions: np.ndarray) -> list[Species]:
-    """The bodies of a species apart from those that are its mirror images."""
+    """Split the bodies of a species into those with its geometry and those that are mirror images."""
     mirror = model.mirrored()
     arms = _arms(model.masses, positions[model.atoms])
     mirrored = mirror.fit(arms)[1] < model.fit(arms)[1]
@@ -190,9 +190,9 @@ def by_handedness(model: Species, positions: np.ndarray) -> list[Species]:
 
 
 def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tuple[list[Species], list[Sharing]]:
-    """Bodies of the geometries that positions (N, 3) in nm show, as few as `SHARING_TOLERANCE` allows.
+    """Bodies of the geometries found in positions (N, 3) in nm, as few as `SHARING_TOLERANCE` allows.
 
-    A geometry is the mean over the bodies that share it, turned onto one another, and satisfies their constraints.
+    A geometry is the mean over the superimposed bodies that share it, and satisfies their constraints.
 
     Raises:
         RigidityError: constraints inside a body contradict each other.
@@ -203,10 +203,10 @@ def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tup
         arms = _arms(masses, positions[clusters])
         model = _model(kind, arms[0], describe)
         near = model.fit(arms)[1] <= SHARING_TOLERANCE
-        # Constraints may take the model further away from the very first, which is alike to itself.
+        # The first body always shares the geometry, even if constraints move the model away from it.
         near[0] = True
         misfit = np.zeros(len(arms))
-        # The first one is as far from the mean as any other: some are near the mean that are not near the first.
+        # The first body may be as far from the mean as any other: others can be near the mean but not near the first.
         for _ in range(2 if near.sum() > 1 else 0):
             model = _model(kind, _mean_shape(model, arms[near]), describe)
             misfit = model.fit(arms)[1]
@@ -223,7 +223,7 @@ def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tup
 def _mean_shape(model: Species, arms: np.ndarray) -> np.ndarray:
     """Mean (k, 3) of arms (m, k, 3), each turned onto the model.
 
-    Turning them onto the mean instead, and so on, would change it in second order of their deviations.
+    Iterating, with the mean as the next model, would change it only in second order of their deviations.
     """
     attitudes = model.fit(arms)[0]
     return np.einsum("axm,mkx->ka", attitudes, arms) / len(arms)
@@ -244,9 +244,9 @@ def _model(kind: Kind, shape: np.ndarray, describe: Callable) -> Species:
 def _constrained(
     shape: np.ndarray, masses: np.ndarray, pairs: tuple[tuple[int, int], ...], lengths: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """A shape (k, 3) moved onto constraints one after another, as SHAKE does, and the largest error that is left."""
+    """A shape (k, 3) moved onto constraints one after another, as SHAKE does, and the largest remaining error."""
     shape, largest = shape.copy(), 0.0
-    # It converges in some ten rounds for the hydrogens of one atom, the slower the more constraints share atoms.
+    # It converges in some ten rounds for the hydrogens of one atom, and more slowly the more constraints share atoms.
     for _ in range(500):
         largest = 0.0
         for (i, j), length in zip(pairs, lengths, strict=True):
@@ -262,9 +262,9 @@ def _constrained(
 
 
 def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
-    """The bodies whose places in their principal frames, (N, 3) in nm, are given; none if these masses do not balance.
+    """Bodies from atom positions in principal frames, (N, 3) in nm; none if these frames are not principal.
 
-    Bodies are those of one species whose sites are the same to the bit.
+    Bodies whose sites are bit-identical form one species.
     """
     clusters, masses = kind.clusters, np.array(kind.masses)
     frames = sites[clusters]
@@ -272,7 +272,7 @@ def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
     spread = np.trace(inertia, axis1=1, axis2=2)
     off_centre = np.abs(np.einsum("k,mkx->mx", masses, frames)).max(axis=1)
     off_axes = np.abs(inertia * (1 - np.eye(3))).max(axis=(1, 2))
-    # Both are rounding for principal frames; other masses leave per cents.
+    # For principal frames both are rounding errors; with other masses they are several per cent.
     if (spread == 0).any() or (off_axes > 1e-9 * spread).any() or (off_centre**2 > 1e-18 * masses.sum() * spread).any():
         return []
     species = []
@@ -293,5 +293,5 @@ def of_sites(clusters: np.ndarray, masses: np.ndarray, frame: np.ndarray) -> Spe
 
 
 def _arms(masses: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Positions (m, k, 3) from the centres of mass."""
+    """Positions (m, k, 3) relative to the centres of mass."""
     return positions - np.einsum("k,mkx->mx", masses / masses.sum(), positions)[:, None]

@@ -41,40 +41,40 @@ from openmm_sier.dynamics.operators import Operator, Stepper
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 
-#: A trajectory that comes back to its start within this, in nm, counts as reversible. What cannot be reversed, as a
-#: scheme that is no palindrome, misses by a multiple of this at usual steps; rounding, and forces of single precision,
-#: by 1e-12 to 1e-6, see docs/hmc.md.
+#: A trajectory that comes back to its start within this distance, in nm, counts as reversible. An irreversible one,
+#: such as that of a scheme that is not a palindrome, misses by a multiple of this at usual steps. Rounding and forces
+#: in single precision cause a miss of 1e-12 to 1e-6, see docs/hmc.md.
 REVERSIBLE = 1e-4
 
 
 class SIERHMCIntegrator(ConstantTemperatureIntegrator):
-    """Hybrid Monte Carlo: samples of the canonical ensemble without an error of the step.
+    """Hybrid Monte Carlo: samples of the canonical ensemble without time-step error.
 
-    A trial is a trajectory of `stepsPerTrial` steps of the scheme from momenta that were drawn anew, or in part. Its
-    end is accepted or rejected on its true energy; after a rejection the Context is back at the start of the trial,
-    with reversed velocities. A step that is too long costs acceptance, and biases nothing.
+    A trial is a trajectory of `stepsPerTrial` steps of the scheme, from momenta that are drawn anew, fully or in part.
+    Its end is accepted or rejected by its true energy; after a rejection the Context is back at the start of the trial,
+    with reversed velocities. A step that is too long lowers the acceptance, but causes no bias.
 
-    Samples are at step numbers that are multiples of `stepsPerTrial`, and there alone: report at such intervals. In
-    between the Context is on a trajectory that may be rejected. A trial that begins at another step number, as after
+    Samples exist only at step numbers that are multiples of `stepsPerTrial`: report at such intervals. In between, the
+    Context is on a trajectory that may be rejected. A trial that begins at another step number, for example after
     positions were set in mid-trial, ends at the next multiple.
 
-    Positions or velocities that are set in mid-trial end it: the next step begins another one from there. Where the
-    step size, a parameter of the Context, the box or a Force is changed, the trial is given up, and the next step
-    begins another one from its start. A temperature set in mid-trial holds from the next one on. A trajectory that
-    cannot be followed to its end, since a force is not finite or constraints cannot be satisfied, is rejected.
+    Setting positions or velocities in mid-trial ends the trial: the next step begins another one from there. Changing
+    the step size, a parameter of the Context, the box or a Force abandons the trial: the next step begins another one
+    from the start of the abandoned one. A temperature set in mid-trial applies from the next trial on. A trajectory
+    that cannot be followed to its end, because a force is not finite or constraints cannot be satisfied, is rejected.
 
-    The first trajectory is followed back to its start before it counts, once for each step size and again where
-    trials become longer, and the integrator refuses to go on if it does not come back; `reversalError` says how close
+    Before the first trajectory counts, it is reversed and followed back to its start, once for each step size and again
+    when trials become longer. The integrator refuses to go on if it does not come back; `reversalError` tells how close
     it came.
 
     Random numbers are as with `SIERLangevinIntegrator`, and a restart is bit-identical in mid-trial too. The total
-    energy less the heat changes by the energy errors of accepted trials alone.
+    energy less the heat changes only by the energy errors of accepted trials.
 
     With a CMMotionRemover in the System the total momentum is held at zero, in draws and in kicks. Barostats and
     AndersenThermostats in the System are refused.
 
-    The native engine follows trajectories on the device from end to end. It has neither `pressure` nor a
-    CMMotionRemover: with these `engine="auto"` takes the exact engine on every platform.
+    The native engine follows trajectories on the device from end to end. It supports neither `pressure` nor a
+    CMMotionRemover: with either, `engine="auto"` takes the exact engine on every platform.
 
     Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247
     (1991).
@@ -103,14 +103,14 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme without a bath; it must be a palindrome.
             stepsPerTrial: steps of each trial.
-            frictionCoeff: momenta keep a factor exp(-friction t) in a trial of length t and are drawn for the rest, a
-                quantity or a number in 1/ps; None: they are drawn anew.
-            pressure: if it is to be constant, a quantity or a number in bar; see `SIERLangevinIntegrator`.
-            barostatInterval: trials from one attempt to change the volume to the next.
+            frictionCoeff: a quantity or a number in 1/ps. Momenta keep a factor exp(-friction t) in a trial of length
+                t, and the rest is drawn anew; None draws all of them anew.
+            pressure: for constant pressure, a quantity or a number in bar; see `SIERLangevinIntegrator`.
+            barostatInterval: number of trials between attempts to change the volume.
             bodies, rotation, engine, substeps, fastForceGroups: see `SIERIntegrator`.
 
         Raises:
-            ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is no palindrome.
+            ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
             TypeError: a quantity has the wrong dimension.
         """
         if isinstance(scheme, Scheme):
@@ -149,7 +149,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             raise ValueError("temperature must be above zero for hybrid Monte Carlo, got 0 K")
         return found
 
-    #: Until the settings are in place.
+    #: A placeholder until the settings are in place.
     _steps_per_trial = 0
 
     # --- what users ask ---
@@ -168,18 +168,18 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         stored_settings.store(self, "trial", [steps])
 
     def setFriction(self, coeff: Any) -> None:
-        """Set the friction, a quantity or a number in 1/ps; None draws all momenta anew, and is an infinite one."""
+        """Set the friction, a quantity or a number in 1/ps; None, an infinite friction, draws all momenta anew."""
         self._bath.friction = self._bath.rotational_friction = _friction(coeff)
         self._store_surroundings()
 
     @property
     def trials(self) -> int:
-        """Number of trials that came to their end."""
+        """Number of completed trials."""
         return int(self.getGlobalVariableByName(TRIALS))
 
     @property
     def accepted(self) -> int:
-        """How many of them were accepted."""
+        """Number of accepted trials."""
         return int(self.getGlobalVariableByName(ACCEPTED))
 
     @property
@@ -189,22 +189,22 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
 
     @property
     def lastEnergyError(self) -> float:
-        """Energy at the end of the last trial less that at its start, in kT; infinite if its trajectory failed.
+        """Energy at the end of the last trial minus that at its start, in kT; infinite if its trajectory failed.
 
-        NaN before the first trial.
+        NaN before the first trial and after `resetStatistics`.
         """
         return self.getGlobalVariableByName(ERROR) if self.trials else math.nan
 
     @property
     def reversalError(self) -> float:
-        """Distance in nm by which an atom missed its start when the first trajectory was followed back.
+        """Largest distance in nm by which an atom missed its start when the first trajectory was followed back.
 
-        NaN before the first trial.
+        NaN before the first trial, and after the trials were made longer.
         """
         return self.getGlobalVariableByName(REVERSAL) if self.getGlobalVariableByName(CHECKED_STEP) else math.nan
 
     def reported(self) -> dict[str, float]:
-        """Further columns of `ConservationReporter`: the fraction of trials accepted, and the last energy error."""
+        """Additional columns for `ConservationReporter`: the fraction of trials accepted, and the last energy error."""
         return {"Acceptance": self.acceptanceRate, "Energy Error (kT)": self.lastEnergyError}
 
     def resetStatistics(self) -> None:
@@ -213,7 +213,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             self.setGlobalVariableByName(name, 0)
 
     def finishTrial(self) -> None:
-        """Go on to the next sample, at a multiple of `stepsPerTrial`; a Context that is at one stays there."""
+        """Advance to the next sample, at a multiple of `stepsPerTrial`; a Context already at a sample stays there."""
         while steps := self._steps_to_sample():
             self.step(steps)
 
@@ -225,14 +225,14 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         return trial.left if trial is not None else -engine.steps % self._steps_per_trial
 
     def _sampled_energy(self) -> float:
-        """Potential energy of the bodies now, kJ/mol; that of a sample is known from its trial, and costs nothing."""
+        """Present potential energy of the bodies, kJ/mol; at a sample it is known from the trial and costs nothing."""
         if isinstance(engine := self._bound(), NativeTrials):
             return engine.potential_energy()
         engine = self._adopted()
         return engine.potential_energy(engine.state)
 
     def _adopted(self) -> Engine:
-        """The engine, in agreement with the Context."""
+        """The engine, brought up to date with the Context."""
         engine = self._bound()
         assert isinstance(engine, Engine)
         engine.adopt()
@@ -265,7 +265,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         return NativeTrials(self, context)
 
     def _moves_volume(self, state: BodyState, steps: int) -> bool:
-        # Between trials alone.
+        # Only between trials.
         if self._piston is None or SampledState.of(state).trial is not None:
             return False
         return (steps // self._steps_per_trial + 1) % self._piston.interval == 0
@@ -302,7 +302,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         self._refuse_irreversible(metropolis.reversal_error(engine.bodies, advance, start, self._steps_per_trial))
 
     def _refuse_irreversible(self, error: float) -> None:
-        """Note down an error of reversal, in nm.
+        """Record a reversal error, in nm.
 
         Raises:
             openmm.OpenMMException: it is too large.
@@ -322,7 +322,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             self.setGlobalVariableByName(STEP, math.nan)
 
     def _leave_other_engine(self, context: openmm.Context) -> None:
-        """A trial that the other engine has begun is given up: the Context is at its start afterwards."""
+        """Abandon a trial that the other engine has begun, and put the Context back at its start."""
         super()._leave_other_engine(context)
         is_native = isinstance(self._engine, NativeTrials)
         begun = LEFT if is_native else END
@@ -369,7 +369,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         )
 
     def _read_trial(self, known: Trial | None) -> Trial:
-        """The trial in progress; its start is read only if it is none that was known before."""
+        """The trial in progress; its start is read only if the trial was not known before."""
         left, energy, thermal, h, heat = map(self.getGlobalVariableByName, (LEFT, ENERGY, THERMAL, STEP, START_HEAT))
         if known is not None and (known.energy, known.thermal, known.left) == (energy, thermal, left):
             return Trial(known.start, energy, thermal, h, int(left))
@@ -379,12 +379,12 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
 
 
 def tell_of_samples(integrator: openmm.Integrator, interval: int, what: str) -> None:
-    """Warn where reports at an interval show what is no sample of hybrid Monte Carlo.
+    """Warn if reports at an interval would show states that are not samples of hybrid Monte Carlo.
 
     Args:
         integrator: of any kind.
         interval: steps from one report to the next.
-        what: name of what reports.
+        what: name of the reporting object.
     """
     if isinstance(integrator, SIERHMCIntegrator) and interval % (steps := integrator.getStepsPerTrial()):
         tell(

@@ -1,17 +1,17 @@
-"""Every change to OpenMM's own classes stands here.
+"""All changes to OpenMM's own classes.
 
-OpenMM tells a Python integrator nothing of its Context. These methods therefore do more than OpenMM's where the Context
-has a SIER integrator, and just what OpenMM's do where it has another:
+OpenMM tells a Python integrator nothing about its Context. These methods therefore do more than OpenMM's if the Context
+has a SIER integrator, and exactly what OpenMM's do if it has another:
 
 - `Context.__init__` and `Context.reinitialize` bind the integrator to the Context and refuse a System that it cannot
   move. `reinitialize` without the state also clears the heat and the count of random numbers.
-- `Context.setState` takes a State of any other integrator, and does not let a State bring back noise that was used.
+- `Context.setState` accepts a State of any other integrator, and does not let a State bring back noise that was used.
 - `Context.setPositions`, `setVelocities`, `setVelocitiesToTemperature` and `loadCheckpoint` tell the integrator that
   atoms were moved, which the native engine would not notice by itself.
-- `Context.createCheckpoint` and `Context.getState` with the integrator's parameters have the run go on as a restart
-  from what they return would.
+- `Context.createCheckpoint` and `Context.getState` with the integrator's parameters make the run continue exactly as a
+  restart from their result would.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
-- `LocalEnergyMinimizer.minimize` minimizes rigid bodies whole where no constraint holds them.
+- `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
 
@@ -30,7 +30,7 @@ from openmm_sier.context.native_engine import NativeEngine
 from openmm_sier.context.stored_settings import stored
 from openmm_sier.context.stored_state import DRAWS, SEED
 
-#: A method of OpenMM or its wrapper, which has an attribute that tells so.
+#: A method of OpenMM, or its wrapper, which an attribute marks as such.
 Method: TypeAlias = Any
 
 
@@ -105,7 +105,7 @@ def _going_on_as_a_restart(method: Method) -> Method:
     def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
         found = method(self, *args, **kwargs)
         integrator = _integrator_of(self)
-        # A checkpoint is bytes; a State has all of it where it has the integrator's parameters.
+        # A checkpoint is bytes, and complete; a State is complete if it has the integrator's parameters.
         if integrator is not None and integrator._engine is not None and _is_complete(found):
             integrator._engine.start_anew()
         return found
@@ -152,8 +152,9 @@ def _accepting(method: Method) -> Method:
     """`Context.setState` as users of OpenMM's integrators know it.
 
     A State saved by another kind of integrator, for example after an equilibration, is accepted. OpenMM would set all
-    of it and then fail on the parameters of that integrator. As with OpenMM's integrators, a State does not repeat
-    noise that was used already: runs with other seeds from one State differ, and so do replicas that share a Context.
+    of it and then fail on the parameters of that integrator. As with OpenMM's integrators, a State does not bring back
+    noise that was already used: runs with different seeds from one State differ, and so do replicas that share a
+    Context.
     """
 
     @functools.wraps(method)
@@ -191,7 +192,7 @@ def _telling_of_moved_atoms(method: Method) -> Method:
 
 
 def _loading(method: Method) -> Method:
-    """`Context.loadCheckpoint`: the other engine may have left it."""
+    """`Context.loadCheckpoint`: the checkpoint may come from the other engine."""
 
     @functools.wraps(method)
     def wrapper(self: Any, checkpoint: bytes) -> Any:
@@ -210,7 +211,7 @@ def _take_over(integrator: SIERIntegrator, context: openmm.Context) -> None:
 
 
 def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> None:
-    """Do as `Context.setState`, errors included, but leave out the parameters of the integrator."""
+    """Do what `Context.setState` does, errors included, except for the parameters of the integrator."""
     context.setTime(state.getTime())
     context.setStepCount(state.getStepCount())
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
@@ -240,7 +241,7 @@ def _integrator_of(context: openmm.Context) -> SIERIntegrator | None:
 
 
 def _refuse_parts(integrator: openmm.Integrator) -> None:
-    """Refuse a CompoundIntegrator with a SIER integrator, whose Python part it does not call."""
+    """Refuse a CompoundIntegrator that contains a SIER integrator, since it would not call its Python part."""
     if not isinstance(integrator, openmm.CompoundIntegrator):
         return
     for i in range(integrator.getNumIntegrators()):

@@ -18,7 +18,7 @@ Bodies = RigidBodies | Sequence[Sequence[int]] | None
 
 
 class Host(Protocol):
-    """An integrator as the engines see it; methods of `openmm.CustomIntegrator` are among its own."""
+    """An integrator as the engines see it, including methods of `openmm.CustomIntegrator`."""
 
     _piston: MonteCarloVolumeMove | None
     _given_bodies: Bodies
@@ -68,22 +68,22 @@ class Host(Protocol):
         """Operators besides kicks and drifts, by name."""
 
     def _stepper(self, engine: Any, scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
-        """What makes a step of length h, ps, with the operators of an exact engine."""
+        """The function that makes a step of length h, ps, with the operators of an exact engine."""
 
     def _moves_volume(self, state: BodyState, steps: int) -> bool:
-        """Whether the volume is to be moved at a state, before the step after so many."""
+        """Whether to move the volume at a state, before the step that follows `steps` completed ones."""
 
     def _potential_changed(self) -> None:
-        """Forces on bodies, or the box, were changed from outside."""
+        """Respond to a change of forces on bodies, or of the box, from outside."""
 
     def _write_record(self, state: BodyState) -> None:
-        """Put what a state has besides its phase point into variables, which travel in checkpoints."""
+        """Store what a state holds besides its phase point in variables, which travel in checkpoints."""
 
     def _read_record(self, state: BodyState, known: BodyState | None, disturbed: bool) -> BodyState:
-        """A phase point with what the variables have besides.
+        """A phase point, with what the variables hold besides it.
 
         Args:
             state: the phase point.
-            known: the state before what happened outside; None: there was none.
-            disturbed: whether positions or velocities are others than those stored with the variables.
+            known: the state before changes from outside; None if there was none.
+            disturbed: whether positions or velocities differ from those stored with the variables.
         """

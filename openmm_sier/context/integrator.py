@@ -28,7 +28,7 @@ from openmm_sier.dynamics.operators import Operator, Rotation, Stepper, stepper
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 
-#: The platforms on which `engine="auto"` takes the exact engine: their forces are in the memory that Python uses.
+#: The platforms on which `engine="auto"` takes the exact engine, since their forces are in memory that Python can read.
 EXACT_PLATFORMS = ("CPU", "Reference")
 
 ENGINES = ("auto", "exact", "native")
@@ -37,14 +37,14 @@ ENGINES = ("auto", "exact", "native")
 class SIERIntegrator(openmm.CustomIntegrator):
     """Symplectic integrator for rigid bodies that uses the exact solution of free rotation.
 
-    A drop-in for OpenMM's integrators: give it to a `Simulation` or a `Context`, and call nothing else. Rigid
-    molecules are found in the System's constraints when the Context is created; molecules that constraints do not make
-    rigid are points with these constraints between them. Velocities in the Context are those at the end of the step.
+    A drop-in replacement for OpenMM's integrators: pass it to a `Simulation` or a `Context`; nothing else has to be
+    called. Rigid molecules are found in the System's constraints when the Context is created. The atoms of other
+    molecules are points, joined by their constraints. Velocities in the Context are those at the end of the step.
 
-    Two engines execute the scheme. The exact one is a layer of Python over the Context and has the exact rotation. The
-    native one is the integrator's own program, which OpenMM executes on any platform, with steps of RATTLE for the
-    rotation; it moves molecules with constraints of any kind. XML carries the program, so that it also runs where this
-    package is not imported: see docs/native.md.
+    Two engines can execute the scheme. The exact engine is a Python layer over the Context and rotates bodies exactly.
+    The native engine is the integrator's own program, which OpenMM executes on any platform. It rotates bodies by
+    RATTLE steps and moves molecules with constraints of any kind. XML carries the program, so that it also runs where
+    this package is not imported: see docs/native.md.
 
     Source: van Zon and Schofield (2007).
     """
@@ -63,24 +63,25 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Args:
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme, see `openmm_sier.dynamics.schemes`.
-            bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices make rigid
-                bodies, of the geometry that they have at the first step, besides those that constraints make.
-            rotation: free-rotation map, as `rotation.exact`.
+            bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices define
+                further rigid bodies, with the geometry that they have at the first step.
+            rotation: free-rotation map, such as `rotation.exact`.
             engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
-            substeps: into how many steps a drift is divided. Without fast forces these are the native engine's steps of
-                RATTLE: 3 and 5 make the drift of fourth order, and None takes 3, or 5 with SIER4, SIER4V and other
-                schemes of long drifts; the exact engine's drifts are not divided. With fast forces they are inner steps
-                of SIER4G. None takes the least number for which the exact engine's are no longer than 3 fs, and with
-                the native engine 1, or 2 with schemes of long drifts.
+            substeps: number of steps into which a drift is divided. Without fast forces these are RATTLE steps of the
+                native engine: 3 and 5 make the drift fourth order, and None means 3, or 5 with SIER4, SIER4V and other
+                schemes with long drifts. The exact engine's drifts are then not divided. With fast forces they are
+                inner steps of SIER4G. None then means, with the exact engine, the least number for which they are no
+                longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts.
             fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
-                of molecules that are not rigid, see `prepare_system`. The exact engine computes them from a Context of
-                those molecules alone.
+                of molecules that are not rigid, see `prepare_system`. The exact engine computes them in a separate
+                Context of those molecules alone.
 
         Raises:
-            ValueError: the step is negative or not finite, the engine is none of these, `substeps` is below 1, or a
-                force group is not from 0 to 31. A step of 0 is for Contexts that only evaluate forces: steps are
+            ValueError: the step is negative or not finite, the engine is unknown, `substeps` is below 1, or a force
+                group is not from 0 to 31. A step of 0 is allowed, for Contexts that only evaluate forces: steps are
                 counted and nothing moves.
-            TypeError: the step is no time, or `scheme` is no Scheme.
+            TypeError: the step is not a time, `scheme` is not a Scheme, or `bodies` or `fastForceGroups` have the
+                wrong type.
         """
         if not isinstance(scheme, Scheme):
             raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {scheme!r}")
@@ -107,11 +108,11 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     @property
     def _native_steps(self) -> int:
-        """Steps of OpenMM in one step of the scheme."""
+        """Number of OpenMM steps in one step of the scheme."""
         return len(self._program.parts) if isinstance(self._program, Program) else 1
 
     def _tell_program(self) -> None:
-        """Give the program's variables the values that they must have, whatever was loaded."""
+        """Set the program's variables to the values that they must have, whatever was loaded."""
         friction, thermal = self._coupling()
         for name, value in (
             (EXACT_ONLY, float(self._needs_package())),
@@ -148,7 +149,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         stored_settings.store(self, "engine", [self._substeps or 0, self._fast_groups], self._wanted_engine)
 
     def _take_settings(self, rotation: Rotation | None = None) -> None:
-        """Take all settings from what OpenMM serialized, but the free-rotation map from `rotation` if it is given."""
+        """Read all settings from what OpenMM serialized; `rotation`, if given, replaces the free-rotation map."""
         self._engine = None
         self._scheme = stored_settings.stored_scheme(self)
         place = stored_settings.required(self, "rotation")[0]
@@ -160,14 +161,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
         (self._step,) = stored_settings.required(self, "step")[1].tolist()
         step = super().getStepSize()._value * self._native_steps
         if not math.isclose(step, self._step, rel_tol=1e-12):
-            # It was set where this package was not imported.
+            # The step was set where this package was not imported.
             self._step = step
 
     # --- what users ask ---
 
     @property
     def engine(self) -> str:
-        """The engine of the Context that this integrator is bound to; before that, the one that was asked for."""
+        """The engine in use; before a Context is created, the one that was requested."""
         return self._wanted_engine if self._engine is None else self._engine.name
 
     @property
@@ -220,7 +221,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._bound().conserves_momentum()
 
     def getStepSize(self) -> unit.Quantity:
-        """The step of the scheme, a quantity in ps. A step of OpenMM's program is a part of it."""
+        """The step of the scheme, a quantity in ps. OpenMM's own step may be a fraction of it."""
         return self._step * unit.picosecond
 
     def setStepSize(self, size: Any) -> None:
@@ -230,7 +231,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         stored_settings.store(self, "step", [self._step])
 
     def getBodyState(self) -> BodyState:
-        """The rigid bodies' state, in agreement with the Context.
+        """The state of the rigid bodies, brought up to date with the Context.
 
         Raises:
             RigidityError: the Context's positions do not form the bodies.
@@ -242,47 +243,47 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def step(self, steps: int) -> None:
         """Advance by a number of steps.
 
-        An interrupt leaves the Context at the last completed step. So does an error with the exact engine; with the
-        native one it leaves the Context where it happened, as with OpenMM's integrators.
+        An interrupt leaves the Context at the last completed step. With the exact engine an error does the same. With
+        the native engine an error leaves the Context where it happened, as with OpenMM's integrators.
 
         Raises:
-            ValueError: `steps` is negative or no whole number.
+            ValueError: `steps` is negative or not a whole number.
             RigidityError: positions set from outside do not form the bodies.
-            openmm.OpenMMException: there is no Context, a force is not finite, or the step is longer than a bond bears.
+            openmm.OpenMMException: there is no Context, a force is not finite, or the step is too long for a bond.
         """
         self._bound().run(whole_number("steps", steps))
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
 
-        OpenMM's StateDataReporter asks for it. Where the total momentum is conserved, three degrees of freedom and the
-        kinetic energy of the centre of mass are left out, with a CMMotionRemover or without. NaN without degrees of
-        freedom.
+        OpenMM's StateDataReporter calls it. Where the total momentum is conserved, with or without a CMMotionRemover,
+        three degrees of freedom and the kinetic energy of the centre of mass are left out. NaN if there are no degrees
+        of freedom.
         """
         return self.computeTemperatures().total * unit.kelvin
 
     def computeTemperatures(self) -> Temperatures:
-        """Temperatures of all motion, of translation and of rotation, numbers in K.
+        """Temperatures of all motion, of translation, of rotation and of flexible molecules, numbers in K.
 
-        A named tuple (total, translation, rotation), counted as `computeSystemTemperature` does; NaN for what has no
-        degrees of freedom.
+        A named tuple (total, translation, rotation, flexible), by the rule of `computeSystemTemperature`; NaN where
+        there are no degrees of freedom.
         """
         return self._bound().temperatures()
 
     def reported(self) -> dict[str, float]:
-        """Further columns of `ConservationReporter`, by name."""
+        """Additional columns for `ConservationReporter`, by name."""
         return {}
 
     def forcesChanged(self) -> None:
-        """Tell the integrator that the potential was changed other than by a method of the Context or of its Forces.
+        """Tell the integrator that the potential was changed by other means than a method of the Context or its Forces.
 
-        Changes of positions, velocities, box and Context parameters, and those by `updateParametersInContext`, are
-        noticed without this.
+        Changes of positions, velocities, box and Context parameters, and changes by `updateParametersInContext`, are
+        noticed automatically.
         """
         self._bound().renew_forces()
 
     def setIntegrationForceGroups(self, groups: Iterable[int] | int) -> None:
-        """Set the force groups that move the bodies, as a set or a bit mask; it takes effect with the next step."""
+        """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""
         super().setIntegrationForceGroups(groups)
         if self._engine is not None:
             self._engine.set_groups()
@@ -305,17 +306,17 @@ class SIERIntegrator(openmm.CustomIntegrator):
     # --- for the engine and for subclasses ---
 
     def _prepare_for(self, system: openmm.System) -> None:
-        """Before a Context is created, clear what a copied integrator has kept of the Context of its original."""
+        """Before a Context is created, clear what a copied integrator still holds from its original's Context."""
         self._clear_record()
         for name in (SEED, PART):
             self.setGlobalVariableByName(name, 0)
         for name in (*STATE_VARIABLES, SITES, *VECTORS):
-            # OpenMM does not check that their number fits the System.
+            # OpenMM does not check that the number of values fits the System.
             if len(self.getPerDofVariableByName(name)) > 1:
                 self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
 
     def _bind(self, context: openmm.Context) -> None:
-        # A System that is refused when a Context is reinitialized must not leave the bodies of the old one.
+        # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
         self._engine = None
         exact = self._wanted_engine == "exact"
         if self._wanted_engine == "auto":
@@ -331,9 +332,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return NativeEngine(self, context)
 
     def _leave_other_engine(self, context: openmm.Context) -> None:
-        """Take over what a loaded State or checkpoint has, whichever engine left it there.
+        """Take over what a loaded State or checkpoint holds, whichever engine wrote it.
 
-        The program counts heat for each degree of freedom, which is added to the total that both engines use.
+        The program counts heat for each degree of freedom. Its sum is added to the total that both engines use.
         """
         work = np.array(self.getPerDofVariableByName(WORK))
         if work.any():
@@ -349,7 +350,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return plan_bodies(system, self._given_bodies)
 
     def _write_record(self, state: BodyState) -> None:
-        """Put what a state has besides its phase point into variables; see `host.Host` for all that the engine asks."""
+        """Store what a state holds besides its phase point in variables; `host.Host` has all that the engine calls."""
         self.setGlobalVariableByName(HEAT, state.heat)
         self.setGlobalVariableByName(DRAWS, state.draws)
 
@@ -361,22 +362,22 @@ class SIERIntegrator(openmm.CustomIntegrator):
         for name in self._RECORD:
             self.setGlobalVariableByName(name, 0)
 
-    #: Global variables of what a state has besides its phase point.
+    #: Global variables for what a state holds besides its phase point.
     _RECORD: tuple[str, ...] = (HEAT, DRAWS)
 
     def _potential_changed(self) -> None:
-        """Forces on bodies, or the box, were changed from outside."""
+        """Respond to a change of forces on bodies, or of the box, from outside."""
 
     def _active_scheme(self) -> Scheme:
         """The scheme to execute now."""
         return self._scheme
 
     def _stepper(self, engine: Engine, scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
-        """What makes a step of length h, ps."""
+        """The function that makes a step of length h, ps."""
         return stepper(scheme, operators, h)
 
     def _moves_volume(self, state: BodyState, steps: int) -> bool:
-        """Whether the volume is to be moved at a state, before the step after so many."""
+        """Whether to move the volume at a state, before the step that follows `steps` completed ones."""
         return self._piston is not None and (steps + 1) % self._piston.interval == 0
 
     def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:

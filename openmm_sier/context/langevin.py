@@ -19,16 +19,16 @@ from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
     """Rigid-body Langevin dynamics at constant temperature.
 
-    The scheme gets an exact heat bath where its averages keep their order: SIER2 in its middle (kick, half drift, bath,
-    half drift, kick), schemes of fourth order half at either end (`Scheme.with_bath`). Where the friction is zero the
-    trajectory is, bit for bit, that of the scheme without a bath.
+    An exact heat bath is placed in the scheme so that averages keep its order: in the middle of SIER2 (kick, half
+    drift, bath, half drift, kick), and half at either end of fourth-order schemes (`Scheme.with_bath`). With zero
+    friction the trajectory is, bit for bit, that of the scheme without a bath.
 
     The noise is a function of the seed and of the number of bath operations done so far. Both travel in checkpoints, so
-    that a restarted run continues the same trajectory. A State brings the number only, and never back to noise that the
-    Context has used: a run restarted from it is the same if its integrator was given the same seed.
+    that a restarted run continues the same trajectory. A State brings only the number, and never brings back noise that
+    the Context has used: a run restarted from it is the same if its integrator was given the same seed.
 
-    With a pressure the volume of the box changes by Monte Carlo moves, which a restarted run continues in the same way.
-    OpenMM's barostats work with this integrator too, but no State holds what they remember of their moves.
+    With `pressure`, Monte Carlo moves change the volume of the box, and a restarted run repeats them exactly. OpenMM's
+    barostats work with this integrator too, but no State holds their memory of earlier moves.
     """
 
     def __init__(
@@ -53,12 +53,12 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
             bodies: see `SIERIntegrator`.
-            rotation: free-rotation map, as `rotation.exact`.
-            rotationalFriction: friction of the rotation, if it is to differ from `frictionCoeff`.
-            pressure: if it is to be constant, a quantity or a number in bar. All edges of the box change by one factor,
-                and ln V by up to 0.5/sqrt(number of molecules) in one move.
-            barostatInterval: steps from one attempt to change the volume to the next.
-            engine, substeps, fastForceGroups: see `SIERIntegrator`. The native engine takes OpenMM's noise and
+            rotation: free-rotation map, such as `rotation.exact`.
+            rotationalFriction: friction of the rotation, if it differs from `frictionCoeff`.
+            pressure: for constant pressure, a quantity or a number in bar. One move scales all edges of the box by the
+                same factor, and changes ln V by up to 0.5/sqrt(number of molecules).
+            barostatInterval: number of steps between attempts to change the volume.
+            engine, substeps, fastForceGroups: see `SIERIntegrator`. The native engine uses OpenMM's noise and
                 barostats.
 
         Raises:
@@ -92,7 +92,7 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
         self._same_friction = bool(stored_settings.required(self, "friction")[1][0])
 
     def setFriction(self, coeff: Any) -> None:
-        """Set the friction, a quantity or a number in 1/ps; that of the rotation too unless it was given apart."""
+        """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
         self._bath.friction = checked_friction("coeff", coeff)
         if self._same_friction:
             self._bath.rotational_friction = self._bath.friction
@@ -103,7 +103,7 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
         return self._bath.rotational_friction / unit.picosecond
 
     def setRotationalFriction(self, coeff: Any) -> None:
-        """Set the friction of the rotation, a quantity or a number in 1/ps; from now on apart from the other."""
+        """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""
         self._bath.rotational_friction = checked_friction("coeff", coeff)
         self._same_friction = False
         self._store_surroundings()

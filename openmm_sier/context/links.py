@@ -1,4 +1,4 @@
-"""What joins the atoms of a System to molecules: constraints and bonds."""
+"""What joins the atoms of a System into molecules: constraints and bonds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import openmm
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
 from openmm_sier.dynamics.constraint_graph import components
 
-#: How many atoms the terms of a Force join, and the methods that tell their number and their parameters.
+#: How many atoms the terms of a Force join, and the methods that give the number of terms and their parameters.
 _TERMS: dict[type, tuple[int, Callable, Callable]] = {
     openmm.HarmonicBondForce: (2, openmm.HarmonicBondForce.getNumBonds, openmm.HarmonicBondForce.getBondParameters),
     openmm.HarmonicAngleForce: (
@@ -40,9 +40,9 @@ class Links:
         pairs: constrained particles, (c, 2).
         lengths: (c,), nm.
         bonds: pairs of particles that a harmonic bond joins, (b, 2).
-        terms: pairs that an angle or a torsion joins, (t, 2); those of an improper torsion need be no bond.
-        custom: pairs that a CustomBondForce joins, (d, 2). It may be a restraint: molecules that it joins are one, as
-            for OpenMM, but those that are rigid stay so.
+        terms: pairs that an angle or a torsion joins, (t, 2); those of an improper torsion need not be bonded.
+        custom: pairs that a CustomBondForce joins, (d, 2). It may be a restraint: molecules that it joins count as one,
+            as in OpenMM, but rigid ones stay rigid.
     """
 
     def __init__(self, system: openmm.System, lengths: Mapping[tuple[int, int], float]):
@@ -74,7 +74,8 @@ class Links:
         """The bodies with the constraints between them, and with their molecules.
 
         Raises:
-            RigidityError: a constraint joins a body to a particle of none, or a body of several atoms to another.
+            RigidityError: a constraint joins a body to a particle of no body, or a body of several atoms to another
+                body.
         """
         ends = bodies.owners[self.pairs]
         between = np.flatnonzero(ends[:, 0] != ends[:, 1])
@@ -97,7 +98,7 @@ class Links:
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:
-    """What is said of a constraint between two particles, one of them in a rigid body that the other is not in."""
+    """The error for a constraint between two particles, one of which is in a rigid body without the other."""
     return RigidityError(
         f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms that are joined "
         "by constraints into one body; or leave them all out of `bodies`, so that constraints alone hold them; or "

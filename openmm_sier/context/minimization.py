@@ -1,7 +1,7 @@
 """Energy minimization that keeps bodies rigid without constraints.
 
-OpenMM's LocalEnergyMinimizer moves atoms and keeps only the System's constraints. It would tear bodies that are rigid
-only because they were named.
+OpenMM's LocalEnergyMinimizer moves atoms and keeps only the System's constraints. It would tear apart bodies that are
+rigid only because they were named.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ def minimize_bodies(
     iterations: int,
     reporter: openmm.MinimizationReporter | None = None,
 ) -> None:
-    """Minimize the energy of a Context's rigid bodies, as `openmm.LocalEnergyMinimizer.minimize` does that of atoms.
+    """Minimize the energy of a Context's rigid bodies, as `openmm.LocalEnergyMinimizer.minimize` does for atoms.
 
     Only positions change.
 
     Args:
         context: openmm.Context.
         engine: the engine of its integrator.
-        tolerance: root mean square, over the degrees of freedom of the bodies, of forces and of torques over radii of
-            gyration, at which it ends; a quantity or a number in kJ/mol/nm.
-        iterations: the most there may be, each with one evaluation of forces; 0 for no limit.
+        tolerance: root mean square at which the minimization ends, a quantity or a number in kJ/mol/nm. It is that of
+            forces, and of torques divided by radii of gyration, over the degrees of freedom of the bodies.
+        iterations: largest number of iterations, each with one evaluation of forces; 0 for no limit.
         reporter: an openmm.MinimizationReporter or None.
 
     Raises:

@@ -25,8 +25,8 @@ from openmm_sier.dynamics.schemes import BATH, DRIFT, WITHIN_DRIFTS, Scheme
 #: The longest inner step where the number of substeps is left open, ps.
 LONGEST_INNER_STEP = 0.003
 
-#: Atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is faster for
-#: bonded forces at any size: 78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816.
+#: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
+#: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
 SMALL_SOLUTE = 200
 
 
@@ -43,10 +43,11 @@ class Motion:
             context: openmm.Context.
             bodies: its bodies.
             forces: forces on them in the kicks.
-            integrator: what they are moved by.
+            integrator: the integrator that moves them.
 
         Raises:
-            SoluteError: a fast force is no bonded force, or one of its terms acts on what is no flexible point.
+            SoluteError: a fast force is not a bonded force, or one of its terms acts on something other than a flexible
+                point.
         """
         self._bodies = bodies
         groups = _flexible_points(bodies)
@@ -67,7 +68,7 @@ class Motion:
         return constrained_operators(bodies, forces, constraints, rotation, groups=groups) | extra
 
     def operators(self, scheme: Scheme, h: float, substeps: int | None) -> dict[str, Operator]:
-        """What executes a scheme.
+        """The operators that execute a scheme, by name.
 
         Args:
             scheme: the scheme.
@@ -104,7 +105,7 @@ class _Fast:
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
-    """Where the bonded forces of some atoms are computed: as the Context does, or on Reference where that is faster."""
+    """The platform for the bonded forces of some atoms: that of the Context, or Reference if that is faster."""
     platform = context.getPlatform()
     kept = set(platform.getPropertyNames()) & {"Threads", "DeterministicForces", "Precision", "DeviceIndex"}
     properties = {name: platform.getPropertyValue(context, name) for name in kept}
@@ -129,7 +130,7 @@ def _fast_forces(context: openmm.Context, bodies: RigidBodies, members: np.ndarr
 
 
 def _flexible_points(bodies: RigidBodies) -> np.ndarray:
-    """For each point body of a molecule that is not rigid a number of the molecule, (n,); -1 for other bodies."""
+    """For each point body of a molecule that is not rigid, the number of the molecule, (n,); -1 for other bodies."""
     points = bodies.flexible & ~bodies.moments.any(axis=0)
     groups = np.full(bodies.n, -1)
     groups[points] = np.unique(bodies.molecules[points], return_inverse=True)[1]

@@ -57,8 +57,8 @@ class SIER4Integrator(IntegratorOfOneScheme):
 class SIER4GIntegrator(IntegratorOfOneScheme):
     """Fourth order with a force gradient, three force evaluations a step: the choice for most work.
 
-    It is stable for steps up to 3.46/w for a mode of angular frequency w, the longest per force of fourth order. Usual
-    in water: 6 fs, that is 2 fs per force evaluation.
+    It is stable for steps up to 3.46/w for a mode of angular frequency w, the longest per force evaluation of the
+    fourth-order schemes. Usual in water: 6 fs, that is 2 fs per force evaluation.
 
     Source: Chin, Phys. Lett. A 226, 344 (1997), algorithm A.
     """

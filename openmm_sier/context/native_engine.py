@@ -28,11 +28,11 @@ from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
 
-#: Tolerance of constraints, relative. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
-#: substep, which costs more energy than the schemes do.
+#: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
+#: substep, a larger energy error than that of the schemes.
 TOLERANCE = 1e-9
 
-#: Positions of single precision cannot be constrained better.
+#: Positions in single precision cannot be constrained better.
 SINGLE_TOLERANCE = 1e-6
 
 
@@ -51,7 +51,7 @@ class _Forces:
         """Compute anew next time: the potential has changed."""
         if (engine := self._engine()) is not None:
             context = engine.context
-            # OpenMM holds no force to be valid after this.
+            # After this OpenMM considers no force valid.
             context.setPeriodicBoxVectors(*context.getState().getPeriodicBoxVectors())
 
 
@@ -68,8 +68,8 @@ class NativeEngine:
     def __init__(self, integrator: Host, context: openmm.Context) -> None:
         """
         Raises:
-            openmm.OpenMMException: the integrator asks for what only the exact engine has, or the System has a Force
-                that works with no step that is divided.
+            openmm.OpenMMException: the integrator needs what only the exact engine has, or the System has a Force that
+                does not work with divided steps.
         """
         # The Context owns its integrator, so that a strong reference back would keep both alive.
         self._context_ref = weakref.ref(context)
@@ -126,7 +126,7 @@ class NativeEngine:
             self._start_anew()
         parts, h = integrator._native_steps, integrator.getStepSize()._value
         if h == 0:
-            # Steps of no length are counted; the program would divide by them.
+            # Steps of zero length are only counted: the program would divide by zero.
             context.setStepCount(context.getStepCount() + count)
             return
         evaluations, native_step = integrator.scheme.force_evaluations, openmm.CustomIntegrator.step
@@ -135,34 +135,34 @@ class NativeEngine:
             try:
                 native_step(integrator, parts)
             finally:
-                # Whatever interrupts, the clock agrees with the positions: OpenMM has counted native steps.
+                # OpenMM has counted native steps. Even after an interrupt the clock must agree with the positions.
                 if context.getStepCount() == steps + parts:
                     context.setStepCount(steps + 1)
                     context.setTime(time + h)
             self.forces.evaluations += evaluations
 
     def notice(self) -> None:
-        """Positions or velocities were set from outside."""
+        """Respond to positions or velocities that were set from outside."""
         self._is_fresh = True
 
     def start_anew(self) -> None:
-        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it to the bit."""
+        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it bit for bit."""
         self._is_fresh = True
 
     def _start_anew(self) -> None:
         if neighbour_list.is_remembered(self.context):
             neighbour_list.forget(self.context)
         self._constraints.satisfy(self.context, self._integrator.getConstraintTolerance())
-        # The force that the last step would have left.
+        # Count the force that an earlier step would have left.
         self.forces.evaluations += int(self._integrator.scheme.reuses_force)
         self._is_fresh = False
 
     def renew_forces(self) -> None:
-        """The potential was changed."""
+        """Respond to a change of the potential."""
         self.forces.invalidate()
 
     def set_groups(self) -> None:
-        """Other force groups move the atoms from now on: OpenMM fixes them when it reads the program."""
+        """Respond to a change of the force groups that move the atoms, which OpenMM fixes when it reads the program."""
         self.context.reinitialize(preserveState=True)
 
     # --- what users ask ---
@@ -172,7 +172,7 @@ class NativeEngine:
         """The rigid bodies of the Context's System.
 
         Raises:
-            RigidityError: the System has constraints that form no rigid bodies.
+            RigidityError: the System has constraints that do not form rigid bodies.
         """
         if self._plan is None:
             raise RigidityError(self._no_bodies)
@@ -183,7 +183,7 @@ class NativeEngine:
 
     @property
     def state(self) -> BodyState:
-        """The bodies' phase point when `adopt` was called."""
+        """The bodies' phase point at the last call of `adopt`."""
         if self._state is None:
             raise openmm.OpenMMException("The Context has no positions yet")
         return self._state
@@ -192,7 +192,8 @@ class NativeEngine:
         """Work out the bodies' phase point from the atoms.
 
         Raises:
-            RigidityError: the System has constraints that form no rigid bodies, or positions do not form them.
+            RigidityError: the System has constraints that do not form rigid bodies, or the positions do not fit the
+                bodies.
         """
         self._state = self._state_of(self.bodies)
 
@@ -212,7 +213,7 @@ class NativeEngine:
         return self._momentum.holds(self._integrator)
 
     def temperatures(self) -> Temperatures:
-        """In K, see `openmm_sier.context.temperature`; without rigid bodies only the one of all motion is known."""
+        """Temperatures in K, see `openmm_sier.context.temperature`; without rigid bodies only the total is known."""
         conserved = self.conserves_momentum()
         if self._plan is not None:
             return temperatures(self.bodies, self._state_of(self.bodies), conserved)
@@ -234,7 +235,7 @@ def _refuse(integrator: Host, system: openmm.System) -> None:
     """Refuse what only the exact engine can do.
 
     Raises:
-        openmm.OpenMMException: saying what that is and the remedy.
+        openmm.OpenMMException: the message says what that is, and the remedy.
     """
     reason = integrator._only_exact() or _unheld_bodies(integrator._given_bodies, system)
     if reason is not None:

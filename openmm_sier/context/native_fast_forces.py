@@ -1,4 +1,4 @@
-"""Which forces can be the fast ones of a native program."""
+"""Checks which forces can be the fast forces of a native program."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ def refuse(system: openmm.System, groups: Collection[int], integration_groups: i
     Args:
         system: openmm.System.
         groups: the fast force groups.
-        integration_groups: bit mask of the groups that move the atoms, as of `getIntegrationForceGroups`.
+        integration_groups: bit mask of the groups that move the atoms, as from `getIntegrationForceGroups`.
 
     Raises:
-        openmm.OpenMMException: a group is not among those, or a Force in it may act on a virtual site.
+        openmm.OpenMMException: a fast group is not among `integration_groups`, or a Force in it may act on a virtual
+            site.
     """
     for group in sorted(groups):
         if not integration_groups >> group & 1:

@@ -20,24 +20,24 @@ import openmm
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
 
-#: Targets of statements that assign no expression: each is a computation of OpenMM's.
+#: Targets of statements without an expression, each of which is one of OpenMM's own computations.
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
 
-#: Names of the integrator's variables begin with this, so that no parameter of a Force is called the same.
+#: Names of the integrator's variables begin with this, so that no parameter of a Force has the same name.
 PREFIX = "sier_"
 
-#: Per-atom variables of the program: the displacement and the velocities to come back from and to, what is kept for a
-#: moment, and the heat that the bath gave to each degree of freedom.
+#: Per-atom variables of the program. They hold the displacement to be undone, the velocities to return to, a temporary
+#: value, and the heat that the bath gave to each degree of freedom.
 MOVED, V0, KEPT, WORK = (PREFIX + name for name in ("moved", "v0", "kept", "work"))
 VECTORS = (MOVED, V0, KEPT, WORK)
 
-#: Global variables: the native step to come, and the bath's friction (1/ps) and thermal energy (kJ/mol).
+#: Global variables for the next native step, and for the bath's friction (1/ps) and thermal energy (kJ/mol).
 PART, FRICTION, THERMAL = (PREFIX + name for name in ("part", "friction", "kT"))
 
-#: Global variable: 1 where only the exact engine can do what the integrator was made for.
+#: Global variable that is 1 if only the exact engine can do what the integrator was made for.
 EXACT_ONLY = PREFIX + "exact_only"
 
-#: OpenMM's message about an illegal variable of this name tells what happened.
+#: The name of an undefined variable, so that OpenMM's error message about it tells what is wrong.
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 #: OpenMM looks at every path through the if-blocks of a program, of which there are 2^parts.
@@ -47,7 +47,7 @@ MOST_PARTS = 12
 _YOSHIDA = 1 / (2 - 2 ** (1 / 3))
 _SUZUKI = 1 / (4 - 4 ** (1 / 3))
 
-#: Steps of RATTLE, as fractions of a drift, that make it of fourth order. Five are 80 times as accurate as three
+#: RATTLE steps, as fractions of a drift, that make the drift fourth order. Five are 80 times as accurate as three
 #: (Yoshida, Phys. Lett. A 150, 262 (1990); Suzuki, Phys. Lett. A 146, 319 (1990)).
 COMPOSITIONS = {
     3: (_YOSHIDA, 1 - 2 * _YOSHIDA, _YOSHIDA),
@@ -73,19 +73,19 @@ class Statement(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether forces change with it."""
+        """Whether it changes the forces."""
         return self.target in ("x", CONSTRAIN_X)
 
     @property
     def needs_force(self) -> bool:
-        """Whether it takes forces that may act on virtual sites; those of single groups do not."""
+        """Whether it uses forces that may act on virtual sites; forces of single groups do not."""
         return "f/m" in self.expression
 
     def __str__(self) -> str:
         return f"{self.target} = {self.expression}".replace(PREFIX, "") if self.expression else self.target
 
 
-#: A force as the sum of OpenMM's, each with its sign, "" or "-".
+#: A force as a sum of OpenMM's forces, each with its sign, "" or "-".
 Force = tuple[tuple[str, str], ...]
 
 
@@ -93,12 +93,11 @@ class Line(NamedTuple):
     """Statements that belong together.
 
     Attributes:
-        title: of what they do.
+        title: what they do.
         statements: executed one after the other, all of them for each of `lengths`.
-        lengths: values of `unit` in their expressions: `d` in units of the step that the line is of, or `e` in units
-            of h.
-        unit: the name.
-        inner: lines in place of statements: an inner step of length e.
+        lengths: values of `unit` in their expressions: `d` in units of the line's own step, or `e` in units of h.
+        unit: name and unit of the lengths, such as d/h.
+        inner: lines that replace the statements: an inner step of length e.
     """
 
     title: str
@@ -119,7 +118,7 @@ class Line(NamedTuple):
         """The statements in the order of execution, each with the definitions of d and e, if it has them.
 
         Args:
-            e: length of the inner step that the line is of, in units of h.
+            e: length of the inner step that the line belongs to, in units of h.
         """
         for length in self.lengths or (0.0,):
             for line in self.inner:
@@ -155,16 +154,16 @@ class Program:
         return "\n".join(lines)
 
 
-#: A drift of so many times the simulated time per force, at the least, takes five steps of RATTLE.
+#: A drift longer than this many times the simulated time per force takes five RATTLE steps.
 LONG_DRIFT = 2.0
 
 
 def usual_substeps(scheme: Scheme, nested: bool = False) -> int:
-    """The least number of substeps whose errors are below those of a scheme where it is used, see docs/native.md.
+    """The least number of substeps whose errors are below those of the scheme at usual steps, see docs/native.md.
 
-    SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, of which three steps of RATTLE
-    do. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces an inner step is as long as a drift
-    of SIER4G, 3 fs, at most.
+    SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three RATTLE steps
+    suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces an inner step is at most as long as
+    a drift of SIER4G, 3 fs.
 
     Args:
         scheme: the scheme.
@@ -177,7 +176,7 @@ def usual_substeps(scheme: Scheme, nested: bool = False) -> int:
 
 
 def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
-    """The longest inner step of a program with fast forces, in units of h; None: of `usual_substeps`."""
+    """The longest inner step of a program with fast forces, in units of h; None means `usual_substeps`."""
     return scheme.longest_drift / (substeps or usual_substeps(scheme, nested=True))
 
 
@@ -187,23 +186,23 @@ def write(
     """The program of a scheme.
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
-    are taken out of the kicks and put into the drift, which becomes `substeps` steps of an inner scheme: its kicks are
-    those of the fast forces, and each of its drifts is three steps of RATTLE that are of fourth order. One step of
-    SIER4G in a drift of 3 fs follows springs of 1100/cm as well as twenty of velocity Verlet (docs/native.md).
+    move from the kicks into the drift, which becomes `substeps` steps of an inner scheme: its kicks use the fast
+    forces, and each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs
+    follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md).
 
-    Within a drift virtual sites stay where they are. So fast forces are right where they act on atoms alone:
-    `fast_forces.refuse` says whether they do.
+    Within a drift virtual sites stay where they are, so fast forces are right only if they act on atoms alone:
+    `native_fast_forces.refuse` checks this.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
-        substeps: without fast groups, steps of RATTLE in each drift: 3 and 5 make it of fourth order
-            (`COMPOSITIONS`), other numbers are equal steps. With fast groups, equal steps of the inner scheme in each
-            drift. None: `usual_substeps`.
-        fast_groups: force groups of the fast forces, from 0 to 31. OpenMM's integration force groups must have them.
-        inner: scheme of the drift with fast forces, of kicks, gradient kicks and drifts. SIER2 is velocity Verlet.
+        substeps: without fast groups, RATTLE steps in each drift: 3 and 5 make it fourth order (`COMPOSITIONS`), other
+            numbers are equal steps. With fast groups, equal steps of the inner scheme in each drift. None:
+            `usual_substeps`.
+        fast_groups: force groups of the fast forces, from 0 to 31. OpenMM's integration force groups must include them.
+        inner: scheme of the drift with fast forces, made of kicks, gradient kicks and drifts. SIER2 is velocity Verlet.
 
     Raises:
-        ValueError: a scheme has another operator, a group is no force group, or the scheme needs more than
+        ValueError: a scheme has another operator, a group is not a force group, or the scheme needs more than
             `MOST_PARTS` native steps.
     """
     fast = _checked_groups(fast_groups)
@@ -233,7 +232,7 @@ def _checked_groups(groups: Collection[int]) -> list[str]:
 
 
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
-    """Lines by native step: a new one begins where a force is needed at positions that were changed in this one."""
+    """Lines by native step: a new one begins where a force is needed at positions changed in the present one."""
     parts: list[list[Line]] = [[]]
     moved = False
     for line in lines:
@@ -269,7 +268,7 @@ def _maker(scheme: Scheme, stage: Stage, known: Mapping[str, Maker]) -> Maker:
 def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
     """Free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
 
-    The forces of the constraints move positions; the velocities change by what they moved them, and are constrained.
+    Constraints move the positions. The velocities are corrected for this displacement, and then constrained.
     """
     weights = COMPOSITIONS.get(substeps, (1 / substeps,) * substeps)
     statements = (
@@ -287,7 +286,7 @@ def _kick(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
 
 
 def _kicked(start: str, time: str, force: Force) -> list[Statement]:
-    """`v = start + time*f/m`, one statement for each group: OpenMM takes no more than one in an expression."""
+    """`v = start + time*f/m`, one statement for each group: OpenMM allows only one in an expression."""
     statements = []
     for sign, name in force:
         expression = f"{start} {sign or '+'} {time}{name}/m" if start else f"{sign}{time}{name}/m"
@@ -299,8 +298,8 @@ def _kicked(start: str, time: str, force: Force) -> list[Statement]:
 def _gradient_kick(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
     """A kick by the forces at positions displaced by the constrained accelerations.
 
-    Constraints of OpenMM act along the directions of the last positions that satisfied them. So positions are
-    constrained after they were moved back, where this changes nothing but those directions. The displacement is kept
+    OpenMM's constraints act along the directions of the last positions that satisfied them. So positions are
+    constrained again after they are moved back, which changes nothing but those directions. The displacement is kept
     rather than the positions, since GPU platforms may carry a molecule to the other side of the box between two native
     steps.
     """
@@ -340,7 +339,7 @@ def _bath(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
     return [Line("bath", statements)]
 
 
-#: What writes an operator: (its times for a step of 1, name of the step, force) -> lines.
+#: Writes an operator, (its times for a step of 1, name of the step, force) -> lines.
 Maker = Callable[[tuple[float, ...], str, Force], list[Line]]
 
 _INNER: dict[str, Maker] = {KICK: _kick, GRADIENT_KICK: _gradient_kick}
@@ -350,8 +349,8 @@ _OUTER: dict[str, Maker] = {**_INNER, BATH: _bath}
 def install(program: Program | None, integrator: openmm.CustomIntegrator) -> None:
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
-    `PART` says which native step is next. Where it is negative OpenMM updates the Context's state and does nothing
-    else: the exact engine has this done.
+    `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
+    the exact engine uses this.
 
     Args:
         program: None for an integrator that only the exact engine can execute.
@@ -378,9 +377,9 @@ def install(program: Program | None, integrator: openmm.CustomIntegrator) -> Non
 
 
 def _add_guard(integrator: openmm.CustomIntegrator) -> None:
-    """Have the program fail where it is not all that was asked for, and this package is not there to do it.
+    """Make the program fail where it cannot do all that was asked for, and this package is not there to do it.
 
-    XML gives a plain CustomIntegrator there. Reference and CPU name the variable that does not exist, other platforms
+    XML gives a plain CustomIntegrator there. Reference and CPU name the undefined variable in an error; other platforms
     stop at positions that are NaN.
     """
     integrator.beginIfBlock(f"{EXACT_ONLY}*step({PART}) > 0.5")

@@ -1,4 +1,4 @@
-"""Hybrid Monte Carlo of which OpenMM follows the trajectories: the counterpart of `dynamics.metropolis`."""
+"""Hybrid Monte Carlo whose trajectories OpenMM follows: the counterpart of `dynamics.metropolis`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class SamplingHost(Host, Protocol):
     def getStepsPerTrial(self) -> int: ...
 
     def _refuse_irreversible(self, error: float) -> None:
-        """Raise an error unless an error of reversal, in nm, is small enough; and note it down."""
+        """Raise an error if a reversal error, in nm, is too large; otherwise record it."""
 
     def _set(self, **values: float) -> None:
         """Set global variables."""
@@ -50,12 +50,12 @@ class SamplingHost(Host, Protocol):
 class NativeTrials(NativeEngine):
     """Binding of a `SIERHMCIntegrator` to a Context in which OpenMM executes its program.
 
-    All that a trial needs is in variables of the integrator, which travel in checkpoints. Nothing crosses from Python
-    to the device within a trajectory.
+    All that a trial needs is in variables of the integrator, which travel in checkpoints. Nothing passes from Python to
+    the device within a trajectory.
 
     Attributes:
-        is_running: whether OpenMM is executing the program. It must refuse at other times, since OpenMM alone would
-            accept every trial.
+        is_running: whether OpenMM is executing the program. The program must refuse to run at other times, since OpenMM
+            alone would accept every trial.
     """
 
     def __init__(self, integrator: SamplingHost, context: openmm.Context) -> None:
@@ -87,17 +87,17 @@ class NativeTrials(NativeEngine):
             whatever_interrupts(self._mark)
 
     def left(self) -> int:
-        """Steps that are left of the trial in progress."""
+        """Steps left in the trial in progress."""
         end = self._global(END)
         return int(end) - self.context.getStepCount() if end else 0
 
     def steps_to_sample(self) -> int:
-        """Steps to the next sample, 0 where the Context is at one."""
+        """Steps to the next sample, 0 if the Context is at one."""
         self.adopt_trial()
         return self.left() or -self.context.getStepCount() % self._sampler.getStepsPerTrial()
 
     def potential_energy(self) -> float:
-        """Potential energy that moves the atoms, kJ/mol; that of a sample is known from its trial."""
+        """Potential energy of the forces that move the atoms, kJ/mol; at a sample it is known from the trial."""
         return self._energies(Snapshot(self.context))[0]
 
     def _start_anew(self) -> None:
@@ -112,7 +112,7 @@ class NativeTrials(NativeEngine):
     # --- changes from outside ---
 
     def adopt_trial(self) -> None:
-        """End the trial in progress where atoms were moved from outside; give it up where its energy has changed."""
+        """End the trial in progress if atoms were moved from outside; abandon it if step or potential was changed."""
         integrator = self._sampler
         # A loaded checkpoint brings the seed of its run.
         integrator._active_scheme()
@@ -132,7 +132,7 @@ class NativeTrials(NativeEngine):
             self._decide()
 
     def _mark(self) -> None:
-        """Note down what this package left in the Context, so that later changes can be told."""
+        """Record what this package left in the Context, so that later changes can be detected."""
         if self._global(END):
             now = Snapshot(self.context)
             self._sampler._set(**{PLACE: _checksum(now.positions, now.velocities), ENVIRONMENT: self._environment()})
@@ -145,7 +145,7 @@ class NativeTrials(NativeEngine):
     # --- trials ---
 
     def _begin(self) -> None:
-        """Draw momenta, and note down where the trial begins; an error or interrupt leaves the velocities as before."""
+        """Draw momenta, and record the start of the trial; an error or interrupt restores the velocities."""
         if self._is_fresh:
             self._start_anew()
         sample = Snapshot(self.context)
@@ -177,19 +177,19 @@ class NativeTrials(NativeEngine):
         )
 
     def _draw(self, bath: OrnsteinUhlenbeck, draws: int, old: np.ndarray, kept: float) -> None:
-        """Velocities of which a part is kept; constraints keep the rest canonical."""
+        """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
         context = self.context
-        # OpenMM takes a zero for a seed of its own choice.
+        # OpenMM replaces a zero by a seed of its own choice.
         seed = int(generator(bath.seed, draws).integers(1, 2**31 - 1))
         context.setVelocitiesToTemperature(bath.temperature, seed)
         if kept:
             new = Snapshot(context).velocities
             context.setVelocities(kept * old + math.sqrt(1 - kept**2) * new)
-        # The forces at these positions hold on.
+        # The forces at these positions are still valid.
         self._is_fresh = False
 
     def _follow(self, count: int) -> None:
-        """Go on with the trajectory; one that has failed stays at its start."""
+        """Continue the trajectory; one that has failed stays at its start."""
         context, h = self.context, self._integrator.getStepSize()._value
         goal, time = context.getStepCount() + count, context.getTime()._value
         if not math.isnan(self._global(ENERGY)):
@@ -200,7 +200,7 @@ class NativeTrials(NativeEngine):
                     raise
                 self._fail()
             else:
-                # At the end of the trial its energy tells.
+                # At the end of the trial its energy shows a failure.
                 if not self.left() or np.isfinite(Snapshot(context).positions).all():
                     return
                 self._fail()
@@ -247,7 +247,7 @@ class NativeTrials(NativeEngine):
         whatever_interrupts(conclude)
 
     def _check_reversal(self, h: float) -> None:
-        """Follow a trajectory and come back, once for each step size; the Context is as before afterwards."""
+        """Follow a trajectory there and back, once for each step size; the Context is restored afterwards."""
         integrator, context = self._sampler, self.context
         if h == self._global(CHECKED_STEP):
             return
@@ -274,13 +274,13 @@ class NativeTrials(NativeEngine):
         context.setStepCount(snapshot.steps)
 
     def _go_back(self, direction: float) -> None:
-        """To the start of the trial, with its velocities or reversed ones."""
+        """Go back to the start of the trial, with its velocities times `direction`."""
         x, v = (np.array(self._integrator.getPerDofVariableByName(name)) for name in START_VARIABLES[:2])
         self.context.setPositions(x)
         self.context.setVelocities(direction * v)
 
     def _energies(self, now: Snapshot) -> tuple[float, float]:
-        """Potential energy that moves the atoms, and kinetic energy, kJ/mol."""
+        """Potential energy of the forces that move the atoms, and kinetic energy, kJ/mol."""
         key = _checksum(now.positions), self._environment()
         if self._known is None or self._known[0] != key:
             state = self.context.getState(energy=True, groups=self._integrator.getIntegrationForceGroups())

@@ -1,9 +1,9 @@
 """The CPU platform's neighbour list, on whose history the rounding of its forces depends.
 
-Forces of the CPU platform are sums in single precision, in the order of a list of neighbours. The list is built anew
-where atoms have moved far since it was built, so that the last bits of a force depend on earlier positions, which are
-in no checkpoint. With one thread nothing else of the past affects them; with several the order of the sums is random,
-and no two evaluations agree. `docs/determinism.md` has the measurements.
+Forces of the CPU platform are sums in single precision, in the order of a list of neighbours. The list is rebuilt when
+atoms have moved far since it was built, so that the last bits of a force depend on earlier positions, which are in no
+checkpoint. With one thread nothing else of the past affects them; with several the order of the sums is random, and no
+two evaluations agree. `docs/determinism.md` has the measurements.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import openmm
 from openmm import unit
 
-#: nm; farther than atoms may move before the list is built anew, which is some tenths of the cut-off.
+#: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.
 FAR = 1000.0
 
 
@@ -22,14 +22,14 @@ def is_remembered(context: openmm.Context) -> bool:
         return False
     system = context.getSystem()
     forces = (system.getForce(i) for i in range(system.getNumForces()))
-    # In every Force that has methods 0 is the one without a cut-off.
+    # In every Force that has nonbonded methods, 0 is the one without a cut-off.
     return any(force.getNonbondedMethod() != 0 for force in forces if hasattr(force, "getNonbondedMethod"))
 
 
 def forget(context: openmm.Context) -> None:
     """Make the next force evaluation of a Context rebuild the list; nothing else changes.
 
-    OpenMM checks the list at every request for forces, even of no force group. This costs two constructions of the
+    OpenMM checks the list at every request for forces, even for no force group. This costs two constructions of the
     list, a fifth of a force evaluation.
     """
     positions = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)

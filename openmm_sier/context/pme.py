@@ -1,4 +1,4 @@
-"""A better balanced split of PME between its direct and its mesh sum than OpenMM's, for integrators of high order."""
+"""A better-balanced split of PME between direct and mesh sums than OpenMM's, for integrators of high order."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import math
 import openmm
 from openmm import unit
 
-#: How much smaller than the tolerance of the mesh that of the direct sum is. By OpenMM's rule they are equal, and the
-#: error of the direct sum is 15 to 25 times the other. In water the forces are most exact with 10 to 20, for tolerances
-#: from 1e-5 to 5e-4 and cut-offs of 0.9 and 1.2 nm.
+#: Ratio of the mesh's tolerance to that of the direct sum. By OpenMM's rule it is 1, and the error of the direct sum is
+#: 15 to 25 times that of the mesh. In water the forces are most accurate with 10 to 20, for tolerances from 1e-5 to
+#: 5e-4 and cut-offs of 0.9 and 1.2 nm.
 DIRECT_SHARE = 20
 
-#: Tolerances for which this is of use. OpenMM's default is 5e-4; with 1e-2 and a short cut-off forces would become
-#: worse, and from 2e-2 on meshes too small for OpenMM's splines.
+#: Range of tolerances for which this helps. OpenMM's default is 5e-4. With 1e-2 and a short cut-off forces would become
+#: worse; from 2e-2 on meshes would be too small for OpenMM's splines.
 TOLERANCES = (1e-10, 1e-3)
 
 _METHODS = (openmm.NonbondedForce.PME, openmm.NonbondedForce.LJPME)
@@ -22,22 +22,22 @@ _METHODS = (openmm.NonbondedForce.PME, openmm.NonbondedForce.LJPME)
 def balance_pme(system: openmm.System) -> None:
     """Split electrostatics between the two sums of PME better than OpenMM does, with the mesh that OpenMM would choose.
 
-    The direct sum ends at the cut-off, where the energy has a step that no force knows of. By OpenMM's rule for
-    `ewaldErrorTolerance` this step limits how well energy can be conserved, and the direct sum has most of the error. A
-    larger Ewald parameter makes the step some twenty times smaller, and the error of the mesh two to three times
-    larger, with it the small net force of PME on the whole box. Forces in water take as long and are five to eight
-    times as exact (cut-offs of 0.9 and 1.2 nm, tolerances from 1e-5 to 5e-4; twice as exact at 0.55 nm).
+    The direct sum ends at the cut-off, where the energy has a jump that the forces lack. By OpenMM's rule for
+    `ewaldErrorTolerance` this jump limits how well energy can be conserved, and most of the error is in the direct sum.
+    A larger Ewald parameter makes the jump some twenty times smaller. It makes the error of the mesh two to three times
+    larger, and with it the small net force of PME on the whole box. Forces in water take as long and are five to eight
+    times as accurate (cut-offs of 0.9 and 1.2 nm, tolerances from 1e-5 to 5e-4; twice as accurate at 0.55 nm).
 
-    Call it when box, cut-off and tolerance of the System are set, before a Context is created, and again if they
-    change: parameters are those of `NonbondedForce.setPMEParameters`, and earlier ones are replaced. The Lennard-Jones
-    part of LJPME stays as it is.
+    Call it after box, cut-off and tolerance of the System are set and before a Context is created, and again if they
+    change. It calls `NonbondedForce.setPMEParameters`, which replaces earlier parameters. The Lennard-Jones part of
+    LJPME stays as it is.
 
     Args:
         system: openmm.System.
 
     Raises:
-        ValueError: no NonbondedForce of the System has PME or LJPME, or one has a cut-off that is not positive or a
-            tolerance out of `TOLERANCES`. Nothing has been changed then.
+        ValueError: no NonbondedForce of the System uses PME or LJPME, or one has a cut-off that is not positive or a
+            tolerance outside `TOLERANCES`. The System is unchanged then.
     """
     forces = meshed_forces(system)
     if not forces:
@@ -50,7 +50,7 @@ def balance_pme(system: openmm.System) -> None:
 
 
 def meshed_forces(system: openmm.System) -> list[openmm.NonbondedForce]:
-    """The NonbondedForces of a System that have PME or LJPME."""
+    """The NonbondedForces of a System that use PME or LJPME."""
     forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
     return [force for force in forces if force.getNonbondedMethod() in _METHODS]
 

@@ -1,4 +1,4 @@
-"""A System made ready for long steps: fast forces in a group of their own, and PME in balance."""
+"""Preparation of a System for long steps: fast forces in their own group, and balanced PME sums."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from openmm_sier.dynamics.bodies import RigidBodies
 
 @dataclass(frozen=True)
 class Preparation:
-    """What `prepare_system` did; its text says so.
+    """What `prepare_system` did; print it.
 
     Attributes:
-        fastForceGroups: for the integrator; empty where nothing is fast.
-        done: a sentence for each thing that was done or left.
+        fastForceGroups: to pass to the integrator; empty if no force is fast.
+        done: a sentence for each thing that was done or left as it was.
     """
 
     fastForceGroups: frozenset[int]
@@ -33,31 +33,31 @@ class Preparation:
 
 
 def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fastForceGroup: int = 1) -> Preparation:
-    """Make a System ready for steps that are long beside the vibrations of its molecules.
+    """Prepare a System for steps that are long compared with the vibrations of its molecules.
 
-    Bonds, angles and torsions of molecules that are not rigid get a force group of their own, which the integrator
-    takes as `fastForceGroups`. Nonbonded interactions between atoms of these molecules up to four bonds apart become a
-    CustomBondForce in that group, where the NonbondedForce allows it; the potential energy stays what it is. The sums
-    of PME are balanced, see `balance_pme`. Forces of which a term acts on a rigid body and another one stay where they
-    are, and so do those with virtual sites, since the fast ones move points.
+    Bonds, angles and torsions of molecules that are not rigid get their own force group, which the integrator takes as
+    `fastForceGroups`. Nonbonded interactions between atoms of these molecules up to four bonds apart become a
+    CustomBondForce in that group, where the NonbondedForce allows it; the potential energy is unchanged. The sums of
+    PME are balanced, see `balance_pme`. A Force keeps its group if one of its terms joins a rigid body to another body
+    or acts on a virtual site, since fast forces move only points.
 
     >>> system = openmm.System()
     >>> print(prepare_system(system))
     No bonded force acts on a molecule that is not rigid.
 
     Args:
-        system: openmm.System; force groups, parameters of PME and exceptions are changed. Call it before a Context is
-            created.
-        bodies: those that the integrator will be given; None: those of the System's constraints.
+        system: openmm.System; its force groups, PME parameters and exceptions are changed. Call this before a Context
+            is created.
+        bodies: the bodies that the integrator will be given; None: those of the System's constraints.
         fastForceGroup: force group for the fast forces, from 0 to 31.
 
     Returns:
         The fast force groups, and sentences about what was done.
 
     Raises:
-        ValueError: the group is out of range or has other forces already, or `balance_pme` refuses. Nothing has been
-            changed then.
-        RigidityError: of `RigidBodies.from_system`; nothing has been changed either.
+        ValueError: the group is out of range or already has other forces, or `balance_pme` refuses. The System is
+            unchanged then.
+        RigidityError: see `RigidBodies.from_system`; the System is unchanged then too.
     """
     if (group := whole_number("fastForceGroup", fastForceGroup)) >= GROUPS:
         raise ValueError(f"fastForceGroup must be from 0 to {GROUPS - 1}, got {group}")

@@ -1,8 +1,8 @@
-"""The molecular pressure tensor of a periodic box: momenta of centres, and the energy of a strain of box and centres.
+"""The molecular pressure tensor of a periodic box: from the momenta of centres, and the energy change under strain.
 
-V P = sum over molecules of p p^T/M - dU/d(strain), where centres follow the box and molecules keep their shape. In
+V P = sum over molecules of p p^T/M - dU/d(strain), where centres follow the box and molecules keep their shape. With
 periodic boundaries the sum of centres times forces is not this virial: it lacks the change of the box. U is therefore
-differentiated as a whole, its sums over periodic images and its correction for long-range dispersion included.
+differentiated as a whole, including its sums over periodic images and its correction for long-range dispersion.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from openmm_sier.dynamics.constraint_graph import components
 #: Components of a symmetric tensor in the order of `MolecularPressure.components`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
-#: Strain of the central differences. In water, whose components fluctuate by some hundred bar, the third derivative
-#: makes an error of 0.5 bar at this strain, and the rounding of energies in single precision one of 5 bar.
+#: Strain of the central differences. In water, where pressure components fluctuate by some hundred bar, the third
+#: derivative causes an error of 0.5 bar at this strain, and the rounding of energies in single precision one of 5 bar.
 STRAIN = 1e-3
 
 #: Columns of a file of pressure tensors.
@@ -35,11 +35,11 @@ COLUMNS = (
 
 
 class MolecularPressure:
-    """Instantaneous molecular pressure tensors of the simulation that one Context carries out.
+    """Instantaneous molecular pressure tensors of the simulation in one Context.
 
-    Energies are those of a second Context of the same System on the same Platform, so that nothing in the first is
-    touched. A tensor costs 12 energies. Global parameters and the force groups of the integrator are followed; what
-    `updateParametersInContext` changed after this object was made is not.
+    Energies are computed in a second Context of the same System on the same Platform, so that the first is left
+    untouched. A tensor costs 12 energy evaluations. Changes of global parameters and of the integrator's force groups
+    are followed; changes by `updateParametersInContext` after this object was made are not.
     """
 
     def __init__(self, context: openmm.Context) -> None:
@@ -64,8 +64,8 @@ class MolecularPressure:
         """The pressure in bar as its components xx, yy, zz, xy, xz and yz, the last three symmetrized, (6,).
 
         Args:
-            state: of the Context, with positions and velocities. Velocities count as those at the positions: OpenMM's
-                leapfrog integrators have them half a step earlier.
+            state: of the Context, with positions and velocities. Velocities are taken to be simultaneous with the
+                positions; those of OpenMM's leapfrog integrators are half a step earlier.
         """
         box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
@@ -104,7 +104,7 @@ class MolecularPressure:
         return np.array(slopes)
 
     def _follow(self, box: np.ndarray, positions: np.ndarray) -> None:
-        """Bring the second Context to the state of the first, without a memory of earlier ones."""
+        """Bring the second Context to the state of the first, without memory of earlier states."""
         here = self._context.getParameters()
         for name, value in self._source.getParameters().items():
             if here[name] != value:
@@ -122,7 +122,7 @@ def _check(system: openmm.System) -> None:
     for force in system.getForces():
         if isinstance(force, openmm.CustomExternalForce):
             raise ValueError(f"{needs} forces between particles alone, the System has a CustomExternalForce")
-        # OpenMM's Ewald sums are those of rectangular boxes, and it notices only when a Context is created.
+        # OpenMM's Ewald sums are for rectangular boxes only, which it checks only when a Context is created.
         if isinstance(force, openmm.NonbondedForce) and force.getNonbondedMethod() == force.Ewald:
             raise ValueError(f"{needs} PME in place of Ewald sums, which OpenMM has for rectangular boxes only")
 
@@ -130,7 +130,7 @@ def _check(system: openmm.System) -> None:
 def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The molecule (N,) of each particle, and the masses (M,) of molecules.
 
-    Atoms of one rigid body are in one molecule, even where the System has nothing that joins them.
+    Atoms of one rigid body are in one molecule, even if nothing in the System joins them.
     """
     owners = molecule_of_atoms(context.getMolecules(), len(masses))
     integrator = context.getIntegrator()
@@ -144,7 +144,7 @@ def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray,
 
 
 def _joined(owners: np.ndarray, bodies: RigidBodies) -> np.ndarray:
-    """Numbers of molecules (N,), where those that one body has atoms of are one; without gaps."""
+    """Numbers of molecules (N,), without gaps; molecules that share a body are merged."""
     edges = [
         np.stack(np.broadcast_arrays(owners[species.atoms[:, :1]], owners[species.atoms]), axis=-1).reshape(-1, 2)
         for species in bodies.species
@@ -167,8 +167,8 @@ def _second_context(context: openmm.Context) -> openmm.Context:
 def _strain(axes: tuple[int, int], size: float) -> tuple[np.ndarray, np.ndarray]:
     """The stretch of box and centres, and the turn of molecules, for a symmetric strain of one component.
 
-    OpenMM's boxes have upper triangular deformations only, so that the strained box is turned into that form. The
-    energy does not change by turning all, molecules too.
+    OpenMM's boxes have upper triangular deformations only, so that the strained box is turned into that form. Turning
+    everything, molecules included, does not change the energy.
     """
     strained = np.eye(3)
     i, j = axes

@@ -15,15 +15,15 @@ from openmm_sier.context.snapshot import Snapshot
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constraints import ConstraintError
 
-#: Points further than this from their constraints, in nm, are refused: they are not the molecule that was meant.
+#: Points further than this from their constraints, in nm, are refused, since they are not the molecule that was meant.
 FARTHEST = 0.05
 
 
 class Reconciliation:
     """Finds the phase point of bodies in a Context.
 
-    Where positions are taken over, the atoms' own copy of them follows, and where forces may be others, these are
-    invalidated.
+    When it takes over positions, it also updates the copy of them in `Atoms`. When forces may have changed, it
+    invalidates them.
     """
 
     def __init__(self, bodies: RigidBodies, atoms: Atoms, invalidate_forces: Callable[[], None]):
@@ -31,15 +31,15 @@ class Reconciliation:
         self._told_of_misfit = False
 
     def recall(self, integrator: Host, now: Snapshot, moved: bool) -> tuple[BodyState, bool] | None:
-        """The state stored in the integrator's variables, if it is that of the atoms to the last bit.
+        """The state stored in the integrator's variables, if it reproduces the atoms to the last bit.
 
-        It is after a checkpoint or a State with integrator parameters was loaded. Where velocities were set after that,
-        centres and attitudes are still believed.
+        It does so after a checkpoint or a State with integrator parameters was loaded. If velocities were set after
+        that, the stored centres and attitudes are still used.
 
         Args:
-            integrator: with the variables.
+            integrator: the one that has the variables.
             now: what the Context holds.
-            moved: whether its positions are others than before.
+            moved: whether its positions differ from those before.
 
         Returns:
             The state, and whether velocities were set; None if the atoms are elsewhere.
@@ -66,8 +66,8 @@ class Reconciliation:
         """The state after the Context changed from one snapshot to another.
 
         Args:
-            old: the state at the snapshot before.
-            before: None where nothing is known of what was before.
+            old: the state at the earlier snapshot.
+            before: the earlier snapshot; None if there is none.
             now: what the Context holds.
 
         Raises:
@@ -89,7 +89,7 @@ class Reconciliation:
         return replace(old, q=q, p=p, A=A, L=L)
 
     def fit(self, now: Snapshot, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Bodies at the positions of a snapshot, (q, A); those that are moved onto their constraints are said, once.
+        """Bodies at the positions of a snapshot, (q, A); warns once of those that are moved onto their constraints.
 
         Raises:
             RigidityError: the positions do not form the bodies, or are far off the constraints between them.
@@ -120,7 +120,7 @@ class Reconciliation:
         return satisfied, np.maximum(misfit, moved)
 
     def notice_environment(self, before: Snapshot | None, now: Snapshot) -> None:
-        """Forces are others in another box or with other parameters."""
+        """Invalidate forces if the box or parameters have changed."""
         if not now.same_environment(before):
             self._invalidate_forces()
 

@@ -1,4 +1,4 @@
-"""Reporters for OpenMM's Simulation that know of rigid bodies."""
+"""Reporters for OpenMM's Simulation that know about rigid bodies."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class _Reporter:
 class ConservationReporter(_Reporter):
     """Writes conserved quantities and the temperatures of translation and rotation as CSV.
 
-    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`, and what the
-    integrator has besides, as the acceptance of hybrid Monte Carlo; `row` there describes them.
+    The columns are those of the log of `openmm-sier run`, `openmm_sier.context.conservation.COLUMNS`, and those that
+    the integrator adds, such as the acceptance of hybrid Monte Carlo; `row` in that module describes them.
     """
 
     def __init__(self, file: str | PathLike[str], reportInterval: int, append: bool = False) -> None:
@@ -46,10 +46,10 @@ class ConservationReporter(_Reporter):
         Args:
             file: path of the CSV file.
             reportInterval: steps between two rows.
-            append: go on with an existing file; its header is not written again.
+            append: continue an existing file; its header is not written again.
 
         Raises:
-            ValueError: the interval is not positive, or the file to go on with has other columns.
+            ValueError: the interval is not positive, or the file to be continued has other columns.
         """
         super().__init__(reportInterval, ["energy"])
         self._table = _Table(Path(file), append, conservation.COLUMNS, type(self).__name__)
@@ -58,7 +58,7 @@ class ConservationReporter(_Reporter):
         """Write one row, and flush it.
 
         Raises:
-            ValueError: the file to go on with is that of another kind of integrator.
+            ValueError: the file to be continued is that of another kind of integrator.
         """
         columns = conservation.columns(simulation.integrator)
         self._table.write(columns, conservation.row(simulation.context, state))
@@ -69,10 +69,10 @@ class ConservationReporter(_Reporter):
 
 
 class PressureReporter(_Reporter):
-    """Writes the molecular pressure tensor of a periodic box, in bar, as CSV, for any integrator and any molecules.
+    """Writes the molecular pressure tensor of a periodic box, in bar, as CSV; for any integrator and any molecules.
 
-    `openmm_sier.context.pressure` says how it is computed. A row costs 12 energies, in a Context of its own: the run
-    goes on to the bit as without this reporter. The columns are `openmm_sier.context.pressure.COLUMNS`.
+    `openmm_sier.context.pressure` says how it is computed. A row costs 12 energy evaluations, in a separate Context:
+    the run is bit-identical to one without this reporter. The columns are `openmm_sier.context.pressure.COLUMNS`.
     """
 
     def __init__(self, file: str | PathLike[str], reportInterval: int, append: bool = False) -> None:
@@ -80,11 +80,11 @@ class PressureReporter(_Reporter):
         Args:
             file: path of the CSV file.
             reportInterval: steps between two rows.
-            append: go on with an existing file; its header is not written again.
+            append: continue an existing file; its header is not written again.
 
         Raises:
-            ValueError: the interval is not positive, or the file to go on with has other columns; at the first report,
-                the System is not periodic.
+            ValueError: the interval is not positive, or the file to be continued has other columns; at the first
+                report, the System is not periodic.
         """
         super().__init__(reportInterval, ["positions", "velocities"])
         self._table = _Table(Path(file), append, pressure.COLUMNS, type(self).__name__)
@@ -108,12 +108,12 @@ class _Table:
         """
         Args:
             path: of the file.
-            append: go on with an existing file.
-            columns: with which those of that file must begin.
+            append: continue an existing file.
+            columns: the first columns that such a file must have.
             owner: name of the reporter.
 
         Raises:
-            ValueError: the file to go on with has other columns.
+            ValueError: the file to be continued has other columns.
         """
         fresh = not (append and path.exists() and path.stat().st_size)
         self._path, self._header = path, None if fresh else _header(path, columns, owner)
@@ -124,7 +124,7 @@ class _Table:
         """Write one row, and flush it.
 
         Raises:
-            ValueError: the file to go on with has other columns.
+            ValueError: the file to be continued has other columns.
         """
         if self._header is None:
             self._header = columns
@@ -158,7 +158,7 @@ def _header(path: Path, columns: tuple[str, ...], owner: str) -> tuple[str, ...]
 
 
 class BodyStateReporter(_Reporter):
-    """Writes the bodies' phase points to an HDF5 file. Needs h5py, an extra (`openmm-sier[hdf5]`).
+    """Writes the bodies' phase points to an HDF5 file. Needs h5py and scipy, an extra (`openmm-sier[hdf5]`).
 
     `openmm_sier.context.body_states` says what the file holds. Every frame is flushed, so that the file of a run that
     was killed can be read.
@@ -171,14 +171,14 @@ class BodyStateReporter(_Reporter):
         Args:
             file: path of the HDF5 file, which is replaced unless `append` is true.
             reportInterval: steps between two frames.
-            append: go on after the last frame of the file, which must be of the same bodies; one that does not exist
-                is made.
-            unwrapped: centres are written as they stand in the Context, which are continuous paths. Otherwise each
-                centre is moved into the periodic box, as molecules are in OpenMM's trajectories by default
-                (`enforcePeriodicBox`) and in those of `openmm-sier run`.
+            append: continue after the last frame of the file, which must be of the same bodies; a missing file is
+                created.
+            unwrapped: write centres as they are in the Context, along continuous paths. Otherwise each centre is moved
+                into the periodic box, as molecules are in OpenMM's trajectories by default (`enforcePeriodicBox`) and
+                in those of `openmm-sier run`.
 
         Raises:
-            ValueError: the interval is not positive; at the first report, the file to go on with is of other bodies.
+            ValueError: the interval is not positive; at the first report, the file to be continued is of other bodies.
             ModuleNotFoundError: h5py or scipy is missing.
         """
         super().__init__(reportInterval, [])

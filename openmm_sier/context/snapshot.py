@@ -35,7 +35,7 @@ class Snapshot:
 
 
 def read_vectors(state: openmm.State, kind: int, values: np.ndarray) -> np.ndarray:
-    """Fill a contiguous float64 array (N, 3) of just this size, which is not checked, with vectors of a State.
+    """Fill a contiguous float64 array (N, 3) of exactly this size, which is not checked, with vectors of a State.
 
     Like getPositions(asNumpy=True), but without its overhead for names and units.
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from openmm_sier.context.snapshot import read_vectors
 
-#: Forces whose terms name two to eight atoms, by the element and the attributes that do so in their XML.
+#: Forces whose terms name two to eight atoms, each with the element and the attributes that do so in its XML.
 _FOUR = ("p1", "p2", "p3", "p4")
 TERMS = {
     openmm.HarmonicBondForce: ("Bond", _FOUR[:2]),
@@ -24,7 +24,7 @@ TERMS = {
     openmm.CustomTorsionForce: ("Torsion", _FOUR),
 }
 
-#: These give no forces, whatever their group.
+#: These exert no forces, whatever their group.
 WITHOUT_FORCES = (
     openmm.CMMotionRemover,
     openmm.AndersenThermostat,
@@ -52,8 +52,8 @@ def solute_system(
             one rigid body do no work and are left out. None: no particle is in a rigid body.
 
     Raises:
-        SoluteError: an atom is out of range, named twice or a virtual site; a Force of the groups is no bonded force,
-            or one of its terms acts on an atom that is not among the atoms.
+        SoluteError: an atom is out of range, named twice or a virtual site; a Force of the groups is not a bonded
+            force, or one of its terms acts on an atom that is not in `atoms`.
     """
     atoms = np.asarray(atoms, dtype=np.int64)
     n = system.getNumParticles()
@@ -88,7 +88,7 @@ def _numbers(system: openmm.System, atoms: np.ndarray) -> np.ndarray:
 
 
 def bonded_kind(force: openmm.Force) -> type | None:
-    """The class among `TERMS` that a Force is of; None if it is no bonded one."""
+    """The class among `TERMS` that a Force is of; None if it is not a bonded one."""
     return next((kind for kind in TERMS if isinstance(force, kind)), None)
 
 
@@ -101,7 +101,7 @@ def bonded_terms(force: openmm.Force) -> np.ndarray:
 
 
 def _renumbered(force: openmm.Force, number: np.ndarray, rigid: np.ndarray) -> openmm.Force:
-    """A copy of a bonded Force that acts on the numbers of its atoms."""
+    """A copy of a bonded Force with its atoms renumbered."""
     kind = bonded_kind(force)
     if kind is None:
         possible = ", ".join(kind.__name__ for kind in TERMS)
@@ -159,7 +159,7 @@ class SoluteForces:
         """
         Args:
             system, atoms, groups, rigid: see `solute_system`.
-            platform: openmm.Platform, as a rule that of the Context of all atoms; None: OpenMM chooses.
+            platform: openmm.Platform, usually that of the Context of all atoms; None: OpenMM chooses.
             properties: of the platform, {name: value}.
 
         Raises:
@@ -174,7 +174,7 @@ class SoluteForces:
         self._values = np.empty((len(self.atoms), 3))
 
     def __del__(self) -> None:
-        # Before its System and its integrator, also where the garbage collector deletes all of them.
+        # Delete it before its System and its integrator, even if the garbage collector deletes all of them.
         if hasattr(self, "_context"):
             del self._context
 
@@ -192,7 +192,7 @@ class SoluteForces:
     def follow(self, context: openmm.Context) -> bool:
         """Take over the parameters and the box of the Context of all atoms; returns whether any was different.
 
-        Forces computed before are out of date then.
+        If so, forces computed before are out of date.
         """
         theirs = context.getState(parameters=True)
         parameters, own = theirs.getParameters(), self._context.getState(parameters=True)

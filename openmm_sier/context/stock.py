@@ -1,12 +1,11 @@
-"""OpenMM's own integrators as peers of this package's: observed at whole steps, and restarted bit for bit.
+"""OpenMM's own integrators, used like this package's: observed at whole steps, and restarted bit for bit.
 
 OpenMM's Verlet is a leapfrog: the velocities in its Context are those half a step before the positions. Everything here
-is about whole steps, at which velocities are those that half a step of the forces turns them into, as OpenMM's own
-kinetic energy is.
+refers to whole steps: there velocities are advanced by half a step of the forces, as for OpenMM's own kinetic energy.
 
-The random numbers of OpenMM's baths and barostats, and the size of its volume moves, are in no State. So that a run
-that goes on after a checkpoint and one that is restarted from it are the same, both begin the noise anew there, with a
-seed that follows from that of the run and from the step.
+The random numbers of OpenMM's baths and barostats, and the size of its volume moves, are in no State. A run that goes
+on after a checkpoint must nevertheless equal one that is restarted from it. So both begin the noise anew there, with a
+seed derived from the run's seed and the step.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ CONSTRAINT_TOLERANCE = 1e-7
 VELOCITY, FORCE = unit.nanometer / unit.picosecond, unit.kilojoule_per_mole / unit.nanometer
 
 
-#: Steps between two attempts to change the volume: OpenMM's default. Each checkpoint begins to count anew.
+#: Steps between two attempts to change the volume, OpenMM's default. The count restarts at each checkpoint.
 BAROSTAT_INTERVAL = 25
 
 
@@ -42,7 +41,7 @@ class Surroundings(NamedTuple):
 
     Attributes:
         temperature: K; None at constant energy.
-        friction: 1/ps; the rate of collisions of Verlet's AndersenThermostat.
+        friction: 1/ps; with Verlet, the collision rate of its AndersenThermostat.
         pressure: bar, of a MonteCarloBarostat; None at constant volume.
     """
 
@@ -52,23 +51,23 @@ class Surroundings(NamedTuple):
 
 
 class StockIntegrator(openmm.Integrator):
-    """What this package asks of its own integrators, for OpenMM's. `attend` comes before all else.
+    """Gives OpenMM's integrators the interface of this package's. Call `attend` before anything else.
 
     Attributes:
         bodies: the rigid bodies of the Context.
         fastForceGroups: none; all forces act at once.
-        forceEvaluations: number of steps done in this process, since each has one.
+        forceEvaluations: number of steps done in this process, since each needs one.
     """
 
     bodies: RigidBodies
     fastForceGroups: frozenset[int] = frozenset()
     forceEvaluations = 0
 
-    #: Whether the heat of a bath passes uncounted.
+    #: Whether a bath or barostat of OpenMM gives heat that is not counted.
     _bathed = False
 
     def attend(self, context: openmm.Context, bodies: RigidBodies) -> None:
-        """Tell the integrator of its Context and of the bodies in it."""
+        """Tell the integrator about its Context and the bodies in it."""
         self.bodies = bodies
         # The Context holds the integrator.
         self._context = weakref.proxy(context)
@@ -85,7 +84,7 @@ class StockIntegrator(openmm.Integrator):
         return self._momentum.holds(self)
 
     def getBodyState(self) -> BodyState:
-        """The bodies at the whole step; their heat is NaN where a bath of OpenMM gives some.
+        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any.
 
         Raises:
             BrokenDownError: positions or velocities are not finite, or molecules are torn.
@@ -97,7 +96,7 @@ class StockIntegrator(openmm.Integrator):
         return replace(found, heat=math.nan) if self._bathed else found
 
     def computeTemperatures(self) -> Temperatures:
-        """As those of a `SIERIntegrator`."""
+        """Temperatures, as `SIERIntegrator.computeTemperatures` gives them."""
         return temperatures(self.bodies, self.getBodyState(), self.conservesMomentum)
 
     def reported(self) -> dict[str, float]:
@@ -119,7 +118,7 @@ def make_stock(name: str, step: float, around: Surroundings) -> StockIntegrator:
     Args:
         name: "verlet" or "langevinmiddle".
         step: ps.
-        around: what keeps the temperature; a LangevinMiddle needs one.
+        around: what keeps the temperature; "langevinmiddle" needs a temperature.
     """
     integrator: Any
     if name == "verlet":
@@ -142,7 +141,7 @@ def surrounded(system: openmm.System, name: str, around: Surroundings) -> openmm
 
 
 def seed_noise(system: openmm.System, integrator: openmm.Integrator, seed: int, step: int) -> None:
-    """Set the seeds with which the next Context, or the next `reinitialize`, begins at a step of a run."""
+    """Set the seeds with which the next Context, or the next `reinitialize`, starts at a given step of a run."""
     noisy = [integrator, *system.getForces()]
     noisy = [one for one in noisy if hasattr(one, "setRandomNumberSeed")]
     # OpenMM takes 31 bits, and draws a seed itself where it is given 0.
@@ -152,7 +151,7 @@ def seed_noise(system: openmm.System, integrator: openmm.Integrator, seed: int, 
 
 
 def go_on_as_a_restart(context: openmm.Context, seed: int) -> None:
-    """Have a Context of a `StockIntegrator` go on from a checkpoint as a restart from it would."""
+    """Make a Context of a `StockIntegrator` continue from a checkpoint exactly as a restart from it would."""
     state = context.getState(positions=True, velocities=True, parameters=True)
     seed_noise(context.getSystem(), context.getIntegrator(), seed, context.getStepCount())
     # Keeping the state here would keep the old noise.
@@ -172,8 +171,8 @@ def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
     q, A = bodies.fit(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
     p, L = bodies.momenta(state.getVelocities(asNumpy=True).value_in_unit(VELOCITY), A)
     if leapfrog:
-        # Constraint forces have no net force and torque on a body, and between bodies the projection stands for them,
-        # so that they need not be known.
+        # Constraint forces need not be known: within a body they exert no net force or torque, and between bodies the
+        # projection replaces them.
         F, tau = bodies.forces_and_torques(state.getForces(asNumpy=True).value_in_unit(FORCE), A)
         half = 0.5 * integrator.getStepSize().value_in_unit(unit.picosecond)
         p, L = p + half * F, L + half * tau
@@ -182,9 +181,10 @@ def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
 
 
 def shift_velocities(context: openmm.Context, time: float) -> None:
-    """Turn the velocities of a Context into those that its forces make of them within a time in ps, which may be < 0.
+    """Advance the velocities of a Context by its forces over a time in ps, which may be negative.
 
-    Half a step back leads from whole steps to what OpenMM's Verlet starts from, half a step forth back again.
+    Half a step back turns velocities at whole steps into those that OpenMM's Verlet starts from; half a step forward
+    undoes this.
     """
     system = context.getSystem()
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])

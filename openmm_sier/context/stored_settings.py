@@ -1,9 +1,9 @@
-"""Settings of an integrator in what OpenMM serializes, so that XML, copies and caches keyed by XML tell them apart.
+"""Settings of an integrator in what OpenMM serializes, so that XML, copies and caches keyed by XML distinguish them.
 
 A CustomIntegrator carries numbers in its variables, but these travel in checkpoints too, and a checkpoint must not
 bring back the temperature of the run that wrote it. Tabulated functions are in no checkpoint: OpenMM serializes them
-with the integrator only. Each setting is a function that no computation uses. Its name holds a text, its values hold
-numbers.
+with the integrator only. Each setting is a tabulated function that no computation uses. Its name holds a text, its
+values hold numbers.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from openmm_sier.dynamics.stages import Stage
 #: What the names of the functions begin with.
 PREFIX = "sier "
 
-#: OpenMM's XML reader damages names with quotes, braces and the like. These and letters are left as they are.
+#: Characters that, like letters, are stored as they are. OpenMM's XML reader damages names with quotes, braces and the
+#: like.
 READABLE = " ,.:/()+-<>_"
 
 
@@ -35,11 +36,11 @@ def store(integrator: openmm.CustomIntegrator, key: str, numbers: Iterable[float
 
     Args:
         integrator: the integrator that carries it.
-        key: of the setting, one word.
+        key: name of the setting, one word.
         numbers: its numbers.
         text: its text, which cannot be changed later.
     """
-    # A function needs at least one value: the first one is not among the numbers.
+    # A function needs at least one value, so a zero is put before the numbers.
     values = [0.0, *map(float, numbers)]
     if (index := _find(integrator, key)) is not None:
         integrator.getTabulatedFunction(index).setFunctionParameters(values)
@@ -106,10 +107,10 @@ def place_of(thing: Callable[..., Any] | type) -> str:
 
 
 def from_place(place: str, what: str) -> Any:
-    """The class or function of a place.
+    """The class or function at a place that `place_of` gave.
 
     Raises:
-        openmm.OpenMMException: it is in no module that can be imported.
+        openmm.OpenMMException: it cannot be imported.
     """
     module, _, name = place.partition(":")
     try:

@@ -1,17 +1,17 @@
 """Degrees of freedom and temperatures of bodies: one rule for all temperatures of the package.
 
-Where the total momentum is conserved, the motion of the centre of mass is no heat: three degrees of freedom are left
+Where the total momentum is conserved, the motion of the centre of mass is not heat: three degrees of freedom are left
 out, and so is the kinetic energy of that motion, whatever velocities the user has set. Where it is not conserved, a
-heat bath, a field or fixed particles make it fluctuate like any other momentum, and nothing is left out. Constraints
-between bodies take away as many degrees of freedom as are independent among them.
+heat bath, a field or fixed particles make it fluctuate like any other momentum, and nothing is left out. Each
+independent constraint between bodies removes one degree of freedom.
 
 OpenMM's StateDataReporter differs for integrators that do not compute their own temperature: it leaves out three
-degrees of freedom with a CMMotionRemover alone, and never the kinetic energy of the centre of mass. A drifting box is
-hotter by its account, and a deterministic run without a CMMotionRemover colder by 1/N. With a SIER integrator it asks
+degrees of freedom only with a CMMotionRemover, and never the kinetic energy of the centre of mass. By its count a
+drifting box is hotter, and a deterministic run without a CMMotionRemover colder by 1/N. With a SIER integrator it calls
 `computeSystemTemperature`, which follows the rule here.
 
-Total angular momentum is not treated so. An isolated cluster conserves it too, but its rotation as a whole is part of
-the thermal motion that `setVelocitiesToTemperature` draws, and no convention leaves it out.
+Total angular momentum is not treated in this way. An isolated cluster conserves it too, but its rotation as a whole is
+part of the thermal motion that `setVelocitiesToTemperature` draws, and no convention leaves it out.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 
-#: A coordinate of a particle or group in the expression of a custom force, as x1 or z2.
+#: A coordinate of a particle or group in the expression of a custom force, such as x1 or z2.
 COORDINATE = re.compile(r"\b[xyz][1-9]\d*\b")
 
 ALL_GROUPS = 2**32 - 1
@@ -39,9 +39,9 @@ class DegreesOfFreedom(NamedTuple):
     """Numbers of degrees of freedom that share the heat.
 
     Attributes:
-        translation, rotation: of molecules that are one body. Of translation those of the centre of mass that hold no
-            heat are left out by the molecules' share of the mass, which need be no whole number.
-        flexible: all of other molecules.
+        translation, rotation: of molecules that are one body. If the centre of mass holds no heat, translation omits
+            its degrees of freedom in proportion to these molecules' share of the mass, and need not be a whole number.
+        flexible: all degrees of freedom of other molecules.
     """
 
     translation: float
@@ -66,14 +66,14 @@ class Temperatures(NamedTuple):
 
 @dataclass(frozen=True)
 class MomentumConservation:
-    """Whether the total momentum of a System stays what it is.
+    """Whether the total momentum of a System is conserved.
 
-    It is kept at zero by a CMMotionRemover, also beside a Langevin bath, whose kicks of one interval are left out with
-    the motion of the centre of mass. Otherwise it is conserved unless one of these changes it: a heat bath of
+    A CMMotionRemover keeps it at zero, even with a Langevin bath: what the bath adds within one interval is left out
+    with the motion of the centre of mass. Otherwise it is conserved unless one of these changes it: a heat bath of
     independent kicks (an integrator with a friction above zero, an AndersenThermostat), a CustomExternalForce, an
-    expression of absolute coordinates in a custom force, or particles that stay where they are and act on others.
-    Monte Carlo barostats leave momenta alone. Forces that cannot be looked into (PythonForce, plugins) count as
-    interactions: the temperature about the centre of mass has the right mean in either case.
+    expression of absolute coordinates in a custom force, or fixed particles that act on others. Monte Carlo barostats
+    leave momenta alone. Forces that cannot be inspected (PythonForce, plugins) count as interactions: the temperature
+    about the centre of mass has the right mean in either case.
 
     Attributes:
         removed: there is a CMMotionRemover.
@@ -87,7 +87,7 @@ class MomentumConservation:
 
     @classmethod
     def of_system(cls, system: openmm.System, bodies: RigidBodies) -> MomentumConservation:
-        """From a System and the choice of bodies; a particle that belongs to no body stays where it is."""
+        """From a System and the choice of bodies; a particle that belongs to no body is fixed."""
         forces = system.getForces()
         fixed = any(not system.isVirtualSite(i) for i in _outside(bodies))
         return cls(

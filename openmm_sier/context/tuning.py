@@ -1,4 +1,4 @@
-"""Step and trajectory length of hybrid Monte Carlo by what an independent sample costs."""
+"""Tuning of step and trajectory length in hybrid Monte Carlo by the cost of an independent sample."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from openmm_sier.context.arguments import whole_number
 from openmm_sier.context.hmc import SIERHMCIntegrator
 from openmm_sier.dynamics.metropolis import spread_at
 
-#: Lengths of trajectories that are compared, over the one that the integrator had.
+#: Trajectory lengths to compare, as multiples of the one that the integrator had.
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
 
-#: Attempts to find the step, the bounds of its change in each, and the change that ends them. The spread of 40 energy
-#: errors is known to 11 %, and so the step of a scheme of fourth order to 3 %, of second order to 6 %.
+#: Number of attempts to find the step, bounds of its change in each, and the change below which the search ends. The
+#: spread of 40 energy errors is known to 11 %, and so the step to 3 % for a fourth-order scheme and 6 % for a
+#: second-order one.
 ATTEMPTS, SHORTER, LONGER, SETTLED = 10, 0.6, 1.5, 0.06
 
-#: Fewest trials of which a spread or an autocorrelation is taken.
+#: Least number of trials for a spread or an autocorrelation.
 FEWEST = 10
 
-#: The sum over autocorrelations ends after so many times the correlation time that it has found (Sokal's window).
+#: The sum of autocorrelations ends at this multiple of the correlation time found so far (Sokal's window).
 WINDOW = 5
 
 
 @dataclass(frozen=True)
 class StepFound:
-    """Trials at one step.
+    """Results of trials at one step size.
 
     Attributes:
         step: ps.
@@ -44,14 +45,14 @@ class StepFound:
 
 @dataclass(frozen=True)
 class LengthFound:
-    """Trials of one length.
+    """Results of trials of one length.
 
     Attributes:
-        steps: of a trial.
+        steps: number of steps in a trial.
         acceptance: mean of min(1, exp(-error)).
-        forces: force evaluations of a trial.
-        inefficiency: number of trials in an independent sample of the potential energy, with its standard error.
-        refused: why there were no trials.
+        forces: number of force evaluations in a trial.
+        inefficiency: number of trials per independent sample of the potential energy, with its standard error.
+        refused: the reason, if there were no trials.
     """
 
     steps: int
@@ -62,13 +63,13 @@ class LengthFound:
 
     @property
     def cost(self) -> tuple[float, float]:
-        """Force evaluations for an independent sample of the potential energy, with the standard error."""
+        """Force evaluations per independent sample of the potential energy, with the standard error."""
         value, error = self.inefficiency
         return value * self.forces, error * self.forces
 
     @property
     def bound(self) -> tuple[int, float]:
-        """Orders lengths by the cost and its error, then come those whose cost has no error, and refused ones."""
+        """Sort key of lengths, by the cost plus its error; lengths without an error come next, refused ones last."""
         cost, error = self.cost
         if self.refused:
             return 2, math.inf
@@ -81,11 +82,11 @@ class Tuning:
 
     Attributes:
         stepSize: ps.
-        stepsPerTrial: of a trial.
+        stepsPerTrial: number of steps in a trial.
         wanted: the acceptance that was asked for.
         steps: the steps that were tried, in order; each has `step` in ps, `spread` and `acceptance`.
         lengths: the lengths that were compared; each has `steps`, `acceptance`, `forces`, `inefficiency` and `refused`.
-        forceEvaluations: of the whole tuning.
+        forceEvaluations: number of force evaluations in the whole tuning.
     """
 
     stepSize: float
@@ -122,29 +123,32 @@ def tune(
     samples: int = 200,
     lengths: Sequence[int] | None = None,
 ) -> Tuning:
-    """Find step and length of a Context's hybrid Monte Carlo, and leave its integrator with them.
+    """Find the step and trial length for a Context's hybrid Monte Carlo, and set them in its integrator.
 
-    First the step: energy errors are measured in trials, and the step is changed by the law that their standard
-    deviation grows as the step to the scheme's order, until it is that of the wanted acceptance. Trajectories keep
-    their length in time. Then lengths of trials are compared at this step by the force evaluations that an independent
-    sample of the potential energy costs, each in as many steps in all, and the one is taken of which the cost and its
-    standard error are the least. Costs that are closer than their errors are not told apart; take more samples.
+    First comes the step: energy errors are measured in trials, and the step is changed until their standard deviation
+    is that of the wanted acceptance. This uses the law that the deviation grows as the step to the power of the
+    scheme's order. Trajectories keep their length in time. Then trial lengths are compared at this step, each over the
+    same total number of steps, by the force evaluations per independent sample of the potential energy. The length with
+    the least sum of cost and standard error is taken. Costs that differ by less than their errors cannot be told apart;
+    take more samples.
 
-    All of this is a part of the equilibration: while step and length are chosen by what trials do, these are no
-    samples, and nothing of it may be averaged over. Equilibrate roughly before. Afterwards step and length are fixed,
-    the Context is at a sample, at a multiple of the new `stepsPerTrial`, and `trials` and `accepted` count from zero.
-    An interrupt or error leaves the integrator with the step and length that it had.
+    All of this is part of the equilibration: while step and length depend on the outcome of trials, these are not
+    samples, and must not enter averages. Equilibrate roughly beforehand. Afterwards step and length are fixed, the
+    Context is at a sample, at a multiple of the new `stepsPerTrial`, and `trials` and `accepted` count from zero. An
+    interrupt or error restores the step and length that the integrator had.
 
-    With equal seeds the result is equal, where the platform's forces are deterministic.
+    The same seed gives the same result if the platform's forces are deterministic.
 
     Args:
-        context: openmm.Context of a `SIERHMCIntegrator`, with positions. Its step and number of steps are where the
-            search begins.
-        acceptance: wanted, between 0 and 1; the largest steps that are useful have 0.6 to 0.95.
-        trials: at each step that is tried, at least 10.
-        samples: trials of the length that the integrator has, in time, at least 10; longer ones are as many fewer. The
-            relative error of a cost is some 3 over the root of the number of independent samples among them.
-        lengths: numbers of steps to compare; None: a half, one, two and four times what the integrator has.
+        context: openmm.Context of a `SIERHMCIntegrator`, with positions. The search begins at its step and number of
+            steps.
+        acceptance: wanted value, between 0 and 1; the largest useful steps have 0.6 to 0.95.
+        trials: number of trials at each step size tried, at least 10.
+        samples: number of trials of the length in time that the integrator has, at least 10; longer trials are
+            proportionally fewer. The relative error of a cost is about 3 over the square root of the number of
+            independent samples among them.
+        lengths: numbers of steps to compare; None: a half, one, two and four times the length in time that the
+            integrator has.
 
     Returns:
         What was found; `print` shows it as tables.
@@ -152,7 +156,7 @@ def tune(
     Raises:
         TypeError: the Context has another integrator.
         ValueError: an argument is out of its range.
-        openmm.OpenMMException: no step or length could be tried, with the reason of the last one.
+        openmm.OpenMMException: no step or length could be tried; the message gives the last reason.
     """
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERHMCIntegrator):
@@ -186,16 +190,16 @@ def _at_least(name: str, value: int, least: int) -> int:
 
 
 def _set(integrator: SIERHMCIntegrator, step: float, steps: int) -> None:
-    """Take step and length, and go on to the next multiple of the length."""
+    """Set step and length, and advance to the next multiple of the length."""
     integrator.setStepSize(step)
     integrator.setStepsPerTrial(steps)
-    # From where a trial of just so many steps may begin; this also checks that trajectories reverse.
+    # At a multiple of the length a whole trial can begin. This also checks that trajectories reverse.
     integrator.step(steps)
     integrator.finishTrial()
 
 
 def _chances(errors: np.ndarray) -> float:
-    """Mean probability of acceptance for energy errors in kT, infinite ones among them."""
+    """Mean probability of acceptance for energy errors in kT, which may be infinite."""
     return float(np.exp(-np.maximum(errors, 0)).mean())
 
 
@@ -212,7 +216,7 @@ def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tup
         try:
             found = _try_step(integrator, step, max(1, round(time / step)), trials)
         except openmm.OpenMMException as error:
-            # The step is more than a bond bears, say.
+            # For example, the step is too long for a bond.
             found, refusal, longest = StepFound(step, math.inf, 0.0), error, step
         tried.append(found)
         factor = _factor(found, wanted, order)
@@ -235,7 +239,7 @@ def _try_step(integrator: SIERHMCIntegrator, step: float, steps: int, trials: in
 
 
 def _factor(found: StepFound, wanted: float, order: int) -> float:
-    """The change of a step by which its energy errors get the wanted spread."""
+    """The factor for a step that gives its energy errors the wanted spread."""
     if not found.spread:
         return LONGER
     return min(LONGER, max(SHORTER, (spread_at(wanted) / found.spread) ** (1 / order)))
@@ -278,7 +282,7 @@ def _try_length(integrator: SIERHMCIntegrator, step: float, steps: int, samples:
 
 
 def inefficiency(values: np.ndarray) -> tuple[float, float]:
-    """Number of values of a series in an independent one, with its standard error; at least 1.
+    """Number of values of a series per independent value, with its standard error; at least 1.
 
     It is 1 + 2 times the sum of the autocorrelations up to `WINDOW` times the correlation time that the sum gives.
 
@@ -286,7 +290,7 @@ def inefficiency(values: np.ndarray) -> tuple[float, float]:
         values: (n,).
 
     Returns:
-        (n, NaN) for a series without a spread, of which all values are one, or with a longer correlation than it tells.
+        (n, NaN) for a series of equal values, or one that is too short to show its correlation.
 
     Source: A. Sokal, Monte Carlo Methods in Statistical Mechanics (1989); N. Madras and A. Sokal, J. Stat. Phys. 50,
     109 (1988), Eq. 4.19.

@@ -14,7 +14,7 @@ from openmm_sier.context.notices import tell
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import Scheme
 
-#: Longest step over the period of a bond whose forces act within drifts.
+#: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
 
 SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
@@ -42,10 +42,10 @@ class Bond(NamedTuple):
 class Vibrations:
     """The fastest unconstrained bonds of a System, and whether a step is short enough for them.
 
-    Only the System's HarmonicBondForces are looked at, as they are when the Context is created. Each bond is taken
-    alone, which gives its period to 1 % for hydrogens; bonds between heavy atoms that share one (CO2) vibrate up to a
-    quarter faster. Angles are ignored: those of hydrogens are slower than bonds by a factor of two. The energy of a
-    CustomBondForce, or of any other force, is an expression, from which no period can be read.
+    Only the System's HarmonicBondForces are looked at, as they are when the Context is created. Each bond is treated on
+    its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up
+    to a quarter faster. Angles are ignored: those of hydrogens are slower than bonds by a factor of two. The energy of
+    a CustomBondForce, or of any other force, is an expression, from which no period can be read.
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
@@ -66,7 +66,7 @@ class Vibrations:
         self._warned = False
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
-        """Refuse a step at which the fastest bond is unstable; warn, once, where its energy is wrong by a tenth.
+        """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.
 
         Args:
             scheme: the scheme that makes the step.
@@ -81,8 +81,9 @@ class Vibrations:
     def check_nested(self, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
         """The same for fast forces within drifts, which must also not resonate with the kicks.
 
-        Kicks excite a bond if they come once or twice a period: schemes are unstable in windows just below half a
-        period and a whole one, whose width is the share of the slow forces in the stiffness of the bond.
+        Kicks excite a bond if they come once or twice a period: schemes are unstable for steps in windows just below
+        half a period and a whole one. The width of these windows is the share of the slow forces in the stiffness of
+        the bond.
 
         Args:
             inner: the scheme within drifts.
@@ -108,7 +109,7 @@ class Vibrations:
         Args:
             scheme: the scheme that makes the step.
             groups: bit mask of the force groups that act in its kicks.
-            fast: of those that act within its drifts, by inner steps that are short enough.
+            fast: bit mask of those that act within its drifts, with inner steps that are short enough.
         """
         slow, within = self._fastest_of(groups), self._fastest_of(fast)
         limits = [scheme.accuracy_limit * slow.period / (2 * math.pi)] if slow else []
@@ -157,7 +158,7 @@ def _fs(time: float) -> str:
 def _fastest(
     force: openmm.HarmonicBondForce, owner: np.ndarray, mobility: np.ndarray, held: set[tuple[int, int]]
 ) -> Bond | None:
-    """The bond of shortest period between two bodies whose particles are no pair in `held`; None if there is none."""
+    """The bond of shortest period between two bodies whose ends are not a pair in `held`; None if there is none."""
     count = force.getNumBonds()
     ends, strength = np.empty((count, 2), dtype=np.int64), np.empty(count)
     for i in range(count):

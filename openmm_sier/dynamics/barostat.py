@@ -13,7 +13,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
-#: Largest change of ln V, times the square root of the number of molecules. The volume itself fluctuates by 1 in an
+#: Largest change of ln V, times the square root of the number of molecules. In these units ln V fluctuates by 1 in an
 #: ideal gas and by 0.25 in water, where half of the moves are accepted.
 LARGEST_MOVE = 0.5
 
@@ -25,17 +25,17 @@ VolumeMove = Callable[[BodyState, float, Energy], tuple[BodyState, float]]
 
 
 class MonteCarloVolumeMove:
-    """Constant pressure as OpenMM's MonteCarloBarostat has it.
+    """Constant pressure by the method of OpenMM's MonteCarloBarostat.
 
-    Unlike that one it keeps no state of its own: moves have one size, and their random numbers are a function of the
-    thermostat's seed and of the number of draws so far, which travel with the state of the bodies. So a restart is
-    bit-identical.
+    Unlike OpenMM's it keeps no state of its own: moves have a fixed largest size, and their random numbers are a
+    function of the thermostat's seed and of the number of draws so far, which travel with the state of the bodies. So a
+    restart is bit-identical.
 
     Source: Chow and Ferguson, Comput. Phys. Commun. 91, 283 (1995), with ln V for V.
 
     Attributes:
         pressure: kJ/mol/nm^3.
-        interval: steps from one attempted move to the next.
+        interval: steps from one attempted move to the next; with hybrid Monte Carlo, trials.
     """
 
     def __init__(self, pressure: float, interval: int, thermostat: OrnsteinUhlenbeck):
@@ -75,6 +75,6 @@ class MonteCarloVolumeMove:
 
 
 def _molecule_of(bodies: RigidBodies, molecules: Sequence[Sequence[int]]) -> np.ndarray:
-    """For each body a number of its molecule, counted without gaps. A body that joins several belongs to the first."""
+    """For each body the number of its molecule, without gaps. A body that joins several belongs to the first."""
     first = np.concatenate([species.atoms[:, 0] for species in bodies.species])
     return np.unique(molecule_of_atoms(molecules, bodies.n_particles)[first], return_inverse=True)[1]

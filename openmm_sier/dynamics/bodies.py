@@ -1,4 +1,4 @@
-"""Rigid bodies: their masses, moments and sites, and the way between the coordinates of atoms and of bodies.
+"""Rigid bodies: their masses, moments and sites, and the conversion between the coordinates of atoms and of bodies.
 
 Lengths are in nm, times in ps, masses in dalton, energies in kJ/mol, so that no conversion factor appears.
 Arrays of bodies are component-first: a vector for each of n bodies has shape (3, n), an attitude matrix (3, 3, n).
@@ -21,7 +21,8 @@ from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
 
-#: A moment below this fraction of the largest one is that of a line; sites this close to an axis lie on it.
+#: A moment below this fraction of the largest one is that of a line; sites this close to an axis, as a
+#: fraction of the largest coordinate, lie on it.
 LINEAR_MOMENT = 1e-10
 ON_AXIS = 1e-9
 
@@ -30,7 +31,7 @@ class NotFiniteError(ValueError):
     """Vectors of bodies are not all finite.
 
     Attributes:
-        body: the number of the first one of which they are not.
+        body: the number of the first body with a vector that is not finite.
     """
 
     def __init__(self, vectors: np.ndarray) -> None:
@@ -48,7 +49,7 @@ class BodyState:
         A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
         L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
         heat: energy that a heat bath, and moves of the volume, have given to the bodies, kJ/mol.
-        draws: how often noise was drawn for them, which is the counter of the random numbers.
+        draws: how often noise was drawn for them, the counter of the random numbers.
     """
 
     q: np.ndarray
@@ -85,7 +86,7 @@ class Species:
             atoms: particle indices, (m, k).
             masses: (k,), dalton, positive.
             coordinates: positions of the k atoms in any frame, (k, 3), nm.
-            resolution: atoms that are all within this distance of a principal plane, in nm, are put onto it.
+            resolution: if all atoms are within this distance of a principal plane, in nm, they are put onto it.
         """
         masses = np.array(masses, dtype=float)
         r = np.array(coordinates, dtype=float)
@@ -134,7 +135,7 @@ class Species:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of one body: 3 for a point, 5 for a line, 6 otherwise."""
+        """Degrees of freedom of one body, 3 for a point, 5 for a line and 6 otherwise."""
         return 3 + int(np.count_nonzero(self.moments))
 
 
@@ -182,11 +183,11 @@ class RigidBodies:
             n_particles: number of particles of the system.
             labels: for each particle the name of its residue, for messages.
             links: pairs of point bodies at fixed distances, (c, 2), and the distances, (c,), nm.
-            molecules: for each body a number of its molecule, (n,); None: each body is one by itself, or together with
-                those that it is linked to.
+            molecules: for each body the number of its molecule, (n,); None: linked bodies form one molecule, any other
+                body is one by itself.
 
         Raises:
-            ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is none between
+            ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is not between
                 two points.
         """
         self.species = tuple(species)
@@ -282,8 +283,8 @@ class RigidBodies:
 
         Args:
             positions: (N, 3), nm.
-            previous: a state whose attitudes are kept, to the bit, if they reproduce the positions to rounding. So
-                a barostat that moves bodies rigidly leaves them as they were.
+            previous: a state whose attitudes are kept, bit for bit, if they reproduce the positions to rounding. So a
+                barostat that moves bodies rigidly leaves their attitudes unchanged.
 
         Returns:
             (q, A), shapes (3, n) and (3, 3, n).
@@ -314,7 +315,7 @@ class RigidBodies:
         return q, A, misfit
 
     def _refuse_mirrored(self, species: Species, part: slice, misfit: np.ndarray, arms: np.ndarray) -> None:
-        # Nearer to the body than half way to the mirror image they cannot fit that better by the margin.
+        # Atoms nearer to the body than half way to its mirror image cannot fit the image better by the margin.
         suspects = np.flatnonzero(misfit > 0.5 * species.mirror_distance)
         if species.mirror_distance == 0 or not suspects.size:
             return

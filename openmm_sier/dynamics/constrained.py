@@ -1,11 +1,11 @@
-"""The operators of a splitting scheme for point bodies with distance constraints, beside rigid bodies.
+"""The operators of a splitting scheme for point bodies with distance constraints, alongside rigid bodies.
 
 The phase space is that of positions on the constraint manifold with momenta tangent to it; `Constraints` has the
 algebra. On it a scheme's operators are what they are in flat space:
 
 - kick: the flow of the potential alone. Momenta change by h P(q) F(q), so that they are projected after a plain kick.
 - drift: the flow of the kinetic energy alone, a geodesic.
-- gradient kick: that of the modified potential V - (s/2) |P F|^2, with |f|^2 = f M^-1 f.
+- gradient kick: the flow of the modified potential V - (s/2) |P F|^2, with |f|^2 = f M^-1 f.
 
 Let a = M^-1 P F be the constrained acceleration. On a Riemannian manifold the derivative of |grad V|^2 / 2 along a
 tangent w is <nabla_w grad V, grad V>, and since the Hessian of a function is symmetric this is <nabla_a grad V, w>. So
@@ -18,10 +18,10 @@ Projecting at q_s is essential: P(q) F(q_s) lacks the curvature term P (dP/ds) F
 As in flat space the map is reversible, and symplectic up to terms of the order h s^2 = O(h^5) a step.
 
 The algebra of kicks is unchanged too: kicks commute, and T is quadratic in the momenta, so that [V, [V, [V, T]]] = 0.
-Schemes have the order that `Scheme.order` derives, provided that the geodesic has it.
+Schemes have the order that `Scheme.order` derives, provided that the geodesic has this order too.
 
 Forces at displaced points exert a torque about the points before displacement that differs in second order in s from
-that about the displaced ones. `GroupTorques` makes up for it by a rigid rotation of each group of atoms, so that the
+that about the displaced ones. `GroupTorques` corrects for this by a rigid rotation of each group of atoms, so that the
 total angular momentum is exact.
 """
 
@@ -43,7 +43,7 @@ from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
-#: Free motion of some of the bodies: (q, p, h) -> (q, p), each (3, m).
+#: Free motion of some of the bodies, (q, p, h) -> (q, p), each (3, m).
 Advance = Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 
 
@@ -55,7 +55,7 @@ def constrained_operators(
     composition: Composition = SUZUKI,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
-    """The operators of all schemes without a heat bath, for bodies of which some are constrained to each other.
+    """The operators of all schemes without a heat bath, for bodies some of which are constrained to each other.
 
     Args:
         bodies: all bodies; those that are constrained are points.
@@ -90,9 +90,9 @@ def constrained_kick(kick: Operator, constraints: Constraints) -> Operator:
 def constrained_bath(bath: Operator, constraints: Constraints) -> Operator:
     """An Ornstein-Uhlenbeck process of bodies with projected noise, so that constrained momenta are exactly thermal.
 
-    Let P be the projection, and k_B T M the covariance of the noise. That of the projected noise is k_B T P M P^T =
-    k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are tangent already, so that it is
-    enough to project the new ones.
+    Let P be the projection, and k_B T M the covariance of the noise. The covariance of the projected noise is
+    k_B T P M P^T = k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are tangent already,
+    so that it is enough to project the new ones.
     """
 
     def apply(state: BodyState, h: float) -> BodyState:
@@ -108,7 +108,7 @@ def constrained_bath(bath: Operator, constraints: Constraints) -> Operator:
 def constrained_gradient_kick(
     bodies: RigidBodies, forces: CachedForces, constraints: Constraints, groups: ArrayLike | None = None
 ) -> Operator:
-    """The gradient kick of bodies of which some are constrained; see the module and `operators.gradient_kick`.
+    """The gradient kick of bodies some of which are constrained; see the module and `operators.gradient_kick`.
 
     The operator raises ConstraintError where no positions near the displaced ones satisfy the constraints.
     """
@@ -159,8 +159,8 @@ class GroupTorques:
     def restore(self, q: np.ndarray, torques: np.ndarray, F: np.ndarray) -> np.ndarray:
         """Forces (3, n), plus those of a rigid rotation of each group, which exert the group's torque.
 
-        About a line that the whole group lies on there is no such rotation, and the torque of a single point is lost;
-        both are of second order in the displacement.
+        There is no such rotation about a line that the whole group lies on, and the torque of a single point is lost;
+        both errors are of second order in the displacement.
 
         Args:
             q: positions, (3, n).
@@ -208,7 +208,7 @@ def geodesic(constraints: Constraints, composition: Composition = SUZUKI) -> Adv
 
 
 class FastForces:
-    """Forces on point bodies that are computed again only for another array of positions.
+    """Forces on point bodies that are recomputed only for a new array of positions.
 
     Args:
         compute: q -> F, each (3, m).
@@ -235,7 +235,7 @@ class FastForces:
         return self._value
 
     def at(self, q: np.ndarray) -> np.ndarray:
-        """Forces elsewhere, which are not kept.
+        """Forces at other positions, which are not kept.
 
         Raises:
             ValueError: their shape is not that of the positions.
@@ -253,7 +253,7 @@ def point_operators(
     composition: Composition = TRIPLE_JUMP,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
-    """The operators of all schemes without a heat bath, for points of which some are constrained to each other.
+    """The operators of all schemes without a heat bath, for points some of which are constrained to each other.
 
     Attitudes and angular momenta of the states are passed on as they are.
 
@@ -301,10 +301,10 @@ def nested_drift(
     A gradient kick of the outer scheme is unchanged: its bracket [V_slow, [T + V_fast, V_slow]] has no term from
     V_fast, which commutes with V_slow.
 
-    The fast force at the end of a drift serves the start of the next one, if the positions are the very same array
-    then, as they are after kicks.
+    The fast force at the end of a drift is reused at the start of the next one, if the positions are still the same
+    array, as they are after kicks.
 
-    The inner scheme to take is SIER4G, one step for a drift of up to 3 fs, two for the highest accuracy. Energy error
+    Take SIER4G as the inner scheme, with one step for a drift of up to 3 fs, two for the highest accuracy. Energy error
     of two free chains of three CH2 (constrained C-H, springs up to 1100/cm), in drifts of 3 fs over 1.2 ps at 300 K:
 
     | inner scheme, steps a drift | fast forces | rms(H), kJ/mol |
@@ -316,18 +316,18 @@ def nested_drift(
 
     Args:
         drift: of all bodies.
-        members: columns of the bodies on which fast forces act, (m,); all that are constrained to one of them belong
-            to them.
+        members: columns of the bodies on which fast forces act, (m,); they must include all that are constrained to one
+            of them.
         inner: scheme of the inner steps.
         within: its operators for the members, see `point_operators`.
-        longest: upper bound of the inner steps, ps. A drift is divided into the least number of equal ones.
+        longest: upper bound of the inner steps, ps. A drift is divided into the least number of equal steps.
 
     Raises:
         ValueError: `longest` is not positive, or an operator of the scheme is not in `within`.
     """
     if not longest > 0:
         raise ValueError(f"the longest inner step must be positive, got {longest}")
-    operators.stepper(inner, within, longest)  # Refuses what cannot be executed now, not at the first step.
+    operators.stepper(inner, within, longest)  # Fail here, not at the first step, if an operator is missing.
     members = np.asarray(members)
     nothing = np.empty((3, 3, 0)), np.empty((3, 0))
     kept: list[np.ndarray] = []

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Stars of up to this many leaves have formulas of their own, each compiled separately; larger ones are graphs like
-#: others.
+#: Stars of up to this many leaves have their own formulas, compiled separately for each number; larger ones are treated
+#: as graphs.
 MOST_LEAVES = 3
 
 
@@ -42,15 +42,15 @@ class Pattern(NamedTuple):
 
 
 class Graphs(NamedTuple):
-    """All components that are no stars.
+    """All components that are not stars.
 
     Attributes:
         atoms: columns of the state, (a,), component by component.
         starts: first atom, end, first constraint and end of each component, (c, 4).
-        ends: of each constraint the numbers of its atoms in `atoms`, (e, 2).
+        ends: for each constraint the numbers of its atoms in `atoms`, (e, 2).
         squares: squared lengths, (e,).
         inverse_masses: (a,).
-        pattern: of the elimination, in whose order the constraints are.
+        pattern: of the elimination; the constraints are in its order.
     """
 
     atoms: np.ndarray
@@ -96,7 +96,7 @@ def components(pairs: np.ndarray) -> list[list[int]]:
 
 
 def star_centre(pairs: Sequence[Sequence[int]], masses: np.ndarray) -> int | None:
-    """The atom that all pairs (k, 2) of a component share, the heavier one of a single pair; None if it is no star."""
+    """The atom that all pairs (k, 2) of a component share, for one pair the heavier atom; None if it is not a star."""
     if len(pairs) > MOST_LEAVES:
         return None
     shared = set(pairs[0]).intersection(*pairs[1:])
@@ -109,10 +109,10 @@ def star_centre(pairs: Sequence[Sequence[int]], masses: np.ndarray) -> int | Non
 def gather_stars(
     found: list[tuple[int, list[int]]], pairs: np.ndarray, lengths: np.ndarray, masses: np.ndarray
 ) -> list[Stars]:
-    """Stars by their number of leaves.
+    """Stars grouped by their number of leaves.
 
     Args:
-        found: of each star its centre and the numbers of its pairs.
+        found: for each star its centre and the numbers of its pairs.
         pairs, lengths, masses: all pairs (c, 2), their lengths (c,), and masses (n,) of all atoms.
     """
     by_size: dict[int, list[tuple[int, list[int]]]] = defaultdict(list)
@@ -129,7 +129,7 @@ def gather_stars(
 
 
 def gather_graphs(found: list[list[int]], pairs: np.ndarray, lengths: np.ndarray, masses: np.ndarray) -> Graphs | None:
-    """The components of given pair numbers, with arguments as of `gather_stars`; None if there are none."""
+    """The components of given pair numbers, with arguments as for `gather_stars`; None if there are none."""
     if not found:
         return None
     atoms: list[int] = []
@@ -168,7 +168,7 @@ def _weights(ends: np.ndarray, inverse_masses: np.ndarray, rows: np.ndarray, col
 
 
 def eliminate(members: np.ndarray) -> tuple[list[int], list[list[int]]]:
-    """An order of elimination by least degree, which fills little in molecules.
+    """An order of elimination by least degree, which causes little fill-in for molecules.
 
     Source: Tinney and Walker, Proc. IEEE 55, 1801 (1967).
 
@@ -176,7 +176,8 @@ def eliminate(members: np.ndarray) -> tuple[list[int], list[list[int]]]:
         members: atoms of each constraint, (e, 2); constraints that share one are neighbours.
 
     Returns:
-        The constraints in their order, and for each in that order the sorted positions of its elements, fill included.
+        The constraints in their order, and for each in that order the sorted positions of its elements, including
+        fill-in.
     """
     at: dict[int, set[int]] = defaultdict(set)
     for number, pair in enumerate(members):

@@ -24,7 +24,7 @@ class NumbaSolver:
         self._stars, self._graphs = stars, graphs
 
     def project(self, q: np.ndarray, p: np.ndarray, new_p: np.ndarray) -> None:
-        """Write tangent momenta, (3, n), of all that is constrained."""
+        """Write tangent momenta, (3, n), of all constrained bodies."""
         for stars in self._stars:
             _compiled(stars).project_stars(q, p, *stars, new_p)
         if (graphs := self._graphs) is not None:
@@ -69,7 +69,7 @@ class NumpySolver:
         if graphs is not None:
             self._arrays = GraphArrays(graphs.ends, graphs.squares, graphs.inverse_masses)
             low, high = graphs.starts[:, 0], graphs.starts[:, 1]
-            # Positions are taken from the first atom of each component.
+            # Positions are relative to the first atom of each component.
             self._firsts = np.repeat(graphs.atoms[low], high - low)
 
     def project(self, q: np.ndarray, p: np.ndarray, new_p: np.ndarray) -> None:
@@ -136,7 +136,7 @@ def _unsolved(graphs: Graphs, residuals: np.ndarray) -> np.ndarray | None:
 
 
 def _put_momenta(graphs: Graphs, p: np.ndarray, v: np.ndarray, new_p: np.ndarray) -> None:
-    """Write momenta; that of the first atom of each component is what conserves the total to rounding."""
+    """Write momenta; the first atom of each component takes the remainder, which conserves the total to rounding."""
     new = v / graphs.inverse_masses
     low = graphs.starts[:, 0]
     new[:, low] += np.add.reduceat(p[:, graphs.atoms] - new, low, axis=1)

@@ -5,7 +5,7 @@ negative at j. Momenta are tangent to the manifold where G M^-1 p = 0. The proje
 
     P p = p - G^T (G M^-1 G^T)^-1 G M^-1 p
 
-is orthogonal in the metric M^-1, and makes of a force the one that acts on the constrained motion. Forces along bonds
+is orthogonal in the metric M^-1, and turns a force into the one that acts on the constrained motion. Forces along bonds
 are central and act on pairs, so that nothing here changes the total momentum or the total angular momentum.
 
 Geodesics are composed of RATTLE steps (Andersen, J. Comput. Phys. 52, 24 (1983)): the atoms move freely for a time d,
@@ -60,7 +60,7 @@ class Constraints:
             lengths: (c,), nm.
             masses: of all bodies, (n,), dalton.
             describe: gives the name of a body in messages.
-            compiled: whether Numba executes; None: if it is installed and allowed.
+            compiled: whether Numba executes the loops; None: yes, if it is installed and allowed.
 
         Raises:
             ConstraintError: a pair is out of range or joins a body to itself, a length or mass is not positive, or a
@@ -124,7 +124,7 @@ class Constraints:
         self.graphs = gather_graphs(others, self.pairs, self.lengths, self.masses)
 
     def restricted(self, bodies: ArrayLike) -> Constraints:
-        """The constraints in the numbering of a subset of the bodies, which breaks up no component.
+        """The constraints in the numbering of a subset of the bodies, which must not split a component.
 
         Args:
             bodies: ascending columns of this state, (m,), that become the columns 0 .. m-1.
@@ -201,7 +201,7 @@ class Constraints:
         return new_p
 
     def displaced(self, q: np.ndarray, force: np.ndarray, shift: float) -> np.ndarray:
-        """Positions (3, n) moved by shift M^-1 force, and those of constrained bodies back along the gradients at q.
+        """Positions (3, n) moved by shift M^-1 force; constrained bodies are moved back along the gradients at q.
 
         Raises:
             ConstraintError: there are no such positions.

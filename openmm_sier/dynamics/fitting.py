@@ -1,23 +1,23 @@
-"""Bodies fitted to the positions of atoms, and how far these may be from those of the body."""
+"""Bodies fitted to atom positions, and how far atoms may be from their places in the body."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Largest distance in nm between an atom and its place in the reference geometry that is accepted. Water models differ
-#: by up to 0.0142 nm (OPC and TIP3P-FB), from crystallographic hydrogens by up to 0.0167 nm (O-H of 0.084 nm,
-#: TIP3P-FB). Molecules that are cut by the periodic boundary are off by far more.
+#: Largest accepted distance in nm between an atom and its place in the reference geometry. Water models differ by up to
+#: 0.0142 nm (OPC and TIP3P-FB), and from crystallographic hydrogens by up to 0.0167 nm (O-H of 0.084 nm, TIP3P-FB).
+#: Molecules that are cut by the periodic boundary are off by far more.
 FIT_TOLERANCE = 0.02
 
-#: And at most this fraction of the shortest distance in the body: every atom is then nearer to its own place than to
-#: that of any other atom, so that none can be taken for another.
+#: The distance must also be at most this fraction of the shortest distance in the body. Every atom is then nearer to
+#: its own place than to that of any other atom, so that none can be mistaken for another.
 FIT_FRACTION = 0.25
 
-#: Positions that fit the mirror image this many times better than the body are those of the mirror image. Where the two
-#: fit about equally, the body is planar within the deviation, and its hand is not to be told.
+#: Positions that fit the mirror image this many times better than the body are those of the mirror image. If the two
+#: fit about equally, the body is planar within the deviation, and its handedness cannot be told.
 MIRROR_MARGIN = 2.0
 
-#: Sites this close in nm are at one place, and need not be told apart.
+#: Sites at most this far apart, in nm, are at one place and need not be told apart.
 ONE_PLACE = 1e-9
 
 #: Turns sites into their mirror image, whose principal axes are the same.
@@ -46,7 +46,7 @@ def distance_from_mirror_image(sites: np.ndarray, masses: np.ndarray) -> float:
 
 
 def fit_mirror_image(sites: np.ndarray, masses: np.ndarray, arms: np.ndarray, misfit: np.ndarray) -> np.ndarray:
-    """Which bodies are mirror images, (m,): those whose atoms fit these, and `MIRROR_MARGIN` times better.
+    """Which bodies are mirror images, (m,): those whose atoms fit one, and `MIRROR_MARGIN` times better than the body.
 
     Args:
         sites: of the body, (3, k), nm.

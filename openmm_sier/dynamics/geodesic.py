@@ -1,12 +1,12 @@
 """Symmetric compositions of RATTLE steps, which follow geodesics of the constraint manifold to higher order.
 
-Free motion with constraints costs no forces, so that its error may be made negligible. A RATTLE step is symmetric and
-of second order, and any symmetric composition for such maps applies (Hairer, Lubich and Wanner, Geometric Numerical
-Integration, 2nd ed., section V.3.2). A star of one bond, as C-H, moves exactly whatever the composition.
+Free motion with constraints needs no force evaluations, so that its error can be made negligible. A RATTLE step is
+symmetric and of second order, and any symmetric composition for such maps applies (Hairer, Lubich and Wanner, Geometric
+Numerical Integration, 2nd ed., section V.3.2). A star of one bond, such as C-H, moves exactly whatever the composition.
 
-Errors of one drift of methyl groups (C-H 0.109 nm, no H-C-H constraints) with velocities of 300 K, 200 of them: the
-largest one of a velocity over the thermal velocity of H, and the relative change of the kinetic energy, which
-geodesics conserve and RATTLE does not. CH2 groups have up to 1.6 times these errors.
+Errors of one drift of 200 methyl groups (C-H 0.109 nm, no H-C-H constraints) with velocities of 300 K: the largest
+error of a velocity over the thermal velocity of H, and the relative change of the kinetic energy, which geodesics
+conserve and RATTLE does not. CH2 groups have up to 1.6 times these errors.
 
 | composition | RATTLE steps | order | 1 fs | 2 fs | 3 fs | kinetic energy, 3 fs |
 |---|---|---|---|---|---|---|
@@ -38,7 +38,7 @@ class Composition:
         source: publication of the coefficients.
 
     Raises:
-        ValueError: the fractions are no palindrome or do not sum to 1.
+        ValueError: the fractions are not a palindrome or do not sum to 1.
     """
 
     name: str

@@ -1,21 +1,22 @@
 """Hybrid Monte Carlo: trajectories of a scheme, each accepted or rejected on its true energy.
 
 A trial refreshes the momenta and follows a trajectory of n steps. Its end is accepted with the probability
-min(1, exp(-(H1 - H0)/kT)); otherwise its start is taken again, with all momenta reversed. The ends of trials are then
-samples of the canonical ensemble, whatever the step, provided that trajectories reverse and keep the volume of phase
-space. Drifts and kicks do, and so does a gradient kick: momenta change by a function of positions alone.
+min(1, exp(-(H1 - H0)/kT)); otherwise the state returns to its start, with all momenta reversed. The ends of trials are
+then samples of the canonical ensemble, whatever the step, provided that trajectories are reversible and preserve
+phase-space volume. This holds for drifts and kicks, and for gradient kicks, which change momenta by a function of
+positions alone.
 
-Where the total momentum is held at zero, as a CMMotionRemover asks, it is so in the momenta that are drawn, and each
-kick leaves out the motion of the centre of mass that it would cause. That is a kick by a function of positions too, and
-the samples are those of the canonical ensemble with the centre of mass at rest. A removal between steps would not
-reverse wherever forces do not sum to zero.
+Where a CMMotionRemover requires zero total momentum, momenta are drawn with a sum of zero, and each kick leaves out the
+motion of the centre of mass that it would cause. Such a kick is still a function of positions alone, and the samples
+are those of the canonical ensemble with the centre of mass at rest. A removal between steps would be irreversible
+wherever forces do not sum to zero.
 
-Where many molecules contribute, energy errors are normal. <exp(-error/kT)> = 1, which holds for every map that reverses
-and keeps the volume of phase space, then makes their mean half their variance in kT^2, and the acceptance
+Where many molecules contribute, energy errors are normally distributed. <exp(-error/kT)> = 1, which holds for every
+reversible map that preserves phase-space volume, then makes their mean half their variance in kT^2, and the acceptance
 erfc(sd/sqrt(8)).
 
 Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247 (1991)
-for momenta that are refreshed in part, whose reversal after a rejection detailed balance needs; Gupta, Irbaeck, Karsch
+for partly refreshed momenta, which detailed balance requires to be reversed after a rejection; Gupta, Irbaeck, Karsch
 and Petersson, Phys. Lett. B 242, 437 (1990) for the acceptance.
 """
 
@@ -40,7 +41,7 @@ from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 #: Potential energy of a state, kJ/mol.
 Potential = Callable[[BodyState], float]
 
-#: Errors in the midst of a trajectory that make a trial fail, which is then rejected.
+#: Errors within a trajectory that make its trial fail; the trial is then rejected.
 FAILURES = (ConstraintError, NotFiniteError)
 
 
@@ -53,10 +54,10 @@ class Trial:
     """A trajectory that has begun and is not at its end.
 
     Attributes:
-        start: the state to come back to, with refreshed momenta.
+        start: the state to return to, with refreshed momenta.
         energy: total energy there, kJ/mol; NaN: the trajectory has failed and is not followed any further.
-        thermal: kT that momenta were drawn with, kJ/mol.
-        h: length of its steps, ps; NaN: the potential has changed, so that the trial is to be given up.
+        thermal: kT with which momenta were drawn, kJ/mol.
+        h: length of its steps, ps; NaN: the potential has changed, so that the trial will be abandoned.
         left: steps to its end.
     """
 
@@ -78,8 +79,8 @@ class SampledState(BodyState):
 
     Attributes:
         trial: the trajectory that it lies on; None: it is a sample.
-        trials, accepted: how many trials came to their end, and how many were accepted.
-        error: energy at the end of the last trial less that at its start, in kT; infinite if it failed, NaN before the
+        trials, accepted: how many trials were completed, and how many were accepted.
+        error: energy at the end of the last trial minus that at its start, in kT; infinite if it failed, NaN before the
             first one.
     """
 
@@ -90,7 +91,7 @@ class SampledState(BodyState):
 
     @classmethod
     def of(cls, state: BodyState) -> SampledState:
-        """A state as one of hybrid Monte Carlo; one that is no such state begins without trials."""
+        """A state as one of hybrid Monte Carlo; one of another kind begins without trials."""
         if isinstance(state, cls):
             return state
         return cls(state.q, state.p, state.A, state.L, state.heat, state.draws)
@@ -101,7 +102,7 @@ class SampledState(BodyState):
         return replace(self, **place, **changes)
 
     def given_up(self) -> SampledState:
-        """The start of the trial, which is given up for a reason that does not depend on its trajectory."""
+        """The start of the trial, which is abandoned for a reason that does not depend on its trajectory."""
         return self if self.trial is None else self.moved_to(self.trial.start, trial=None)
 
 
@@ -111,8 +112,8 @@ class HybridMonteCarlo:
     Random numbers are a function of the seed and of the number of draws so far, which travel with the state.
 
     Attributes:
-        bath: temperature, and seed.
-        refresh: what draws momenta, for a time in ps: the bath as an operator.
+        bath: source of the temperature and the seed.
+        refresh: draws momenta, for a time in ps: the bath as an operator.
         length: number of steps of a trial that begins now.
         failures: errors that make a trial fail.
     """
@@ -127,13 +128,13 @@ class HybridMonteCarlo:
         self.bath, self.refresh, self.length, self.failures = bath, refresh, length, failures
 
     def stepper(self, bodies: RigidBodies, advance: Stepper, potential: Potential, h: float) -> Stepper:
-        """A step of a trial, which begins and ends it where it is the first and the last one.
+        """A step of a trial; the first step begins the trial, and the last one ends it.
 
         Args:
             bodies: the rigid and point bodies.
             advance: a step of the scheme.
             potential: potential energy of a state.
-            h: length of the step, ps. A trial that has begun with another one is given up.
+            h: length of the step, ps. A trial that has begun with another length is abandoned.
         """
 
         def energy(state: BodyState) -> float:
@@ -189,7 +190,7 @@ def reversed_state(state: BodyState) -> BodyState:
 
 
 def refreshment(bath: Operator, bodies: RigidBodies, at_rest: bool) -> Operator:
-    """What draws momenta between trials.
+    """The operator that draws momenta between trials.
 
     Args:
         bath: the Ornstein-Uhlenbeck process.
@@ -198,7 +199,7 @@ def refreshment(bath: Operator, bodies: RigidBodies, at_rest: bool) -> Operator:
     """
 
     def apply(state: BodyState, time: float) -> BodyState:
-        # Infinite friction has no meaning for steps of no length, at which nothing moves.
+        # Infinite friction has no meaning for steps of zero length, in which nothing moves.
         warmed = bath(state, time) if time else state
         return without_total_momentum(bodies, warmed) if at_rest else warmed
 
@@ -206,7 +207,7 @@ def refreshment(bath: Operator, bodies: RigidBodies, at_rest: bool) -> Operator:
 
 
 def at_rest(bodies: RigidBodies, operators: Mapping[str, Operator]) -> dict[str, Operator]:
-    """Operators of which kicks leave the total momentum at zero."""
+    """The operators, with kicks that leave the total momentum at zero."""
 
     def still(kick: Operator) -> Operator:
         def apply(state: BodyState, *times: float) -> BodyState:
@@ -219,14 +220,14 @@ def at_rest(bodies: RigidBodies, operators: Mapping[str, Operator]) -> dict[str,
 
 
 def without_total_momentum(bodies: RigidBodies, state: BodyState) -> BodyState:
-    """The state with the velocity of the centre of mass taken from all bodies, and its energy from the heat."""
+    """The state with the velocity of the centre of mass subtracted from all bodies, and its energy from the heat."""
     velocity = bodies.centre_velocity(state.p)
     energy = 0.5 * float(bodies.masses.sum() * (velocity**2).sum())
     return replace(state, p=state.p - bodies.masses * velocity, heat=state.heat - energy)
 
 
 def expected_acceptance(spread: float) -> float:
-    """Mean of min(1, exp(-error)) of normal energy errors with this standard deviation in kT."""
+    """Mean of min(1, exp(-error)) for normally distributed energy errors with this standard deviation in kT."""
     return math.erfc(spread / math.sqrt(8))
 
 
@@ -240,7 +241,7 @@ def spread_at(acceptance: float) -> float:
 
 
 def reversal_error(bodies: RigidBodies, advance: Stepper, start: BodyState, steps: int) -> float:
-    """Distance from its start of the end of a trajectory that is followed, reversed and followed again.
+    """Distance between start and end of a trajectory that is followed, reversed and followed back.
 
     Returns:
         The largest distance of an atom from its place at the start, nm.

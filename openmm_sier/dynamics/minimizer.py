@@ -14,11 +14,11 @@ from openmm_sier.dynamics.constraints import Constraints
 SLOWEST_MIXING, MIXING_DECAY = 0.1, 0.99
 ACCELERATION, DECELERATION, PATIENCE = 1.1, 0.5, 5
 
-#: Largest displacement of a centre, and of an atom by the turn of its body, in one iteration, nm. Atoms that overlap
+#: Largest displacement of a centre, and of an atom by the rotation of its body, in one iteration, nm. Overlapping atoms
 #: feel forces that would throw them across the box.
 LARGEST_DISPLACEMENT = 0.01
 
-#: Displacement in nm of the body of the largest force in the very first iteration.
+#: Displacement in nm of the body with the largest force in the very first iteration.
 FIRST_DISPLACEMENT = 1e-3
 
 #: (q, A) -> (F, tau)
@@ -41,14 +41,14 @@ class Point:
 
 
 def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -> Iterator[Point]:
-    """Bodies on their way to a minimum of the potential energy, the start first, for as long as one asks.
+    """Yield bodies on their way to a minimum of the potential energy, beginning with the start, without end.
 
-    FIRE: a motion under the forces, of unit masses, that is turned towards the force and stopped whenever it goes
-    uphill. Rotations are measured in nm, as angles times radii of gyration. Constraints between bodies are kept: the
-    force is the one along them.
+    FIRE: unit masses move under the forces; the motion is turned towards the force, and stopped whenever it goes
+    uphill. Rotations are measured in nm, as angles times radii of gyration. Constraints between bodies are kept: only
+    forces tangent to them act.
 
     Args:
-        bodies: what moves.
+        bodies: the bodies that move.
         forces: forces in kJ/mol/nm and torques in kJ/mol on them, each (3, n).
         q: centres, (3, n), nm.
         A: attitudes, (3, 3, n).
@@ -77,7 +77,7 @@ def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -
         elif v.any():
             v, step, mixing, downhill = np.zeros_like(v), step * DECELERATION, SLOWEST_MIXING, 0
         v = v + step * f
-        # Each body alone, so that two that overlap do not hold up all others.
+        # Each body on its own, so that two that overlap do not slow down all others.
         size = np.maximum(np.linalg.norm(v[:3], axis=0), np.linalg.norm(v[3:], axis=0))
         v *= np.minimum(1.0, LARGEST_DISPLACEMENT / np.maximum(step * size, 1e-300))
         v[:3] = held.project(q, v[:3])

@@ -8,8 +8,8 @@ def generator(seed: int, draw: int, stream: int = 0) -> np.random.Generator:
 
     Args:
         seed: of the run, 0 <= seed < 2^128.
-        draw: how often noise was drawn before.
-        stream: tells users of one seed apart: 0 is the thermostat, 1 the volume move.
+        draw: number of earlier draws.
+        stream: distinguishes users of one seed: 0 is the thermostat, 1 the volume move, 2 the decision on a trial.
 
     >>> bool(generator(1, 5).random() == generator(1, 5).random())
     True

@@ -1,8 +1,8 @@
 """The operators of a splitting scheme, and the loop that executes any scheme.
 
-An operator is a function (state, time) -> state. It returns a new state and shares the arrays that it leaves
-alone: a kick keeps the very arrays q and A. `CachedForces` recognizes them, and so the force at the end of a step
-serves the start of the next without any bookkeeping.
+An operator is a function (state, time) -> state. It returns a new state and shares the arrays that it leaves alone: a
+kick keeps the very arrays q and A. `CachedForces` recognizes them, and so the force at the end of a step is reused at
+the start of the next without any bookkeeping.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ Stepper = Callable[[BodyState], BodyState]
 #: (q, A) -> (F, tau)
 ForceFunction = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
-#: A free-rotation map (A, L, moments, h) -> (A, L), as `rotation.exact`.
+#: A free-rotation map (A, L, moments, h) -> (A, L), such as `rotation.exact`.
 Rotation = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 
 
 class CachedForces:
-    """Forces and torques that are computed again only for other arrays of positions or attitudes.
+    """Forces and torques that are recomputed only for new arrays of positions or attitudes.
 
     Args:
         compute: (q, A) -> (F, tau), each (3, n).
@@ -59,7 +59,7 @@ class CachedForces:
         return self._value
 
     def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces and torques elsewhere, which are not kept.
+        """Forces and torques at other positions, which are not kept.
 
         Raises:
             ValueError: their shape is not that of the positions, (3, n), on which compiled loops rely.
@@ -90,11 +90,11 @@ def kick(forces: CachedForces) -> Operator:
 def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
     """Momenta change by the forces of the potential V - (s/2) (F M^-1 F + tau I^-1 tau).
 
-    Its force F + s (grad F) M^-1 F is, to first order in s, the force at positions that are displaced by s M^-1 F, and
-    for a body that is also turned by the lab vector s I^-1 tau. Two more terms of the torque, from rotations that do
-    not commute and from the dependence of I^-1 on the orientation, cancel each other. The torque is taken about the
-    centre before the displacement, tau' + (q' - q) x F', which differs in second order in s and conserves the total
-    angular momentum exactly.
+    Its force F + s (grad F) M^-1 F is, to first order in s, the force at positions that are displaced by s M^-1 F, with
+    bodies also turned by the lab vector s I^-1 tau. Two more terms of the torque, from rotations that do not commute
+    and from the dependence of I^-1 on the orientation, cancel each other. The torque is taken about the centre before
+    the displacement, tau' + (q' - q) x F', which differs in second order in s and conserves the total angular momentum
+    exactly.
 
     The map is exactly reversible, and symplectic up to terms of the second order in s, h s^2 = O(h^5) a step.
     Sources: Chin, Phys. Lett. A 226, 344 (1997); Omelyan, J. Chem. Phys. 127, 044102 (2007) for rigid bodies.
@@ -113,7 +113,7 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
 def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
     """Free motion of the bodies (van Zon and Schofield 2007, Eq. 5, U1) with any free-rotation map.
 
-    The operator raises ValueError for the state of another number of bodies.
+    The operator raises ValueError for a state with another number of bodies.
     """
     free_motion = _exact_drift(bodies) if rotation is exact else _drift_by(bodies, rotation)
 

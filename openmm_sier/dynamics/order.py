@@ -2,7 +2,7 @@
 
 The product of the exponentials of the stages is expanded in words of the operators and compared with the exponential of
 their sum, in which a word of length k has the coefficient 1/k!. One property of the operators is used, that of
-Runge-Kutta-Nystroem schemes: [B, [B, [B, A]]] = 0 of a kick B and a drift A, since the kinetic energy is quadratic in
+Runge-Kutta-Nystroem schemes: [B, [B, [B, A]]] = 0 for a kick B and a drift A, since the kinetic energy is quadratic in
 the momenta (see `_reduced`).
 """
 
@@ -14,11 +14,12 @@ from collections.abc import Sequence
 
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
 
-#: Coefficients are taken to satisfy an order condition when it holds to this; published ones have 16 digits.
+#: An order condition counts as satisfied if it holds to this accuracy; published coefficients have 16 digits.
 CONDITION_TOLERANCE = 1e-12
 HIGHEST_ORDER = 6
 
-#: A gradient kick displaces the force by a finite amount: it is known as an exponential of operators up to this order.
+#: A gradient kick displaces the force by a finite amount, so that it is an exponential of operators only up to this
+#: order.
 HIGHEST_GRADIENT_ORDER = 4
 
 Word = tuple[str, ...]
@@ -29,8 +30,8 @@ def order_of_flow(stages: Sequence[Stage], letters: Sequence[str]) -> int:
 
     Args:
         stages: all or some of the stages of a step.
-        letters: the flows that make up the exact motion. Its time is the sum of the fractions of the first one; where
-            another has another sum, the order is 0.
+        letters: the flows that make up the exact motion. Its time is the sum of the fractions of the first flow; if
+            another flow has a different sum, the order is 0.
     """
     time = math.fsum(stage.fraction for stage in stages if stage.flow == letters[0])
     coefficients: dict[Word, float] = {(): 1.0}
@@ -51,7 +52,7 @@ def order_of_flow(stages: Sequence[Stage], letters: Sequence[str]) -> int:
 def _generator(stage: Stage) -> dict[Word, float]:
     """What a stage is the exponential of, by words.
 
-    A gradient kick B of the shift d is that of B + (d/2) [B, [A, B]] with A the drift, up to the third order.
+    A gradient kick B with shift d is the exponential of B + (d/2) [B, [A, B]], with A the drift, up to the third order.
     """
     letter = stage.flow
     words: dict[Word, float] = {(letter,): stage.fraction}
@@ -65,9 +66,9 @@ def _generator(stage: Stage) -> dict[Word, float]:
 def _reduced(words: dict[Word, float]) -> dict[Word, float]:
     """An equal sum of words, in which no word has three kicks B before a drift A.
 
-    The operators obey [B, [B, [B, A]]] = 0, that is BBBA = 3 BBAB - 3 BABB + ABBB. BBBA begins with no end of itself,
-    so that the words that are left do not depend on the order of the replacements, and their sum vanishes only where
-    all their coefficients do (a Groebner basis).
+    The operators obey [B, [B, [B, A]]] = 0, that is BBBA = 3 BBAB - 3 BABB + ABBB. No end of BBBA is also its
+    beginning, so that the remaining words do not depend on the order of the replacements, and their sum vanishes only
+    if all their coefficients do (a Groebner basis).
     """
     rule = ((3.0, (KICK, KICK, DRIFT, KICK)), (-3.0, (KICK, DRIFT, KICK, KICK)), (1.0, (DRIFT, KICK, KICK, KICK)))
     reduced: dict[Word, float] = {}

@@ -1,7 +1,7 @@
 """Splitting schemes as data.
 
-A `Scheme` is a list of (operator, fraction of the step). Operators are known by name here; what they do stands in
-`openmm_sier.dynamics.operators`. Order, symmetry and cost are derived from the list.
+A `Scheme` is a list of (operator, fraction of the step). Operators are only names here;
+`openmm_sier.dynamics.operators` defines what they do. Order, symmetry and cost are derived from the list.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Scheme:
 
     @property
     def force_evaluations(self) -> int:
-        """Force evaluations a step, the first step of a run aside.
+        """Force evaluations per step, not counting the first step of a run.
 
         One for each kick at positions that a drift has changed, and one for the displaced force of a gradient kick.
         """
@@ -86,7 +86,7 @@ class Scheme:
         return count
 
     def without(self, operator: str) -> Scheme:
-        """This scheme where an operator does nothing: its stages dropped, neighbours of one kind joined."""
+        """This scheme without an operator: its stages are dropped, and neighbours of one kind are joined."""
         stages: list[Stage] = []
         for stage in self.stages:
             if stage.operator == operator:
@@ -98,13 +98,13 @@ class Scheme:
         return Scheme(self.name, tuple(stages), self.source)
 
     def with_bath(self) -> Scheme:
-        """This scheme with a heat bath, so placed that averages keep the scheme's order (`sampling_order`).
+        """This scheme with a heat bath, placed so that averages keep the scheme's order (`sampling_order`).
 
-        The bath stands in the middle of the middle drift where that costs no order, and else half at either end.
+        The bath is in the middle of the middle drift if that costs no order; otherwise half of it is at either end.
         SIER2 becomes kick, half drift, bath, half drift, kick (Leimkuhler and Matthews, Appl. Math. Res. Express 2013,
-        34), in which the positions of a harmonic oscillator have no error at all. In the middle of a scheme of higher
-        order positions and momenta are those of no whole step, and a bath there would leave second order: such schemes
-        have it at the ends. A scheme that has a bath is returned as it is.
+        34), in which the positions of a harmonic oscillator have no error at all. In the middle of a higher-order
+        scheme positions and momenta are not those of a whole step, and a bath there would reduce the order to two: such
+        schemes have it at the ends. A scheme that already has a bath is returned unchanged.
         """
         if BATH in self.operators:
             return self
@@ -119,7 +119,7 @@ class Scheme:
 
     @property
     def longest_drift(self) -> float:
-        """The largest size of a drift's fraction of the step; 0 without drifts."""
+        """The largest magnitude of a drift's fraction of the step; 0 without drifts."""
         return max((abs(stage.fraction) for stage in self.stages if stage.operator == DRIFT), default=0.0)
 
     @cached_property
@@ -141,9 +141,9 @@ class Scheme:
     def sampling_order(self) -> int:
         """Power of the step in the error of averages at whole steps, for a scheme with a bath.
 
-        The bath leaves exp(-H/kT) as it is, whatever the friction. So does the motion from one bath to the next, up to
-        its order n, and the density at the bath is right up to h^n. The stages between the last bath and the end of the
-        step carry this density along a flow of some order m, which changes the energy by O(h^(m+1)).
+        The bath leaves exp(-H/kT) unchanged, whatever the friction. So does the motion from one bath to the next, up to
+        its order n, so that the density at the bath is right up to h^n. The stages between the last bath and the end of
+        the step carry this density along a flow of some order m, which changes the energy by O(h^(m+1)).
 
         Raises:
             ValueError: the scheme has no bath.
@@ -171,8 +171,8 @@ def alternating(name: str, first: str, second: str, half: tuple[float, ...], sou
         name: of the scheme.
         first: operator of the outermost stages.
         second: the other operator.
-        half: fractions from the outermost stage to the last one before the middle. The middle stage, which follows
-            it, takes what its operator lacks to 1.
+        half: fractions from the outermost stage to the last one before the middle. The middle stage, which follows,
+            makes the fractions of its operator sum to 1.
         source: publication of the scheme.
     """
     operators = [(first, second)[i % 2] for i in range(len(half) + 1)]
@@ -194,7 +194,7 @@ SIER4 = alternating(
     "van Zon and Schofield (2007), Eq. EFRL; Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
 )
 
-#: Of the schemes without a gradient, which are symplectic to rounding, the best for each force in liquid water.
+#: The best scheme per force evaluation in liquid water of those without a gradient, which are symplectic to rounding.
 SIER4V = alternating(
     "SIER4V",
     KICK,
@@ -228,7 +228,7 @@ def _gradient_in_the_middle(share: float) -> tuple[Stage, ...]:
     return (*half, middle, *reversed(half))
 
 
-#: The position form of a gradient scheme: drifts come first and last.
+#: The position form of a gradient scheme, in which drifts come first and last.
 SIER4P = Scheme(
     "SIER4P",
     _gradient_in_the_middle(0.2470939580390842),
@@ -236,6 +236,6 @@ SIER4P = Scheme(
 )
 
 #: The schemes that users can name. Which one conserves the energy of liquid water best depends on the simulated time
-#: for each force evaluation (`openmm-sier schemes`): SIER4P up to 1.5 fs, SIER4G or SIER4P at 2 fs. SIER4V is the best
-#: without a gradient, SIER2 bears the longest steps for each force, and SIER4 is the paper's.
+#: per force evaluation (`openmm-sier schemes`). It is SIER4P up to 1.5 fs, and SIER4G or SIER4P at 2 fs. SIER4V is the
+#: best without a gradient, SIER2 allows the longest steps per force evaluation, and SIER4 is the paper's.
 CATALOGUE = {scheme.name.lower(): scheme for scheme in (SIER2, SIER4, SIER4V, SIER4G, SIER4P)}

@@ -1,7 +1,7 @@
-"""The step that a splitting scheme bears in a harmonic mode, from the matrix by which it propagates one.
+"""The longest step of a splitting scheme for a harmonic mode, from the matrix by which it propagates the mode.
 
-In x = (omega h)^2 all entries of that matrix are polynomials: with (q, h p/m) as coordinates a kick of the fraction t
-is [[1, 0], [-t x, 1]], a gradient kick of the shift s is [[1, 0], [-t x (1 - s x), 1]], and a drift [[1, t], [0, 1]].
+In x = (omega h)^2 all entries of that matrix are polynomials: with (q, h p/m) as coordinates a kick of fraction t is
+[[1, 0], [-t x, 1]], a gradient kick of shift s is [[1, 0], [-t x (1 - s x), 1]], and a drift [[1, t], [0, 1]].
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def stability_limit(stages: Sequence[Stage]) -> float:
 
 
 def accuracy_limit(stages: Sequence[Stage]) -> float:
-    """Largest omega h below which kinetic and potential energy of a mode agree in the mean, within `INEQUALITY`.
+    """Largest omega h below which the mean kinetic and potential energies of a mode agree within `INEQUALITY`.
 
     The matrix [[a, b], [c, d]] conserves b (h p/m)^2 + (a - d) q (h p/m) - c q^2. So the mean of the potential energy
     over that of the kinetic one is -x b / c.

@@ -9,7 +9,8 @@ GRADIENT_KICK = "gradient kick"
 DRIFT = "drift"
 BATH = "bath"
 
-#: What flow of the exact motion an operator is a part of: the letters of the free algebra in `order`.
+#: The flow of the exact motion that an operator is a part of, if not its own. Flows are the letters of the free algebra
+#: in `order`.
 FLOWS = {GRADIENT_KICK: KICK}
 
 
@@ -19,7 +20,7 @@ class Stage(NamedTuple):
     Attributes:
         operator: its name.
         fraction: of the step that it advances.
-        shift: of a gradient kick, the displacement of its force over (step)^2 times the acceleration.
+        shift: for a gradient kick, the displacement of its force divided by (step)^2 times the acceleration.
     """
 
     operator: str
@@ -27,7 +28,7 @@ class Stage(NamedTuple):
     shift: float = 0.0
 
     def times(self, h: float) -> tuple[float, ...]:
-        """What the operator takes in a step of length h: its time, and of a gradient kick its displacement."""
+        """Arguments of the operator in a step of length h: its time, and for a gradient kick its displacement."""
         own = (self.fraction * h,)
         return (*own, self.shift * h * h) if self.operator == GRADIENT_KICK else own
 

@@ -56,5 +56,5 @@ class OrnsteinUhlenbeck:
 
 
 def _decay(friction: float, h: float) -> tuple[float, float]:
-    """Factor that a momentum keeps in a time h, and the standard deviation it gains over its thermal one."""
+    """Factor that a momentum keeps in a time h, and the standard deviation it gains, relative to its thermal one."""
     return math.exp(-friction * abs(h)), math.sqrt(-math.expm1(-2 * friction * abs(h)))

@@ -39,7 +39,7 @@ def active() -> Backend:
 
 @contextmanager
 def using(backend: Backend) -> Iterator[None]:
-    """Within this a given backend is in use."""
+    """Use a given backend within this context."""
     global _active
     before, _active = active(), backend
     try:

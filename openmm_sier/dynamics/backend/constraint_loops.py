@@ -15,12 +15,12 @@ import numpy as np
 
 from openmm_sier.dynamics.backend import graph_loops, star_loops
 
-#: Sums and products may be contracted, but not reordered: NumPy and Numba agree to rounding.
+#: Sums and products may be contracted, but not reordered, so that NumPy and Numba agree to rounding.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
 
 def available() -> bool:
-    """Whether Numba is installed and allowed: the environment variable OPENMM_SIER_NUMBA=0 keeps it out."""
+    """Whether Numba is installed and allowed: the environment variable OPENMM_SIER_NUMBA=0 disables it."""
     return os.environ.get("OPENMM_SIER_NUMBA", "1") != "0" and util.find_spec("numba") is not None
 
 
@@ -47,14 +47,13 @@ def _compiled(module: ModuleType, special: tuple[Any, ...], suffix: str) -> Simp
     """The compiled loops of a module, in which some functions are replaced.
 
     Every function that is compiled gets a name of its own: code from the cache on disk is linked by names, and
-    functions of one name that were compiled for different stars, in different processes, would be taken for each
-    other.
+    functions of one name that were compiled for different stars, in different processes, would be confused.
     """
     import numba
 
     constants = {name: value for name, value in vars(module).items() if name.isupper() and not isinstance(value, tuple)}
     namespace: dict[str, Any] = {"np": np, "__builtins__": __builtins__, **constants}
-    # The cache watches only the file of a loop, so that the names carry the contents of this file.
+    # The cache watches only the file of a loop, so that the names carry a digest of this file.
     digest = hashlib.sha256(getsource(sys.modules[__name__]).encode()).hexdigest()[:12]
 
     def clone(function: FunctionType, own: dict[str, Any]) -> FunctionType:

@@ -7,7 +7,7 @@ rotations are quaternions (w, i, j, k) of any norm.
 
 from __future__ import annotations
 
-#: Largest angle of `small_sine_cosine`: its truncation error is below 2e-17 there.
+#: Largest angle of `small_sine_cosine`, up to which its truncation error is below 2e-17.
 SMALL_ANGLE = 0.75
 
 #: A determinant of moments of inertia below this share of the cube of half their sum is that of points on a line.

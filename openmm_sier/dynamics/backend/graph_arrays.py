@@ -13,7 +13,8 @@ import numpy as np
 
 from openmm_sier.dynamics.backend.graph_loops import GRAPH_CLOSE
 
-#: Each solution of the linear equations reduces residuals by this, as much as their neglect of the motion allows.
+#: Factor by which each solution of the linear equations reduces residuals. More would be useless, since these equations
+#: neglect the motion.
 REDUCTION = 1e-3
 
 #: Linear and nonlinear iterations; reached only where there is no solution.

@@ -1,13 +1,13 @@
 """Constraint graphs of any shape, for Numba to compile: sparse elimination and the iterations that use it.
 
-Atoms and constraints of all connected components stand one after another; `starts` say where each component begins.
-Constraints are in the order of elimination. Row e of the matrix G_1 M^-1 G_0^T has elements at
-`columns[rows[e]:rows[e + 1]]`, ascending, its diagonal at `diagonal[e]`; the pattern is symmetric and includes what
-elimination fills. An element is `weights` times the scalar product of two bond vectors: the sum of +-1/m of the atoms
-that the constraints share.
+Atoms and constraints of all connected components are stored one after another; `starts` say where each component
+begins. Constraints are in the order of elimination. Row e of the matrix G_1 M^-1 G_0^T has elements at
+`columns[rows[e]:rows[e + 1]]`, ascending, its diagonal at `diagonal[e]`; the pattern is symmetric and includes fill-in.
+An element is `weights` times the scalar product of two bond vectors: the sum of +-1/m of the atoms that the constraints
+share.
 
 Redundant constraints, as in a cage with more bonds than freedoms, give pivots that are zero to rounding: their
-multipliers are set to zero, and the others do the work. NumPy executes `factor` alone, to count those.
+multipliers are set to zero, and the others do the work. NumPy executes only `factor`, to count redundant constraints.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def push(start, stop, ends, along, multipliers, inverse_masses, v):
 
 
 def constrain_graph(part, graph, x, v, d, scratch):
-    """Velocities, changed in place, with which x + d v satisfies the constraints; writes the place reached.
+    """Velocities, changed in place, with which x + d v satisfies the constraints; writes the positions reached.
 
     Args:
         part: (first atom, end, first constraint, end) of a component.
@@ -116,7 +116,7 @@ def constrain_graph(part, graph, x, v, d, scratch):
             square = after[e, 0] * after[e, 0] + after[e, 1] * after[e, 1] + after[e, 2] * after[e, 2]
             residuals[e] = 0.5 * (squares[e] - square) / d
             worst = np.maximum(worst, abs(squares[e] - square) / squares[e])
-        # NaN, too, goes on to the end and fails.
+        # NaN comes here too, goes on to the last iteration and fails.
         if not worst < SLOW * last:
             factor(start, stop, pattern, after, before, values, inverses, work)
         last = worst
@@ -131,7 +131,7 @@ def constrain_graph(part, graph, x, v, d, scratch):
 
 
 def project_graph(part, graph, x, v, scratch):
-    """Take from the velocities what changes the lengths of the constraints; twice, which leaves rounding."""
+    """Take from the velocities what changes the lengths of the constraints; twice, so that only rounding remains."""
     _, _, start, stop = part
     ends, _, inverse_masses, pattern = graph
     _, _, after, values, inverses, work, residuals = scratch
@@ -148,7 +148,7 @@ def project_graph(part, graph, x, v, scratch):
 
 
 def take(low, high, atoms, q, p, inverse_masses, x, v):
-    """Positions from the component's first atom, and velocities, (atoms, 3), of columns of q and p, (3, n)."""
+    """Positions relative to the component's first atom, and velocities, (atoms, 3), of columns of q and p, (3, n)."""
     for i in range(low, high):
         for a in range(3):
             x[i, a] = q[a, atoms[i]] - q[a, atoms[low]]
@@ -156,14 +156,14 @@ def take(low, high, atoms, q, p, inverse_masses, x, v):
 
 
 def put_positions(low, high, atoms, q, x, new_q):
-    """Write positions from the component's first atom as columns of new_q."""
+    """Write positions relative to the component's first atom as columns of new_q."""
     for i in range(low, high):
         for a in range(3):
             new_q[a, atoms[i]] = q[a, atoms[low]] + x[i, a]
 
 
 def put_momenta(low, high, atoms, p, v, inverse_masses, new_p):
-    """Write momenta as columns of new_p; the first atom's is what conserves the total to rounding."""
+    """Write momenta as columns of new_p; the first atom takes the remainder, which conserves the total to rounding."""
     for a in range(3):
         rest = 0.0
         for i in range(low, high):
@@ -189,7 +189,7 @@ def drift_graphs(q, p, times, atoms, starts, graph, new_q, new_p):
         times: lengths of the steps.
         atoms: column of q for each atom of the graphs.
         starts: rows (first atom, end, first constraint, end) for each component.
-        graph: of `constrain_graph`.
+        graph: as for `constrain_graph`.
         new_q, new_p: (3, n), of which the columns of the atoms are written.
 
     Returns:
@@ -241,7 +241,7 @@ def project_graphs(q, p, atoms, starts, graph, new_p):
         put_momenta(part[0], part[1], atoms, p, v, inverse_masses, new_p)
 
 
-#: What is compiled, those that are called first.
+#: The functions to compile, each after those that it calls.
 HELPERS = (
     bonds,
     factor,

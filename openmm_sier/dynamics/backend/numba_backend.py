@@ -28,7 +28,7 @@ def _all(vectors: np.ndarray) -> slice:
 
 
 class NumbaBackend(NumpyBackend):
-    """What `NumpyBackend` does, in compiled loops. Bodies that a rotor's formula does not serve are left to NumPy."""
+    """What `NumpyBackend` does, in compiled loops. Bodies that a rotor's formula cannot handle are left to NumPy."""
 
     name = "Numba"
 
@@ -69,7 +69,7 @@ class NumbaBackend(NumpyBackend):
         new: np.ndarray,
         far: np.ndarray,
     ) -> None:
-        """Write the new attitudes of those in a slice of the bodies that the loop left aside."""
+        """Write the new attitudes of the bodies of a slice that the loop left aside."""
         left = part.start + np.flatnonzero(far[part])
         turned = np.empty((3, 3, left.size))
         self._rotate(rotor, top, A[:, :, left], L[:, left], h, turned, left)

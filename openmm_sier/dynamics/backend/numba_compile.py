@@ -11,10 +11,10 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
-#: Sums and products may be contracted, but not reordered: NumPy and Numba agree to rounding.
+#: Sums and products may be contracted, but not reordered, so that NumPy and Numba agree to rounding.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
-#: Formulas that Numba knows by now.
+#: Formulas already given to Numba.
 _formulas: dict[FunctionType, Any] = {}
 
 
@@ -22,9 +22,9 @@ def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., A
     """A loop compiled, and kept on disk where a directory for it can be written.
 
     Args:
-        loop: functions of its own module that it calls are compiled by themselves, those of other modules, which are
-            formulas for one body, become a part of it.
-        replaced: functions that stand for others, and those others.
+        loop: the function. Those of its own module that it calls are compiled separately; those of other modules, which
+            are formulas for one body, are inlined.
+        replaced: placeholder functions, and those that replace them.
 
     Returns:
         A function of the loop's signature.
@@ -48,7 +48,8 @@ def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., A
         return clone
 
     clone = link(loop)
-    # The cache on disk knows of the loop's own file alone, so that its name tells of all else that it depends on.
+    # The cache on disk watches only the loop's own file, so that its name carries a digest of all else that it depends
+    # on.
     clone.__qualname__ = f"{loop.__name__}_{_digest(loop, replaced)}"
     try:
         return numba.njit(clone, cache=True, **OPTIONS)

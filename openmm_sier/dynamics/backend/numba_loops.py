@@ -6,7 +6,7 @@ import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import LINE, combine, cross, displacing_rotation, rotation_matrix, spin
 
-#: Bodies that are rotated together, and numbers that each needs for it: 22 kB, for the nearest cache.
+#: Bodies that are rotated together, and numbers that each needs for it, 22 kB in all, for the nearest cache.
 TILE, ROWS = 128, 22
 
 
@@ -16,7 +16,7 @@ def rotate_body(body_L, rates, h):
 
 
 def span(start, stop):
-    """Numbers of bodies, unsigned: of signed ones each access would ask whether it counts from the end of the array.
+    """Numbers of bodies, unsigned: for signed ones each access would check if it counts from the end of the array.
 
     That takes time, and keeps the compiler from handling several bodies with each instruction.
     """
@@ -66,10 +66,10 @@ def rotate(start, stop, A, L, h, frame, out, far):
 
 
 def rotate_tile(tile, rates, h):
-    """Free rotation of a tile of bodies, from rows of it to others: A (9 rows), L (3), new A (9), whether it is right.
+    """Free rotation of a tile of bodies, from rows of it to others: A (9 rows), L (3), new A (9), whether it is valid.
 
-    One array with constant distances between its rows, no branches and no calls that are not inlined: so the compiler
-    sees that bodies are independent, and handles several with each instruction.
+    There is one array with constant distances between its rows, and no branch or call that is not inlined. So the
+    compiler sees that bodies are independent, and handles several with each instruction.
     """
     for n in range(TILE):
         x = tile[n], tile[TILE + n], tile[2 * TILE + n]
@@ -116,7 +116,7 @@ def kick(start, stop, p, L, F, torque, h, new_p, new_L):
 
 
 def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moments, new_q, new_A):
-    """Bodies displaced by `shift` times their accelerations: q (3, n) and A (3, 3, n), and written alike."""
+    """Bodies displaced by `shift` times their accelerations: q (3, n) and A (3, 3, n), written in the same shapes."""
     for n in span(start, stop):
         x = (A[0, 0, n], A[0, 1, n], A[0, 2, n])
         y = (A[1, 0, n], A[1, 1, n], A[1, 2, n])

@@ -1,7 +1,7 @@
 """The steps of all bodies executed by NumPy.
 
-Small sets of bodies pay for every call, so that few calls are made: sites are sums of principal axes, and all that
-depends on the number of sites are products with small constant matrices.
+With small sets of bodies the number of calls determines the cost, so that few calls are made: sites are sums of
+principal axes, and only products with small constant matrices depend on the number of sites.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from openmm_sier.dynamics.backend.top import Top
 #: Bodies that are rotated at a time, so that temporaries stay in cache.
 ROTATED = 4096
 
-#: Bodies whose sites are handled at a time; so, besides, no linear algebra library starts threads.
+#: Bodies whose sites are handled at a time, few enough that no linear algebra library starts threads.
 PLACED = 2048
 
 
@@ -37,12 +37,12 @@ class Rotor:
     """A free-rotation map as backends execute it.
 
     Each function takes L~ in the frame of descending rates (inverse moments), these rates, and a time. It gives the
-    quaternion of the body frame's rotation; the first two also say whether this is right.
+    quaternion of the body frame's rotation; the first two also tell whether it is right.
 
     Attributes:
         of_body: elementwise and without branches, compiled for one body.
         of_arrays: the same for arrays of bodies.
-        beyond: for arrays of the bodies that the others do not serve.
+        beyond: for arrays of the bodies that the others cannot handle.
     """
 
     of_body: Callable
@@ -51,7 +51,7 @@ class Rotor:
 
 
 class NumpyBackend:
-    """The operations on all bodies, which return new arrays where nothing else is said.
+    """The operations on all bodies, which return new arrays unless stated otherwise.
 
     Centres q, momenta p, angular momenta L, forces F and torques tau are (3, n), attitudes A (3, 3, n), inverse masses
     (n,), inverse moments (3, n).

@@ -1,4 +1,4 @@
-"""Which atoms make up bodies, and where in the bodies they stand."""
+"""Which atoms make up bodies, and where in the bodies they are."""
 
 from __future__ import annotations
 

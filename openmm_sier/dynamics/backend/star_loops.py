@@ -14,15 +14,16 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Newton's iteration ends with the update that follows a relative residual below this: it squares it, to rounding.
+#: Newton's iteration ends with the update that follows a relative residual below this. That update squares it, to
+#: rounding.
 CLOSE = 1e-7
 
-#: More iterations than that mean that there is no solution near.
+#: More iterations than this mean that there is no solution nearby.
 ITERATIONS = 30
 
 
 def largest(value):
-    """The largest of all stars, NaN if one is; for a single star the value itself."""
+    """The largest value of all stars, NaN if one is NaN; for a single star the value itself."""
     return np.max(value)
 
 
@@ -194,8 +195,7 @@ def turn(r, u, t, squares):
 def drift_star(q, p, times, total, star, scratch, new_q, new_p):
     """Geodesic motion of a star by RATTLE steps, or exactly where it has one bond.
 
-    Between two steps the velocity is not projected: the multipliers of the next one take up what it has along the
-    bonds.
+    Between two steps the velocity is not projected: the multipliers of the next step remove its part along the bonds.
 
     Args:
         q, p: (3, n).
@@ -303,7 +303,7 @@ def project_stars(q, p, centres, leaves, light, heavy, squares, new_p):
         project_star(q, p, star, scratch, new_p)
 
 
-#: What is compiled, those that are called first.
+#: The functions to compile, each after those that it calls.
 HELPERS = (
     open_star,
     close_positions,

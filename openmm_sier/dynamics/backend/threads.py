@@ -11,21 +11,22 @@ from functools import cache
 from itertools import pairwise
 from typing import Any
 
-#: Least number of bodies for a thread: to start one takes as long as some ten thousand bodies in a light loop do.
+#: Least number of bodies for a thread, since starting one takes as long as some ten thousand bodies in a light loop.
 SHARE = 32768
 
-#: What `use` has set: the number of threads, None for that of the environment, and the least number of bodies for each.
+#: The values that `use` has set, the number of threads (None for that of the environment) and the least number of
+#: bodies for each.
 _used: tuple[int | None, int] = (None, SHARE)
 
 
 def count() -> int:
-    """How many share a loop over many bodies: the cores of this process, or OPENMM_CPU_THREADS, as OpenMM reads it."""
+    """Number of threads for a long loop: the cores of this process, or OPENMM_CPU_THREADS, as OpenMM reads it."""
     return _used[0] or _available()
 
 
 @contextmanager
 def use(threads: int, share: int = SHARE) -> Iterator[None]:
-    """Within this so many threads share loops in which there are `share` bodies or more for each.
+    """Within this context `threads` threads share loops that have `share` bodies or more for each.
 
     >>> with use(3):
     ...     count()
@@ -49,9 +50,9 @@ def _available() -> int:
 
 
 def shared(loop: Callable[..., Any]) -> Callable[..., Any]:
-    """A loop (start, stop, ...) as one over a slice of the bodies, which threads share where it is long.
+    """Turn a loop (start, stop, ...) into one over a slice of the bodies, which threads share if it is long.
 
-    What it returns is summed.
+    The values that it returns are summed.
     """
 
     def run(part: slice, *arguments: Any) -> Any:
@@ -68,8 +69,8 @@ def shared(loop: Callable[..., Any]) -> Callable[..., Any]:
 class Team:
     """Threads that share one loop.
 
-    They write to arrays that the caller goes on to use: however `run` is left, none is at work then. And none outlives
-    the call, so that a forked process does not wait for threads that it does not have.
+    They write to arrays that the caller goes on to use, so however `run` ends, no thread is still at work. None
+    outlives the call, so that a forked process does not wait for threads that it does not have.
     """
 
     def __init__(self, loop: Callable[..., Any], arguments: tuple[Any, ...]) -> None:

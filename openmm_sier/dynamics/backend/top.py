@@ -1,4 +1,4 @@
-"""Principal moments as the free rotation takes them."""
+"""Principal moments in the form that the free rotation takes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ EQUAL_MOMENTS = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Top:
-    """Inverse moments in descending order, and the way from principal axes in the user's order to that order.
+    """Inverse moments in descending order, and the permutation to it from the user's order of principal axes.
 
     Attributes:
         rates: (3,) for bodies with equal moments, or (3, n); zeros for a point, three equal rates for a line.
@@ -32,7 +32,7 @@ class Top:
 
     @cached_property
     def turns(self) -> bool:
-        """Whether a body can turn: not all are points."""
+        """Whether any body can turn, that is, whether not all are points."""
         return bool(self.rates.any())
 
     @cached_property

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-#: Largest max(p, q) t^2 at which the series of `sn_increment` is exact to rounding: the first term left out
-#: is largest where p = q (a hyperbolic tangent), 0.0015 (p t^2)^7 of the result, here 1.5e-17.
+#: Largest max(p, q) t^2 at which the series of `sn_increment` is exact to rounding. The first omitted term is largest
+#: where p = q (a hyperbolic tangent), 0.0015 (p t^2)^7 of the result, here 1.5e-17.
 SERIES_LIMIT = 0.01
 
-#: The same for its first four coefficients; left out is at most 0.0089 (p t^2)^5, here 2.7e-17.
+#: The same for its first four coefficients; the omitted terms are at most 0.0089 (p t^2)^5, here 2.7e-17.
 SHORT_SERIES_LIMIT = 0.00125
 
 
@@ -59,9 +59,10 @@ def sn_increment(coefficients, p, q, t):
     return S, S2, np.sqrt(1 - p * S2), np.sqrt(1 - q * S2)
 
 
-#: Largest max(p, q) over a step that the series reach from its middle, and a Gauss-Lobatto quadrature that truncates
-#: below 1e-17 of a turn there: times from the middle, in steps, the first one the end, and weights. The node in the
-#: middle is left out, since the deviation of the integrand from its leading term vanishes there.
+#: Largest max(p, q) over a step for which the series reach from its middle to its ends, and a Gauss-Lobatto quadrature
+#: with a truncation error below 1e-17 of a turn there, as times from the middle, in steps, the end first, and as
+#: weights. The node in the middle is left out, since the deviation of the integrand from its leading term vanishes
+#: there.
 LONGEST = 4 * SERIES_LIMIT
 TIMES = (
     0.5,

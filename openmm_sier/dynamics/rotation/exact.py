@@ -10,8 +10,8 @@ of L~ in the middle of the step, R1 is the smallest rotation between two directi
 
     P(h) = R1(m -> v) R2(m, -theta) R1(u -> m),     theta = Int g dt,    g = omega . (m + v(t)) / (1 + m . v(t)).
 
-So nothing is singular before L~ has turned by half a circle within one step, no case needs the axes exchanged, and as a
-quaternion P is rational in u, m, v and the sine and cosine of theta/2: orthogonal to rounding.
+So nothing is singular before L~ has turned by half a circle within one step, the axes never have to be exchanged, and
+as a quaternion P is rational in u, m, v and the sine and cosine of theta/2: orthogonal to rounding.
 
 All functions take scalars or arrays: NumPy executes them on arrays of bodies, Numba compiles them for one (`rotor`).
 tests/dynamics/rotation/test_paper_formulas.py has the paper's own form, which agrees.
@@ -30,7 +30,7 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
     """P(h) as a quaternion, the parts of v that are even and odd about the middle, and whether the series reach so far.
 
     Args:
-        body_L: L~, three components in the frame whose rates a >= b >= c, the inverse moments, descend.
+        body_L: L~, three components in the frame where the rates a >= b >= c, the inverse moments, descend.
         rates, h: these rates, and the time.
         series: the series of S and the quadrature for p and q, from `elliptic`.
         sine_cosine, largest_angle: sine and cosine of an angle, and the largest one that it takes.
@@ -50,8 +50,8 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
     m = plus(even, odd)
     even, odd = euler_solution(motion, m, end)
 
-    # Eq. 10 (integral). Where the paper's sum of derivatives at the ends (Eq. 11, psiapprox) is of order 2n, the
-    # Gauss-Lobatto sum of values is of an order at which it has converged to rounding. Either is even in time.
+    # Eq. 10 (integral). The paper sums derivatives at the ends (Eq. 11, psiapprox), to order 2n; the Gauss-Lobatto sum
+    # of values here has converged to rounding. Either is even in time.
     middle = middle_terms(rates, motion, m)
     rate = middle[0] + weights[0] * rate_excess(middle, end)
     for node in range(1, len(times)):
@@ -79,9 +79,9 @@ def euler_rates(rates, u, k):
 
 
 def euler_solution(motion, u, increments):
-    """The parts of the direction of L~ a time t later that are even and odd in t, at right angles to each other.
+    """The even and odd parts in t of the direction of L~ a time t later, which are at right angles to each other.
 
-    The free solution of Euler's equations by S, C and D of `sn_increment` for t, which takes no initial phase:
+    The free solution of Euler's equations by S, C and D of `sn_increment` for t, which needs no initial phase:
     with G = 1 - alpha gamma y^2 S^2
 
         x* = (x D - S C alpha y z)/G,   y* = (y C D + S beta x z)/G,   z* = (z C - S D gamma x y)/G.

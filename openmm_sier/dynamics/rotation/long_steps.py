@@ -1,4 +1,4 @@
-"""Free rotation over steps that the series do not reach, and of angular momenta whose squares no double holds."""
+"""Free rotation over steps too long for the series, and of angular momenta whose squares no double can hold."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from openmm_sier.dynamics.backend.formulas import plus
 from openmm_sier.dynamics.rotation.elliptic import LONGEST, complete_integrals, shortest_series
 from openmm_sier.dynamics.rotation.exact import euler_rates, free_rotation
 
-#: Beyond this many sub-steps between two passages of the separatrix's saddle the motion has left the range of doubles.
+#: If passages of the separatrix's saddle are more than this many sub-steps apart, doubles cannot resolve the motion.
 MOST_SUBSTEPS = 8192
 
-#: Phases and angles above this one mean nothing in doubles.
+#: Phases and angles above this have no meaning in double precision.
 PHASE_CAP = 1e100
 
 
@@ -51,8 +51,8 @@ def turn(body_L, rates, h):
         piece, (even, odd), _ = free_rotation(*part, shortest_series, sine_cosine, PHASE_CAP)
         turns[:, active] = _normalized(_product(piece, turns[:, active]))
         u[:, active] = _normalized(plus(even, odd))
-    # What is left over belongs to a state on the separatrix to its last bit. Nothing in the state says when it leaves
-    # the saddle, the middle axis, so it is left there.
+    # Something is left over only for a state that is on the separatrix to its last bit. Nothing in the state tells when
+    # it leaves the saddle, the middle axis, so it stays there.
     return _product(_about(u, k * (rest * (1 - short)) * rates[1]), turns)
 
 
@@ -77,7 +77,7 @@ def _whole_periods(rates, u, k):
     alpha, beta, gamma, p, q = euler_rates(rates, u, k)
     larger = np.maximum(p, q)
     moving = larger > 0
-    # p - q without the term that both have.
+    # p - q without the term that they share.
     kc2 = np.abs(beta * (u[0] * u[0] * gamma - u[2] * u[2] * alpha)) / np.where(moving, larger, 1.0)
     periodic = moving & (kc2 > 0)
     around_x = p >= q

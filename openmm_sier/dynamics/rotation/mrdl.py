@@ -8,14 +8,14 @@ from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.rotation.arguments import blocks, checked, demand_finite
 from openmm_sier.dynamics.rotation.rotor import exact
 
-#: Factors: principal axis (0 has the smallest moment, 2 the largest) and fraction of the step.
+#: The factors, as principal axis (0 has the smallest moment, 2 the largest) and fraction of the step.
 FACTORS = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))
 
 
 def mrdl(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     """Free rotation by the splitting of McLachlan, Reich, Dullweber and Leimkuhler: second order, symplectic, L exact.
 
-    The kinetic energy is split into those of the principal axes; each part turns the body about its axis by the
+    The kinetic energy is split into the parts of the principal axes; each part turns the body about its axis by the
     angle h L~_k / I_k. The order of the factors makes a difference: here the axis of the smallest moment is outermost
     and that of the largest in the middle, which is the order whose errors are nearest to those in the paper.
 

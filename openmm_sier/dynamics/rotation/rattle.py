@@ -8,22 +8,22 @@ from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.rotation.arguments import checked, demand_finite
 
-#: Iterations, and the change in the last one that counts as none, relative to the largest component. Each iteration
-#: multiplies the error by about half the angle of the step, which is below 0.1 for water at 2 fs.
+#: Largest number of iterations, and the change, relative to the largest component, below which they have converged.
+#: Each iteration multiplies the error by about half the angle of the step, which is below 0.1 for water at 2 fs.
 ITERATIONS, ROUNDING = 200, 4e-16
 
 
 def rattle(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     """Free rotation by one step of RATTLE, solved to rounding: second order, symplectic, L exact.
 
-    Kicks and this map are constrained velocity Verlet, as SETTLE or RATTLE make it of all atoms of a rigid molecule:
-    `SIERIntegrator(h, SIER2, rotation=rattle)`. RATTLE's constraints on a rigid body are those of the discrete
-    Moser-Veselov equations, h L~ = axial(Q J - J Q^T), in which Q is the rotation of the step and J the matrix of
-    second moments. With Gibbs' vector g of Q, whose length is the tangent of half the angle, they are
+    Kicks and this map make up constrained velocity Verlet, as SETTLE or RATTLE perform it on all atoms of a rigid
+    molecule: `SIERIntegrator(h, SIER2, rotation=rattle)`. RATTLE's constraints on a rigid body are those of the
+    discrete Moser-Veselov equations, h L~ = axial(Q J - J Q^T), in which Q is the rotation of the step and J the matrix
+    of second moments. With Gibbs' vector g of Q, whose length is the tangent of half the angle, they are
 
         I g + g x I g = (h/2) (1 + g^2) L~.
 
-    Arguments, result and errors are those of `exact`. Linear bodies and points are taken too.
+    Arguments, result and errors are those of `exact`. Linear bodies and points are allowed.
 
     Source: R. I. McLachlan and A. Zanna, Found. Comput. Math. 5, 87 (2005).
 
@@ -62,7 +62,7 @@ def _half_turn(body_L: np.ndarray, moments: np.ndarray, h: float) -> np.ndarray:
             moved = np.abs(g - last).max(axis=0, initial=0.0)
             if (settled := moved <= ROUNDING * np.abs(g).max(axis=0, initial=0.0)).all():
                 return g
-    # Rounding may keep the last bit of a body going.
+    # Rounding may keep the last bit of a body from settling.
     if not (settled | (moved <= 8 * ROUNDING * np.abs(g).max(axis=0))).all():
         raise ConstraintError(f"RATTLE finds no rotation of body {int(settled.argmin())} in a step of {h:g}")
     return g

@@ -48,16 +48,16 @@ def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[
 
 
 def _of_body(body_L: Any, rates: Any, h: float) -> Any:
-    """The free rotation of one body, which Numba compiles, where the series and the sine's reach."""
+    """The free rotation of one body, which Numba compiles, as far as its series and that of the sine reach."""
     turn, _, reached = free_rotation(body_L, rates, h, long_series, small_sine_cosine, SMALL_ANGLE)
     return turn, reached
 
 
 def _of_arrays(body_L: Any, rates: Any, h: float) -> Any:
-    """The free rotation of bodies, which NumPy executes, where the series reach."""
+    """The free rotation of bodies, which NumPy executes, as far as the series reach."""
     turn, _, reached = free_rotation(body_L, rates, h, shortest_series, long_steps.sine_cosine, long_steps.PHASE_CAP)
     return turn, reached
 
 
-#: What backends take.
+#: The form that backends take.
 EXACT = backend.Rotor(_of_body, _of_arrays, long_steps.turn)

@@ -17,7 +17,7 @@ from openmm_sier.dynamics.rotation.rotor import exact
 GAUSS_NODE = 0.5 - math.sqrt(3) / 6
 
 #: Largest squared phase of the nutation in one step for which the series reach from a Gauss node to the middle, and how
-#: often this way may be halved before `exact` is the better way to L~.
+#: often this distance may be halved before L~ is better computed by `exact`.
 _SERIES_REACH = SERIES_LIMIT / (0.5 - GAUSS_NODE) ** 2
 _MOST_HALVINGS = 3
 
@@ -29,7 +29,7 @@ def sej4(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[n
 
         Omega = h/2 (w1 + w2) + sqrt(3)/12 h^2 w1 x w2,     A* = exp(-[Omega]x) A,     L* = A*^T L~*.
 
-    The sign of the commutator belongs to dA/dt = -[w]x A. L~* is exact and A* is not, so that the energy is conserved
+    The sign of the commutator is that for dA/dt = -[w]x A. L~* is exact and A* is not, so that the energy is conserved
     but the angular momentum in the lab frame is not. The map is not symplectic.
 
     Arguments, result and errors are those of `exact`. Where L~ keeps its direction (linear bodies, spherical tops,
