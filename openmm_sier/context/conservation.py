@@ -62,9 +62,9 @@ def columns(integrator: openmm.Integrator) -> tuple[str, ...]:
 def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[float, ...]:
     """Values of `columns` at the last completed step.
 
-    The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a thermostat
-    and volume moves of this package gave. Thermostats and barostats of OpenMM do not count their heat: with OpenMM's integrators
-    the conserved energy is then NaN, with integrators of this package it lacks that heat.
+    The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a
+    thermostat and volume moves of this package gave. Thermostats and barostats of OpenMM do not count their heat:
+    with OpenMM's integrators the conserved energy is then NaN, with integrators of this package it lacks that heat.
     Temperatures follow the rule of `openmm_sier.context.temperature`. Angular momentum is about the origin, with
     positions as they are in the Context; periodic boundaries do not conserve it. Volume and density are NaN for a
     System without periodic boundaries.
