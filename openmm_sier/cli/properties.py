@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -88,6 +89,12 @@ def _temperature(run: Run) -> Estimate | None:
     return properties.mean(run.log["Temperature (K)"]) if run.plan.ensemble == "nve" else None
 
 
+def _mean_temperature(column: str, run: Run) -> Estimate | None:
+    """None where nothing moves in this way: points do not rotate."""
+    values = run.log[column]
+    return properties.mean(values) if np.isfinite(values).all() else None
+
+
 def _capacity(run: Run) -> Estimate | None:
     if run.plan.ensemble == "nve":
         return None
@@ -119,6 +126,8 @@ def _viscosity(run: Run) -> Estimate | None:
 
 ROWS = (
     Row("", "temperature, K", _temperature),
+    Row("translation", "temperature of translation, K", partial(_mean_temperature, "Translational Temperature (K)")),
+    Row("rotation", "temperature of rotation, K", partial(_mean_temperature, "Rotational Temperature (K)")),
     Row("density", "density, g/cm³", lambda run: properties.mean(run.log["Density (g/mL)"])),
     Row(
         "energy",

@@ -13,7 +13,7 @@ from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
 from openmm_sier.cli.properties import ROWS, estimated, read_runs
 from openmm_sier.measure import properties
 from openmm_sier.studies import style
-from openmm_sier.studies.step_study import PROPERTIES, StepRow, markdown, step_figure, step_table
+from openmm_sier.studies.step_study import COLUMNS, StepRow, markdown, step_figure, step_table
 
 #: Settings in which runs of one point may differ.
 FREE = ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every")
@@ -87,7 +87,7 @@ def _row(point: Sequence[tuple[Path, Plan]], skip: float) -> StepRow:
     name = f"{plan.method.name} HMC" if plan.ensemble == "hmc" else plan.method.name
     found = {}
     for row in ROWS:
-        if row.key in PROPERTIES:
+        if row.key in COLUMNS:
             given = [value for value in estimated(row, runs).values() if value is not None]
             if given:
                 found[row.key] = properties.pooled(given)

@@ -20,6 +20,9 @@ PROPERTIES = {
     "diffusion": ("self-diffusion in the box, 10⁻⁹ m²/s", "self-diffusion (10⁻⁹ m²/s)"),
 }
 
+#: Columns of the table that follow from runs.
+COLUMNS = {"translation": "T_trans, K", "rotation": "T_rot, K"} | {key: name for key, (name, _) in PROPERTIES.items()}
+
 #: fs by which the points of different methods are shifted apart.
 APART = 0.03
 
@@ -34,7 +37,7 @@ class StepRow(NamedTuple):
         fs_per_force: step over its number of force evaluations.
         runs: their number.
         time: simulated time of all runs, without what is skipped, ps.
-        found: by the keys of `PROPERTIES`; properties that the runs do not give are missing.
+        found: by the keys of `COLUMNS`; properties that the runs do not give are missing.
     """
 
     box: str
@@ -48,10 +51,10 @@ class StepRow(NamedTuple):
 
 def step_table(rows: Sequence[StepRow]) -> tuple[list[str], list[list[str]]]:
     """Header and cells of the table, boxes and methods in the order of their first rows."""
-    head = ["box", "method", "step, fs", "fs per force", "runs", "ps", *(name for name, _ in PROPERTIES.values())]
+    head = ["box", "method", "step, fs", "fs per force", "runs", "ps", *COLUMNS.values()]
     cells = [
         [row.box, row.method, f"{row.step:g}", f"{row.fs_per_force:g}", str(row.runs), f"{row.time:.4g}"]
-        + [str(row.found[key]) if key in row.found else "-" for key in PROPERTIES]
+        + [str(row.found[key]) if key in row.found else "-" for key in COLUMNS]
         for row in in_order(rows)
     ]
     return head, cells

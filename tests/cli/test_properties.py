@@ -43,7 +43,13 @@ def test_table_and_figure(runs, tmp_path, capsys):
     assert (tmp_path / "new" / "properties.png").stat().st_size > 10_000
     density = np.mean([log(path.with_suffix(".csv"))["Density (g/mL)"].mean() for path in runs])
     assert f"{density:.4f}"[:-1] in next(line for line in out.splitlines() if "density" in line)
-    for name in ("heat capacity", "dielectric constant", "enthalpy of vaporization", "pair distribution"):
+    for name in (
+        "of rotation",
+        "heat capacity",
+        "dielectric constant",
+        "enthalpy of vaporization",
+        "pair distribution",
+    ):
         assert name in out
     # Too short for these, and it says so.
     assert out.count("1.dcd and 1 more: self-diffusion needs a run of more than 15 ps") == 1
@@ -178,7 +184,9 @@ def test_viscosity_corrects_diffusion(tmp_path):
     centres = rng.normal(scale=0.05, size=(n, 20, 3)).cumsum(axis=0)
     directions = np.tile([0.0, 0.0, 1.0], (n, 20, 1))
     samples = LiquidSamples(0.1, centres, directions, None, np.full(n, 8.0), np.arange(5), np.ones(5))
-    log = dict.fromkeys(("Density (g/mL)", "Potential Energy (kJ/mole)", "Total Energy (kJ/mole)"), np.arange(100.0))
+    names = ("Density (g/mL)", "Potential Energy (kJ/mole)", "Total Energy (kJ/mole)")
+    temperatures = ("Translational Temperature (K)", "Rotational Temperature (K)")
+    log = dict.fromkeys((*names, *temperatures), np.arange(100.0))
     made = properties.Run(plan, log, samples, 20, read_log(tmp_path / "p.csv"))
     table = {name: value for name, value, _ in properties._rows([made], None)[0]}
     (name,) = [name for name in table if "without the box" in name]
