@@ -17,7 +17,7 @@ def row(method, h, forces=1, box="spce-512", **found):
 
 
 ROWS = [
-    row("SIER4G", 2.0, 3, density=(0.998, 0.002), diffusion=(2.5, 0.1)),
+    row("SIER4G", 2.0, 3, rotation=(296.8, 0.4), density=(0.998, 0.002), diffusion=(2.5, 0.1)),
     row("OpenMM Verlet", 4.0, density=(0.98, 0.001), energy=(-46.0, math.nan)),
     row("OpenMM Verlet", 1.0, density=(0.99, 0.001)),
     row("SIER4G HMC", 2.0, 3, density=(1.0, 0.003)),
@@ -29,7 +29,7 @@ def test_the_table_is_by_box_method_and_step():
     lines = step_study.markdown(ROWS).splitlines()
     assert len(lines) == 2 + len(ROWS)
     assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    assert lines[2] == "| spce-512 | SIER4G | 6 | 2 | 2 | 180 | 0.9980 ± 0.0020 | - | - | 2.50 ± 0.10 |"
+    assert lines[2] == "| spce-512 | SIER4G | 6 | 2 | 2 | 180 | - | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | - | 2.50 ± 0.10 |"
     assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
     assert lines[-1].startswith("| tip3p-512")
 
