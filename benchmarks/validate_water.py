@@ -3,10 +3,10 @@
     python benchmarks/validate_water.py --out DIR --time 150
 
 64 molecules of TIP3P in a periodic box: SIER4G at 6 fs at constant temperature (297 and 325 K), at constant pressure
-(1 and 1300 bar at 297 K, 1 bar at 325 K) and by hybrid Monte Carlo (297 and 325 K), and SIER2 at 4 fs at constant
-temperature (297 and 325 K). Temperatures and pressures are as far apart as `openmm-sier validate` suggests. A friction
-of 10/ps makes samples 0.06 ps apart nearly independent. What is complete is not done again. Needs the extra
-`validation`.
+(1 and 1300 bar at 297 K, from four seeds each, and 1 bar at 325 K) and by hybrid Monte Carlo (297 and 325 K), and
+SIER2 at 4 fs at constant temperature (297 and 325 K). Temperatures and pressures are as far apart as `openmm-sier
+validate` suggests. A friction of 10/ps makes samples 0.06 ps apart nearly independent. What is complete is not done
+again. Needs the extra `validation`.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ scheme = ["sier4g"]
 ensemble = ["npt"]
 friction = [10]
 pressure = [1, 1300]
+seed = [1, 2, 3, 4]
 
 [[members]]
 scheme = ["sier4g"]
