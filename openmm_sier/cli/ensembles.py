@@ -116,21 +116,23 @@ def read_plan(path: Path) -> list[Member]:
     tables = tables if isinstance(tables, list) else [tables]
     if not all(isinstance(table, dict) for table in (shared, *tables)):
         raise PlanError(f"{path}: options and members are tables, [options] and [members]")
-    return [member for axes in tables for member in _combinations(path, command, shared, axes)]
+    return [member for table in tables for member in _combinations(path, command, shared, table)]
 
 
-def _combinations(path: Path, command: str, shared: dict[str, Any], axes: dict[str, Any]) -> list[Member]:
-    """All members of one table."""
-    for key, values in axes.items():
-        if not isinstance(values, list) or not values:
-            raise PlanError(f"{path}: {key} in [members] must be a list of the values of the members, got {values!r}")
+def _combinations(path: Path, command: str, shared: dict[str, Any], table: dict[str, Any]) -> list[Member]:
+    """All members of one table: its lists vary, and its other values are options of all its members."""
+    for key, value in table.items():
+        if value == []:
+            raise PlanError(f"{path}: {key} in [members] must have values, got an empty list")
         if key in shared:
             raise PlanError(f"{path}: {key} is in [options] and in [members]")
-    for key in (*shared, *axes):
+    for key in (*shared, *table):
         if key.replace("_", "-") in TAKEN:
             raise PlanError(f"{path}: {key} is set by the ensemble for each member: leave it out")
+    axes = {key: values for key, values in table.items() if isinstance(values, list)}
+    fixed = shared | {key: value for key, value in table.items() if key not in axes}
     return [
-        _member(path, command, {**shared, **dict(zip(axes, values, strict=True))}, list(axes))
+        _member(path, command, fixed | dict(zip(axes, values, strict=True)), list(axes))
         for values in product(*axes.values())
     ]
 

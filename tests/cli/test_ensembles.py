@@ -56,6 +56,17 @@ def test_members_are_all_combinations(plan):
     assert options[options.index("--report-every") + 1] == "0.02"
 
 
+def test_single_values_in_a_table_are_options_of_its_members(plan):
+    """They are not in the names: a longer time continues members that are there."""
+    text = PLAN.replace("time = 0.4\n", "").replace("[members]", "[[members]]\ntime = 0.8")
+    plan.write_text(text + '\n[[members]]\ntime = 0.4\nbox = ["box.pdb"]\nscheme = ["sier4g"]\n')
+    assert [(m.name, m.length) for m in read_plan(plan)] == [
+        ("box-sier2-dt4-seed1", 0.8),
+        ("box-sier2-dt4-seed2", 0.8),
+        ("box-sier4g", 0.4),
+    ]
+
+
 def test_tables_of_members_add_up(plan):
     more = '\n[[members]]\nbox = ["box.pdb"]\nscheme = ["langevinmiddle", "verlet"]\ndt = [1, 2]\n'
     plan.write_text(PLAN.replace("[members]", "[[members]]") + more)
@@ -73,8 +84,8 @@ def test_tables_of_members_add_up(plan):
             'command = "bench"\n[options]',
             "command must be one of run, equipartition, schemes, acceptance, paper",
         ),
-        ("dt = [4]", "dt = 4", r"dt in \[members\] must be a list"),
-        ("dt = [4]", "dt = []", r"dt in \[members\] must be a list"),
+        ("dt = [4]", "dt = []", r"dt in \[members\] must have values, got an empty list"),
+        ("seed = [1, 2]", "seed = [1, 2]\nevery = 1", r"every is in \[options\] and in \[members\]"),
         ("dt = [4]", 'ensemble = ["nve"]', r"ensemble is in \[options\] and in \[members\]"),
         ("dt = [4]", 'out = ["here"]', "out is set by the ensemble"),
         ("dt = [4]", "dt = [-4]", "expected a number above 0, got '-4'"),

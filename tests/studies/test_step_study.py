@@ -29,7 +29,8 @@ def test_the_table_is_by_box_method_and_step():
     lines = step_study.markdown(ROWS).splitlines()
     assert len(lines) == 2 + len(ROWS)
     assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    assert lines[2] == "| spce-512 | SIER4G | 6 | 2 | 2 | 180 | - | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | - | 2.50 ± 0.10 |"
+    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | - | 2.50 ± 0.10"
+    assert lines[2] == f"| spce-512 | SIER4G | 6 | 2 | 2 | 180 | {found} |"
     assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
     assert lines[-1].startswith("| tip3p-512")
 
