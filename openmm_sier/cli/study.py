@@ -13,7 +13,7 @@ from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
 from openmm_sier.cli.properties import ROWS, estimated, read_runs
 from openmm_sier.measure import properties
 from openmm_sier.studies import style
-from openmm_sier.studies.step_study import COLUMNS, StepRow, markdown, step_figure, step_table
+from openmm_sier.studies.step_study import COLUMNS, StepRow, markdown, step_figure, step_table, with_shared_errors
 
 #: Settings in which runs of one point may differ.
 FREE = ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every")
@@ -36,7 +36,7 @@ def study(runs: Sequence[Path], skip: float, out: Path) -> None:
     """
     points = _finished(runs)
     first = next(iter(points.values()))[0][1]
-    rows = [_row(paths, skip) for paths in points.values()]
+    rows = with_shared_errors([_row(paths, skip) for paths in points.values()])
     head, cells = step_table(rows)
     pressure = f", {first.pressure:g} bar" if first.moves_volume else ""
     title = f"Water against the step, {first.temperature:g} K{pressure}"

@@ -49,6 +49,25 @@ class StepRow(NamedTuple):
     found: Mapping[str, Estimate]
 
 
+def with_shared_errors(rows: Sequence[StepRow]) -> list[StepRow]:
+    """Rows whose errors fall as the root of their length, with one factor for each box, method and property.
+
+    Liquids relax alike at all steps. A run of a few correlation times underestimates the correlation, and so its own
+    error: the factor is the mean over rows of one box and method, weighted by their lengths.
+    """
+    shared = []
+    for row in rows:
+        alike = [other for other in rows if (other.box, other.method) == (row.box, row.method)]
+        found = {}
+        for key, (value, error) in row.found.items():
+            known = [(r.time, r.found[key].error) for r in alike if key in r.found]
+            times, errors = np.array([pair for pair in known if math.isfinite(pair[1])]).reshape(-1, 2).T
+            squared = (times**2 * errors**2).sum() / times.sum() / row.time if len(times) else error**2
+            found[key] = Estimate(value, math.sqrt(squared))
+        shared.append(row._replace(found=found))
+    return shared
+
+
 def step_table(rows: Sequence[StepRow]) -> tuple[list[str], list[list[str]]]:
     """Header and cells of the table, boxes and methods in the order of their first rows."""
     head = ["box", "method", "step, fs", "fs per force", "runs", "ps", *COLUMNS.values()]

@@ -35,6 +35,19 @@ def test_the_table_is_by_box_method_and_step():
     assert lines[-1].startswith("| tip3p-512")
 
 
+def test_errors_are_shared_by_rows_of_one_box_and_method():
+    long = row("SIER2", 4.0, density=(1.0, 0.002), energy=(-46.0, math.nan))._replace(time=90.0)
+    short = row("SIER2", 1.0, density=(0.99, 0.001), energy=(-47.0, math.nan))._replace(time=10.0)
+    other = row("SIER4G", 1.0, 3, density=(0.99, 0.007))
+    found = step_study.with_shared_errors([long, short, other])
+    # (90^2 0.002^2 + 10^2 0.001^2)/100 is the square of the error of 1 ps.
+    factor = math.sqrt(0.000325)
+    assert [r.found["density"].value for r in found] == [1.0, 0.99, 0.99]
+    assert [r.found["density"].error for r in found] == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
+    # An error that no row has stays unknown.
+    assert all(math.isnan(r.found["energy"].error) for r in found[:2])
+
+
 def test_the_figure_has_every_point_and_its_error():
     figure = pytest.importorskip("matplotlib.figure").Figure()
     axes = figure.subplots()
