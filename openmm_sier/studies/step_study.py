@@ -114,7 +114,8 @@ def step_figure(rows: Sequence[StepRow], title: str, path: Path) -> None:
                 axes.set_title(box if key == "density" else "")
         for axes in grid[-1]:
             axes.set_xlabel("simulated time per force evaluation (fs)")
-        grid[0][0].legend(fontsize=9)
+        handles, labels = grid[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper right", ncols=max(1, len(labels)), fontsize=10)
         figure.savefig(path)
 
 
