@@ -155,11 +155,25 @@ def _squares_inefficiency(vectors: np.ndarray) -> float:
     The squares then have the square of the vectors' correlation, which a short run tells far better than that of the
     squares themselves. It is summed down to 0.1 of the vectors' correlation.
     """
-    n = len(vectors)
-    transform = np.fft.rfft(vectors, 2 * n, axis=0)
-    correlation = np.fft.irfft((np.abs(transform) ** 2).sum(axis=1), 2 * n)[:n] / (n - np.arange(n))
-    low = np.flatnonzero(correlation < 0.1 * correlation[0])
-    return float(1 + 2 * ((correlation[1 : low[0] if low.size else n] / correlation[0]) ** 2).sum())
+    products = _mean_products(vectors, len(vectors) - 1)
+    correlation = products / products[0]
+    low = np.flatnonzero(correlation < 0.1)
+    return float(1 + 2 * (correlation[1 : low[0] if low.size else None] ** 2).sum())
+
+
+def _mean_products(values: np.ndarray, longest: int) -> np.ndarray:
+    """Mean over origins of the product of values (n, ...), summed over components, with those some frames later.
+
+    Args:
+        values: by frame.
+        longest: number of frames in between, less than n; the result is (longest + 1,).
+
+    Source: Kneller et al., Comput. Phys. Commun. 91, 191 (1995), by fast Fourier transforms.
+    """
+    n = len(values)
+    transform = np.fft.rfft(values.reshape(n, -1), 2 * n, axis=0)
+    sums = np.fft.irfft((np.abs(transform) ** 2).sum(axis=1), 2 * n)[: longest + 1]
+    return sums / (n - np.arange(longest + 1))
 
 
 def vaporization_enthalpy(potential: Estimate, temperature: float, molecules: int) -> Estimate:
@@ -188,15 +202,12 @@ def mean_square_displacements(centres: np.ndarray) -> np.ndarray:
     Source: Kneller et al., Comput. Phys. Commun. 91, 191 (1995), by fast Fourier transforms.
     """
     n = len(centres)
-    counts = n - np.arange(n)
     squares = (centres**2).sum(axis=2)
-    transform = np.fft.rfft(centres, 2 * n, axis=0)
-    products = np.fft.irfft((np.abs(transform) ** 2).sum(axis=(1, 2)), 2 * n)[:n] / counts
     ends = np.concatenate([squares, np.zeros((1, squares.shape[1]))]).sum(axis=1)
     # Sums of the squares at both ends of all intervals of one length follow from those of intervals one frame shorter.
     sums = 2 * ends[:-1].sum() - np.concatenate([[0], np.cumsum(ends[: n - 1])])
     sums -= np.concatenate([[0], np.cumsum(ends[n - 1 : 0 : -1])])
-    return (sums / counts - 2 * products) / centres.shape[1]
+    return (sums / (n - np.arange(n)) - 2 * _mean_products(centres, n - 1)) / centres.shape[1]
 
 
 def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, last: float = 5.0) -> Estimate:
@@ -262,9 +273,7 @@ def viscosity_integrals(
     scale = volume / (GAS_CONSTANT * temperature) * interval * KJ_PER_NM3_PS
     found = []
     for part in np.array_split(shears, max(1, min(PARTS, n // (10 * lags)))):
-        transform = np.fft.rfft(part, 2 * len(part), axis=0)
-        products = np.fft.irfft(np.abs(transform) ** 2, 2 * len(part), axis=0)[: lags + 1].T
-        correlation = products / (len(part) - np.arange(lags + 1))
+        correlation = np.stack([_mean_products(component, lags) for component in part.T])
         areas = (correlation[:, 1:] + correlation[:, :-1]) / 2
         found.append(scale * np.concatenate([np.zeros((5, 1)), np.cumsum(areas, axis=1)], axis=1))
     return np.concatenate(found)
@@ -319,11 +328,7 @@ def orientation_correlation(directions: np.ndarray, longest: int) -> np.ndarray:
     """
     products = directions[..., [0, 1, 2, 0, 0, 1]] * directions[..., [0, 1, 2, 1, 2, 2]]
     products *= np.array([1, 1, 1, *[math.sqrt(2)] * 3])
-    n = len(products)
-    transform = np.fft.rfft(products, 2 * n, axis=0)
-    squares = np.fft.irfft((np.abs(transform) ** 2).sum(axis=(1, 2)), 2 * n)[: longest + 1]
-    cosines2 = squares / (n - np.arange(longest + 1)) / products.shape[1]
-    return 1.5 * cosines2 - 0.5
+    return 1.5 * _mean_products(products, longest) / products.shape[1] - 0.5
 
 
 def rotation_time(directions: np.ndarray, interval: float, parts: int = PARTS) -> Estimate:

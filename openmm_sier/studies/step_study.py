@@ -52,18 +52,21 @@ class StepRow(NamedTuple):
 def with_shared_errors(rows: Sequence[StepRow]) -> list[StepRow]:
     """Rows whose errors fall as the root of their length, with one factor for each box, method and property.
 
-    Liquids relax alike at all steps. A run of a few correlation times underestimates the correlation, and so its own
-    error: the factor is the mean over rows of one box and method, weighted by their lengths.
+    A run of a few correlation times underestimates the correlation, and so its own error. Liquids relax alike at all
+    steps, except by hybrid Monte Carlo with shorter trials. So the square of the factor is the mean over rows of one
+    box and method, weighted by their lengths.
     """
     shared = []
     for row in rows:
         alike = [other for other in rows if (other.box, other.method) == (row.box, row.method)]
         found = {}
-        for key, (value, error) in row.found.items():
+        for key, estimate in row.found.items():
             known = [(r.time, r.found[key].error) for r in alike if key in r.found]
             times, errors = np.array([pair for pair in known if math.isfinite(pair[1])]).reshape(-1, 2).T
-            squared = (times**2 * errors**2).sum() / times.sum() / row.time if len(times) else error**2
-            found[key] = Estimate(value, math.sqrt(squared))
+            if len(times):
+                factor = math.sqrt(np.average(times * errors**2, weights=times))
+                estimate = estimate._replace(error=factor / math.sqrt(row.time))
+            found[key] = estimate
         shared.append(row._replace(found=found))
     return shared
 
