@@ -101,7 +101,8 @@ def read_plan(path: Path) -> list[Member]:
     """The members of a plan.
 
     Raises:
-        PlanError: an option is unknown, has a wrong value, or is set by the ensemble itself.
+        PlanError: an option is unknown, has a wrong value, or is set by the ensemble itself; or two members have the
+            same name.
         OSError: the file cannot be read.
     """
     try:
@@ -116,7 +117,14 @@ def read_plan(path: Path) -> list[Member]:
     tables = tables if isinstance(tables, list) else [tables]
     if not all(isinstance(table, dict) for table in (shared, *tables)):
         raise PlanError(f"{path}: options and members are tables, [options] and [members]")
-    return [member for table in tables for member in _combinations(path, command, shared, table)]
+    members = [member for table in tables for member in _combinations(path, command, shared, table)]
+    names = [member.name for member in members]
+    if len(set(names)) < len(names):
+        raise PlanError(
+            f"{path}: more than one member is called {max(names, key=names.count)}: names have the values of lists, so "
+            "what differs between members must be in lists"
+        )
+    return members
 
 
 def _combinations(path: Path, command: str, shared: dict[str, Any], table: dict[str, Any]) -> list[Member]:

@@ -254,7 +254,8 @@ def read_runs(checkpoints: Sequence[Path], given: Path | None, skip: float) -> l
         _, notes = records.read_checkpoint(checkpoint)
         plan = noted_plan(checkpoint, notes["plan"])
         if runs:
-            _check_alike(plan, runs[0].plan, checkpoint, checkpoints[0])
+            names = CONTINUED if given else (*CONTINUED, "box")
+            _check_alike(names, plan, runs[0].plan, checkpoint, checkpoints[0])
         file = given or (None if plan.box is None else Path(plan.box))
         if file is None:
             raise RunError(f"{checkpoint} does not know its PDB file: name it with --box")
@@ -270,8 +271,8 @@ def read_runs(checkpoints: Sequence[Path], given: Path | None, skip: float) -> l
     return runs
 
 
-def _check_alike(plan: Plan, first: Plan, checkpoint: Path, reference: Path) -> None:
-    for name in CONTINUED:
+def _check_alike(names: Sequence[str], plan: Plan, first: Plan, checkpoint: Path, reference: Path) -> None:
+    for name in names:
         if name in ("seed", "out", "report", "bodies", "bodies_every", "pressure_tensor", "checkpoint_every"):
             continue
         if getattr(plan, name) != getattr(first, name):

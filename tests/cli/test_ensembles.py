@@ -88,6 +88,7 @@ def test_tables_of_members_add_up(plan):
         ("seed = [1, 2]", "seed = [1, 2]\nevery = 1", r"every is in \[options\] and in \[members\]"),
         ("dt = [4]", 'ensemble = ["nve"]', r"ensemble is in \[options\] and in \[members\]"),
         ("dt = [4]", 'out = ["here"]', "out is set by the ensemble"),
+        ("seed = [1, 2]", "seed = [1, 1]", "more than one member is called box-sier2-dt4-seed1: names have the values"),
         ("dt = [4]", "dt = [-4]", "expected a number above 0, got '-4'"),
         ("dt = [4]", "speed = [4]", "unrecognized arguments: --speed 4"),
         ("dt = [4]", "temp = [4]", "run has no option temp"),
