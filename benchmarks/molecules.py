@@ -25,16 +25,16 @@ import numpy as np
 import openmm
 
 from openmm_sier import RigidBodies, SIERIntegrator, SIERLangevinIntegrator, prepare_system
-from openmm_sier.context.pme import meshed_forces
-from openmm_sier.context.temperature import MomentumConservation, temperatures
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.engines.temperature import MomentumConservation, temperatures
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.observables import energy_drift, energy_error, energy_fluctuation
 from openmm_sier.measure.sampling import body_state
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import block_means, mean_and_error
+from openmm_sier.prepare.pme import meshed_forces
 
 #: Bins of a dihedral's distribution, and blocks from which its errors are taken.
 BINS, BLOCKS = 24, 40

@@ -8,7 +8,7 @@ from openmm.app import PME, ForceField, HBonds, PDBFile, Simulation
 from openmm.unit import bar, femtosecond, kelvin, nanometer, picosecond
 
 from openmm_sier import SIERLangevinIntegrator, prepare_system
-from openmm_sier.context.reporters import ConservationReporter
+from openmm_sier.observe.reporters import ConservationReporter
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=500, help="of 6 fs (default: 500)")

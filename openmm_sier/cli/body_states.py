@@ -10,8 +10,8 @@ import openmm
 from openmm import unit
 
 from openmm_sier.cli import records
-from openmm_sier.context.body_states import body_frame_values, check_same, create_datasets, frame_shapes, import_extras
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.observe.body_states import body_frame_values, check_same, create_datasets, frame_shapes, import_extras
 
 SUFFIX = ".h5"
 
@@ -20,7 +20,7 @@ CHUNK_BYTES = 2**24
 
 
 class BodyStates(records.GrowingFile):
-    """An HDF5 file in the layout of `openmm_sier.context.body_states`, whose centres follow continuous paths.
+    """An HDF5 file in the layout of `openmm_sier.observe.body_states`, whose centres follow continuous paths.
 
     An HDF5 file that is cut off while being written is lost, so the frames are kept in a plain file beside it until
     the run ends. Both hold every bit of the numbers, so a finished file can be turned back into a plain one and

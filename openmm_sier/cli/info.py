@@ -11,10 +11,10 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.cli.console import note, table
-from openmm_sier.context.conservation import density
-from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.dynamics.bodies import Species
 from openmm_sier.measure.forcefields import Box, read_box
+from openmm_sier.observe.conservation import density
+from openmm_sier.system.find_bodies import RigidBodies
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6

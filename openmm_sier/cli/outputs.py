@@ -16,9 +16,9 @@ from openmm import app, unit
 from openmm_sier.cli import records
 from openmm_sier.cli.body_states import BodyStates
 from openmm_sier.cli.plan import Plan, RunError
-from openmm_sier.context import conservation, pressure
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure.forcefields import Box
+from openmm_sier.observe import conservation, pressure
 
 
 def output_paths(plan: Plan, checkpoint: Path) -> dict[str, Path]:

@@ -12,12 +12,12 @@ import numpy as np
 from openmm_sier.cli import records
 from openmm_sier.cli.console import REPORT, table
 from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
-from openmm_sier.context import pressure
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.measure import properties
 from openmm_sier.measure.forcefields import Box, describe, read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, read_samples
 from openmm_sier.measure.properties import Estimate
+from openmm_sier.observe import pressure
 from openmm_sier.studies import style
 from openmm_sier.studies.figures import property_figure
 

@@ -18,17 +18,17 @@ from openmm_sier.cli.methods import METHODS, RECOMMENDED
 from openmm_sier.cli.outputs import Outputs, check_outputs, output_paths
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
-from openmm_sier.context import conservation, stock
-from openmm_sier.context.hmc import SIERHMCIntegrator
-from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.context.langevin import SIERLangevinIntegrator
-from openmm_sier.context.preparation import prepare_system
-from openmm_sier.context.temperature import degrees_of_freedom
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.engines.temperature import degrees_of_freedom
+from openmm_sier.integrators.hmc import SIERHMCIntegrator
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box, describe, first_line, locate, read_box
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
+from openmm_sier.observe import conservation, stock
+from openmm_sier.prepare.preparation import prepare_system
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5

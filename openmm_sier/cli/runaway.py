@@ -14,12 +14,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from openmm_sier.cli.plan import Plan
-from openmm_sier.context import conservation
-from openmm_sier.context.stock import BrokenDownError
-from openmm_sier.context.temperature import DegreesOfFreedom
 from openmm_sier.dynamics.bodies import NotFiniteError
+from openmm_sier.engines.temperature import DegreesOfFreedom
 from openmm_sier.measure.observables import energy_error, number_of_windows
 from openmm_sier.measure.statistics import rms
+from openmm_sier.observe import conservation
+from openmm_sier.observe.stock import BrokenDownError
 
 #: Exit code of a run that was stopped for this reason.
 EXIT_CODE = 3
@@ -159,7 +159,7 @@ def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None
 
     Args:
         plan: of the run.
-        log: its columns, see `openmm_sier.context.conservation.COLUMNS`.
+        log: its columns, see `openmm_sier.observe.conservation.COLUMNS`.
     """
     t, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
     # Where the potential energy hardly changes, the ratio shows only rounding to single precision.

@@ -52,7 +52,7 @@ def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added.
 
     Args:
-        log: columns of the log by name, see `openmm_sier.context.conservation.COLUMNS`.
+        log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`.
     """
     time, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
     momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)

@@ -11,8 +11,8 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.context.pme import balance_pme, meshed_forces
 from openmm_sier.measure.water_models import ForceFieldError, WaterModel, recognize
+from openmm_sier.prepare.pme import balance_pme, meshed_forces
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent

@@ -1,6 +1,6 @@
 """Energy conservation of a run: fluctuation and drift, each defined once.
 
-Temperatures are in `openmm_sier.context.temperature`, since integrators report them too.
+Temperatures are in `openmm_sier.engines.temperature`, since integrators report them too.
 """
 
 from __future__ import annotations

@@ -12,14 +12,14 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.context import stock
-from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.context.langevin import SIERLangevinIntegrator
-from openmm_sier.context.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, Scheme
+from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.integrators.langevin import SIERLangevinIntegrator
+from openmm_sier.observe import stock
 
 #: Tolerance of constraints for OpenMM's own integrators.
 CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE

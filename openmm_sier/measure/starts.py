@@ -11,15 +11,15 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.context.constant_temperature import ConstantTemperatureIntegrator
-from openmm_sier.context.integrator import SIERIntegrator
-from openmm_sier.context.langevin import SIERLangevinIntegrator
-from openmm_sier.context.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
-from openmm_sier.context.vibrations import Vibrations
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from openmm_sier.engines.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
+from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.measure.report import SILENT, Advance, Report
+from openmm_sier.system.vibrations import Vibrations
 
 if TYPE_CHECKING:
     from openmm_sier.measure.forcefields import Box
@@ -153,7 +153,7 @@ class Equilibration:
         state: positions, velocities and box.
         time: that it took, ps.
         translation, rotation, flexible: mean temperatures in K over the last two windows, see
-            `openmm_sier.context.temperature`; NaN where there is no such motion.
+            `openmm_sier.engines.temperature`; NaN where there is no such motion.
         potential: mean potential energy over the same time, kJ/mol.
         settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
     """

@@ -22,10 +22,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_sier.context.conservation import TEMPERATURES
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure.observables import WINDOW, energy_fluctuation
 from openmm_sier.measure.properties import inefficiency
+from openmm_sier.observe.conservation import TEMPERATURES
 
 #: Standard errors beyond which a check fails. By chance, one number in 16000 lies so far out.
 LIMIT = 4.0

@@ -12,17 +12,17 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.context.find_bodies import RigidBodies
-from openmm_sier.context.hmc import SIERHMCIntegrator
-from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, Scheme
+from openmm_sier.integrators.hmc import SIERHMCIntegrator
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.studies.bench.replicas import Replica
 from openmm_sier.studies.files import replace_file
+from openmm_sier.system.find_bodies import RigidBodies
 
 #: Size in nm and number of the random displacements of molecules that tell the noise of the energy. Single precision
 #: resolves the coordinates of a large box about as well.

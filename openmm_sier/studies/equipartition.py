@@ -12,17 +12,17 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.context.conservation import density
-from openmm_sier.context.find_bodies import RigidBodies
-from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics.schemes import SIER2
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.observables import energy_drift
 from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.starts import equilibrated, make_context
 from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.observe.conservation import density
 from openmm_sier.studies import figures, style
+from openmm_sier.system.find_bodies import RigidBodies
 from openmm_sier.version import __version__
 
 #: Time in fs between two samples. Water's angular velocities decorrelate in some 20 fs.

@@ -11,10 +11,9 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.context.find_bodies import RigidBodies
-from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme, alternating
 from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, KICK, Stage
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.observables import energy_drift, energy_error
@@ -22,6 +21,7 @@ from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.sampling import Method
 from openmm_sier.measure.starts import equilibrated, make_context
 from openmm_sier.studies import figures, style
+from openmm_sier.system.find_bodies import RigidBodies
 from openmm_sier.version import __version__
 
 #: Time in fs between two samples: a fifth to a half of the periods of librations in water, 35 to 80 fs.

@@ -10,9 +10,9 @@ import pytest
 from openmm_sier.cli import main, records, runaway
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.runaway import Guard, Runaway
-from openmm_sier.context import conservation
-from openmm_sier.context.temperature import DegreesOfFreedom
+from openmm_sier.engines.temperature import DegreesOfFreedom
 from openmm_sier.measure import starts
+from openmm_sier.observe import conservation
 from tests.support.commands import SMALL, complaint, frames, log
 
 #: kJ/mol, of the made-up runs: K of 500 waters at 297 K is 3700.
@@ -170,7 +170,7 @@ def test_other_errors_of_openmm_are_no_runaway(box, capsys, monkeypatch):
     def fails(*_):
         raise openmm.OpenMMException("the device was lost")
 
-    monkeypatch.setattr("openmm_sier.context.integrator.SIERIntegrator.step", fails)
+    monkeypatch.setattr("openmm_sier.integrators.integrator.SIERIntegrator.step", fails)
     assert complaint(capsys, "run", box, *SMALL, "--equilibrate", "0") == "openmm-sier: the device was lost\n"
 
 

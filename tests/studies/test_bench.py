@@ -15,7 +15,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import RigidBodies
-from openmm_sier.context.named_integrators import SIER2Integrator
+from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure import forcefields
 from openmm_sier.studies import bench
 from openmm_sier.studies.bench import accuracy, layer, peers, timing

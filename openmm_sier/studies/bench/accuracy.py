@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.context.find_bodies import RigidBodies
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.observables import energy_error
@@ -23,6 +22,7 @@ from openmm_sier.measure.starts import equilibrated, make_context
 from openmm_sier.studies import scheme_comparison
 from openmm_sier.studies.bench import peers
 from openmm_sier.studies.bench.timing import BenchSettings
+from openmm_sier.system.find_bodies import RigidBodies
 
 #: fs per force evaluation: of methods of second order, and of those of fourth.
 SECOND_ORDER = (0.25, 0.5, 1.0, 2.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.context.named_integrators import SIER2Integrator
+from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.statistics import median_and_error

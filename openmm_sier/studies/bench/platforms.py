@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import openmm
 
-from openmm_sier.context.find_bodies import RigidBodies
-from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, SIER4P
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure import sampling
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.report import Report, Table
@@ -22,6 +21,7 @@ from openmm_sier.measure.statistics import median_and_error
 from openmm_sier.studies.bench import accuracy, replicas
 from openmm_sier.studies.bench.accuracy import LEVELS, Point
 from openmm_sier.studies.bench.timing import BenchSettings, interleaved
+from openmm_sier.system.find_bodies import RigidBodies
 
 #: ps for each force evaluation in the runs that are timed.
 STEP = 2e-3

@@ -11,9 +11,9 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.schemes import SIER2, SIER4
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.report import Report, Table

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.context.integrator import SIERIntegrator
 from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.observables import energy_drift, energy_fluctuation
 from openmm_sier.measure.statistics import rms
 from openmm_sier.studies.files import replace_file

@@ -1,1 +1,0 @@
-"""Everything that uses OpenMM: integrators, bodies of a System, checks, reporters."""

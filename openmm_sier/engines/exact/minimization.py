@@ -1,0 +1,81 @@
+"""Energy minimization that keeps bodies rigid without constraints.
+
+OpenMM's LocalEnergyMinimizer moves atoms and keeps only the System's constraints. It would tear apart bodies that are
+rigid only because they were named.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.minimizer import descent
+from openmm_sier.engines.exact.engine import Engine
+
+
+def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
+    """Whether every distance inside every body is constrained."""
+    ends = np.array([system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())], dtype=np.int64)
+    pairs = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0)
+    owner = bodies.owners
+    inside = owner[pairs[:, 0]]
+    found = np.bincount(inside[(inside == owner[pairs[:, 1]]) & (inside >= 0)], minlength=bodies.n)
+    sizes = np.repeat([s.atoms.shape[1] for s in bodies.species], [len(s.atoms) for s in bodies.species])
+    return bool((found == sizes * (sizes - 1) // 2).all())
+
+
+def minimize_bodies(
+    context: openmm.Context,
+    engine: Engine,
+    tolerance: Any,
+    iterations: int,
+    reporter: openmm.MinimizationReporter | None = None,
+) -> None:
+    """Minimize the energy of a Context's rigid bodies, as `openmm.LocalEnergyMinimizer.minimize` does for atoms.
+
+    Only positions change.
+
+    Args:
+        context: openmm.Context.
+        engine: the engine of its integrator.
+        tolerance: root mean square at which the minimization ends, a quantity or a number in kJ/mol/nm. It is that of
+            forces, and of torques divided by radii of gyration, over the degrees of freedom of the bodies.
+        iterations: largest number of iterations, each with one evaluation of forces; 0 for no limit.
+        reporter: an openmm.MinimizationReporter or None.
+
+    Raises:
+        RigidityError: the Context's positions do not form the bodies. Nothing has been changed then.
+        openmm.OpenMMException: a force is not finite. The bodies are left where they were before.
+    """
+    if unit.is_quantity(tolerance):
+        tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+    engine.adopt()
+    state = engine.state
+    points = descent(engine.bodies, engine.all_forces, state.q, state.A)
+    try:
+        for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
+            if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):
+                break
+    except BaseException:
+        engine.restore()
+        raise
+
+
+def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, number: int) -> bool:
+    """Tell a MinimizationReporter of the positions that the Context has, and ask it whether to stop."""
+    groups = context.getIntegrator().getIntegrationForceGroups()
+    state = context.getState(positions=True, forces=True, energy=True, groups=groups)
+    x, forces = state.getPositions(asNumpy=True)._value, state.getForces(asNumpy=True)._value
+    energy = state.getPotentialEnergy()._value
+    arguments = {
+        "system energy": energy,
+        "restraint energy": 0.0,
+        "restraint strength": 0.0,
+        "max constraint error": 0.0,
+    }
+    return bool(reporter.report(number, x.ravel().tolist(), (-forces).ravel().tolist(), arguments))

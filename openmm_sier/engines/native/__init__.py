@@ -1,0 +1,1 @@
+"""The native engine: a scheme as the program of a CustomIntegrator."""

@@ -1,0 +1,1 @@
+"""What OpenMM users call."""

@@ -1,0 +1,78 @@
+"""Integrators with a fixed scheme."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, ClassVar
+
+from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, Scheme
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.system.arguments import Bodies
+
+
+class IntegratorOfOneScheme(SIERIntegrator):
+    """A `SIERIntegrator` whose class fixes its scheme."""
+
+    SCHEME: ClassVar[Scheme]
+
+    def __init__(
+        self,
+        stepSize: Any,
+        bodies: Bodies = None,
+        engine: str = "auto",
+        substeps: int | None = None,
+        fastForceGroups: Iterable[int] | int | None = None,
+    ):
+        """
+        Args:
+            stepSize: step, a time quantity or a number in ps.
+            bodies, engine, substeps, fastForceGroups: see `SIERIntegrator`.
+        """
+        chosen: dict[str, Any] = {"engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
+        super().__init__(stepSize, self.SCHEME, bodies, **chosen)
+
+
+class SIER2Integrator(IntegratorOfOneScheme):
+    """Second order, one force evaluation a step: the counterpart of Verlet for rigid molecules.
+
+    It is stable for steps up to 2/w for a mode of angular frequency w. Usual in water: 2 fs.
+
+    Source: van Zon and Schofield (2007), Eq. Verlet.
+    """
+
+    SCHEME = SIER2
+
+
+class SIER4Integrator(IntegratorOfOneScheme):
+    """Fourth order, four force evaluations a step: the paper's scheme.
+
+    It is stable for steps up to 3.0/w for a mode of angular frequency w. Usual in water: 4 fs.
+
+    Source: van Zon and Schofield (2007), Eq. EFRL.
+    """
+
+    SCHEME = SIER4
+
+
+class SIER4GIntegrator(IntegratorOfOneScheme):
+    """Fourth order with a force gradient, three force evaluations a step: the choice for most work.
+
+    It is stable for steps up to 3.46/w for a mode of angular frequency w, the longest per force evaluation of the
+    fourth-order schemes. Usual in water: 6 fs, that is 2 fs per force evaluation.
+
+    Source: Chin, Phys. Lett. A 226, 344 (1997), algorithm A.
+    """
+
+    SCHEME = SIER4G
+
+
+class SIER4PIntegrator(IntegratorOfOneScheme):
+    """Fourth order with a force gradient, four force evaluations a step: the most accurate below 2 fs per force.
+
+    It is stable for steps up to 3.1/w for a mode of angular frequency w. Usual in water: 6 fs, that is 1.5 fs per force
+    evaluation.
+
+    Source: Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44.
+    """
+
+    SCHEME = SIER4P

@@ -1,0 +1,307 @@
+"""Tuning of step and trajectory length in hybrid Monte Carlo by the cost of an independent sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.metropolis import spread_at
+from openmm_sier.integrators.hmc import SIERHMCIntegrator
+from openmm_sier.system.arguments import whole_number
+
+#: Trajectory lengths to compare, as multiples of the one that the integrator had.
+LENGTHS = (0.5, 1.0, 2.0, 4.0)
+
+#: Number of attempts to find the step, bounds of its change in each, and the change below which the search ends. The
+#: spread of 40 energy errors is known to 11 %, and so the step to 3 % for a fourth-order scheme and 6 % for a
+#: second-order one.
+ATTEMPTS, SHORTER, LONGER, SETTLED = 10, 0.6, 1.5, 0.06
+
+#: Least number of trials for a spread or an autocorrelation.
+FEWEST = 10
+
+#: The sum of autocorrelations ends at this multiple of the correlation time found so far (Sokal's window).
+WINDOW = 5
+
+
+@dataclass(frozen=True)
+class StepFound:
+    """Results of trials at one step size.
+
+    Attributes:
+        step: ps.
+        spread: standard deviation of the energy error, kT; infinite if most trajectories failed, or were refused.
+        acceptance: mean of min(1, exp(-error)).
+    """
+
+    step: float
+    spread: float
+    acceptance: float
+
+
+@dataclass(frozen=True)
+class LengthFound:
+    """Results of trials of one length.
+
+    Attributes:
+        steps: number of steps in a trial.
+        acceptance: mean of min(1, exp(-error)).
+        forces: number of force evaluations in a trial.
+        inefficiency: number of trials per independent sample of the potential energy, with its standard error.
+        refused: the reason, if there were no trials.
+    """
+
+    steps: int
+    acceptance: float = math.nan
+    forces: float = math.nan
+    inefficiency: tuple[float, float] = (math.inf, math.nan)
+    refused: str = ""
+
+    @property
+    def cost(self) -> tuple[float, float]:
+        """Force evaluations per independent sample of the potential energy, with the standard error."""
+        value, error = self.inefficiency
+        return value * self.forces, error * self.forces
+
+    @property
+    def bound(self) -> tuple[int, float]:
+        """Sort key of lengths, by the cost plus its error; lengths without an error come next, refused ones last."""
+        cost, error = self.cost
+        if self.refused:
+            return 2, math.inf
+        return (1, cost) if math.isnan(error) else (0, cost + error)
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What `tune` found; print it.
+
+    Attributes:
+        stepSize: ps.
+        stepsPerTrial: number of steps in a trial.
+        wanted: the acceptance that was asked for.
+        steps: the steps that were tried, in order; each has `step` in ps, `spread` and `acceptance`.
+        lengths: the lengths that were compared; each has `steps`, `acceptance`, `forces`, `inefficiency` and `refused`.
+        forceEvaluations: number of force evaluations in the whole tuning.
+    """
+
+    stepSize: float
+    stepsPerTrial: int
+    wanted: float
+    steps: tuple[StepFound, ...]
+    lengths: tuple[LengthFound, ...]
+    forceEvaluations: int
+
+    def __str__(self) -> str:
+        lines = [
+            f"Hybrid Monte Carlo tuned for an acceptance of {self.wanted:g}: steps of {1e3 * self.stepSize:.4g} fs, "
+            f"{self.stepsPerTrial} in a trial ({self.forceEvaluations} force evaluations)",
+            "",
+            "   step/fs     sd/kT  acceptance",
+        ]
+        lines += [f"{1e3 * each.step:10.4g}{each.spread:10.3g}{each.acceptance:12.3f}" for each in self.steps]
+        lines += ["", "     steps  acceptance  trials, and forces, for an independent potential energy"]
+        for each in self.lengths:
+            if each.refused:
+                lines.append(f"{each.steps:10}  {each.refused}")
+                continue
+            (trials, error), (forces, uncertain) = each.inefficiency, each.cost
+            lines.append(
+                f"{each.steps:10}{each.acceptance:12.3f}  {trials:.1f} ± {error:.1f}, {forces:.0f} ± {uncertain:.0f}"
+            )
+        return "\n".join(lines)
+
+
+def tune(
+    context: openmm.Context,
+    acceptance: float = 0.9,
+    trials: int = 40,
+    samples: int = 200,
+    lengths: Sequence[int] | None = None,
+) -> Tuning:
+    """Find the step and trial length for a Context's hybrid Monte Carlo, and set them in its integrator.
+
+    First comes the step: energy errors are measured in trials, and the step is changed until their standard deviation
+    is that of the wanted acceptance. This uses the law that the deviation grows as the step to the power of the
+    scheme's order. Trajectories keep their length in time. Then trial lengths are compared at this step, each over the
+    same total number of steps, by the force evaluations per independent sample of the potential energy. The length with
+    the least sum of cost and standard error is taken. Costs that differ by less than their errors cannot be told apart;
+    take more samples.
+
+    All of this is part of the equilibration: while step and length depend on the outcome of trials, these are not
+    samples, and must not enter averages. Equilibrate roughly beforehand. Afterwards step and length are fixed, the
+    Context is at a sample, at a multiple of the new `stepsPerTrial`, and `trials` and `accepted` count from zero. An
+    interrupt or error restores the step and length that the integrator had.
+
+    The same seed gives the same result if the platform's forces are deterministic.
+
+    Args:
+        context: openmm.Context of a `SIERHMCIntegrator`, with positions. The search begins at its step and number of
+            steps.
+        acceptance: wanted value, between 0 and 1; the largest useful steps have 0.6 to 0.95.
+        trials: number of trials at each step size tried, at least 10.
+        samples: number of trials of the length in time that the integrator has, at least 10; longer trials are
+            proportionally fewer. The relative error of a cost is about 3 over the square root of the number of
+            independent samples among them.
+        lengths: numbers of steps to compare; None: a half, one, two and four times the length in time that the
+            integrator has.
+
+    Returns:
+        What was found; `print` shows it as tables.
+
+    Raises:
+        TypeError: the Context has another integrator.
+        ValueError: an argument is out of its range.
+        openmm.OpenMMException: no step or length could be tried; the message gives the last reason.
+    """
+    integrator = context.getIntegrator()
+    if not isinstance(integrator, SIERHMCIntegrator):
+        raise TypeError(f"tune needs a Context with a SIERHMCIntegrator, got a {type(integrator).__name__}")
+    if not 0 < acceptance < 1:
+        raise ValueError(f"acceptance must be between 0 and 1, got {acceptance:g}")
+    trials, samples = _at_least("trials", trials, FEWEST), _at_least("samples", samples, FEWEST)
+    counts = None if lengths is None else [_at_least("lengths", steps, 1) for steps in lengths]
+    if lengths is not None and not counts:
+        raise ValueError("lengths must have at least one number of steps, got none")
+    before, forces = (integrator.getStepSize(), integrator.getStepsPerTrial()), integrator.forceEvaluations
+    if not before[0]._value:
+        raise ValueError("the integrator's step must be above zero, got 0")
+    try:
+        integrator.finishTrial()
+        tried, step = _find_step(integrator, acceptance, trials)
+        compared, steps = _find_length(integrator, step, samples, counts, before[0]._value * before[1])
+        _set(integrator, step, steps)
+    except BaseException:
+        integrator.setStepSize(before[0])
+        integrator.setStepsPerTrial(before[1])
+        raise
+    integrator.resetStatistics()
+    return Tuning(step, steps, acceptance, tried, compared, integrator.forceEvaluations - forces)
+
+
+def _at_least(name: str, value: int, least: int) -> int:
+    if (value := whole_number(name, value)) < least:
+        raise ValueError(f"{name} must be at least {least}, got {value}")
+    return value
+
+
+def _set(integrator: SIERHMCIntegrator, step: float, steps: int) -> None:
+    """Set step and length, and advance to the next multiple of the length."""
+    integrator.setStepSize(step)
+    integrator.setStepsPerTrial(steps)
+    # At a multiple of the length a whole trial can begin. This also checks that trajectories reverse.
+    integrator.step(steps)
+    integrator.finishTrial()
+
+
+def _chances(errors: np.ndarray) -> float:
+    """Mean probability of acceptance for energy errors in kT, which may be infinite."""
+    return float(np.exp(-np.maximum(errors, 0)).mean())
+
+
+# --- step ---
+
+
+def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tuple[tuple[StepFound, ...], float]:
+    """The steps that were tried, and the one with the wanted acceptance."""
+    step = integrator.getStepSize()._value
+    time, order = step * integrator.getStepsPerTrial(), integrator.scheme.order
+    tried: list[StepFound] = []
+    longest, refusal = math.inf, None
+    for _ in range(ATTEMPTS):
+        try:
+            found = _try_step(integrator, step, max(1, round(time / step)), trials)
+        except openmm.OpenMMException as error:
+            # For example, the step is too long for a bond.
+            found, refusal, longest = StepFound(step, math.inf, 0.0), error, step
+        tried.append(found)
+        factor = _factor(found, wanted, order)
+        following = min(step * factor, 0.9 * longest)
+        if abs(following / step - 1) < SETTLED:
+            return tuple(tried), following if refusal is None else step
+        step = following
+    usable = [each for each in tried if math.isfinite(each.spread)]
+    if not usable:
+        raise refusal or openmm.OpenMMException(f"Energy errors are not finite at steps down to {step:.3g} ps")
+    return tuple(tried), min(usable, key=lambda each: abs(each.acceptance - wanted)).step
+
+
+def _try_step(integrator: SIERHMCIntegrator, step: float, steps: int, trials: int) -> StepFound:
+    _set(integrator, step, steps)
+    errors = np.array([_trial(integrator, steps) for _ in range(trials)])
+    followed = errors[np.isfinite(errors)]
+    spread = float(followed.std(ddof=1)) if len(followed) > len(errors) / 2 else math.inf
+    return StepFound(step, spread, _chances(errors))
+
+
+def _factor(found: StepFound, wanted: float, order: int) -> float:
+    """The factor for a step that gives its energy errors the wanted spread."""
+    if not found.spread:
+        return LONGER
+    return min(LONGER, max(SHORTER, (spread_at(wanted) / found.spread) ** (1 / order)))
+
+
+def _trial(integrator: SIERHMCIntegrator, steps: int) -> float:
+    integrator.step(steps)
+    return integrator.lastEnergyError
+
+
+# --- length ---
+
+
+def _find_length(
+    integrator: SIERHMCIntegrator, step: float, samples: int, counts: list[int] | None, time: float
+) -> tuple[tuple[LengthFound, ...], int]:
+    """The lengths that were compared, and the cheapest."""
+    if counts is None:
+        counts = [max(1, round(factor * time / step)) for factor in LENGTHS]
+    found = []
+    for steps in sorted(set(counts)):
+        try:
+            found.append(_try_length(integrator, step, steps, max(FEWEST, round(samples * time / (step * steps)))))
+        except openmm.OpenMMException as error:
+            found.append(LengthFound(steps, refused=" ".join(str(error).split())))
+    best = min(found, key=lambda each: each.bound)
+    if best.refused:
+        raise openmm.OpenMMException(best.refused)
+    return tuple(found), best.steps
+
+
+def _try_length(integrator: SIERHMCIntegrator, step: float, steps: int, samples: int) -> LengthFound:
+    _set(integrator, step, steps)
+    before, errors, energies = integrator.forceEvaluations, [], []
+    for _ in range(samples):
+        errors.append(_trial(integrator, steps))
+        energies.append(integrator._sampled_energy())
+    forces = (integrator.forceEvaluations - before) / samples
+    return LengthFound(steps, _chances(np.array(errors)), forces, inefficiency(np.array(energies)))
+
+
+def inefficiency(values: np.ndarray) -> tuple[float, float]:
+    """Number of values of a series per independent value, with its standard error; at least 1.
+
+    It is 1 + 2 times the sum of the autocorrelations up to `WINDOW` times the correlation time that the sum gives.
+
+    Args:
+        values: (n,).
+
+    Returns:
+        (n, NaN) for a series of equal values, or one that is too short to show its correlation.
+
+    Source: A. Sokal, Monte Carlo Methods in Statistical Mechanics (1989); N. Madras and A. Sokal, J. Stat. Phys. 50,
+    109 (1988), Eq. 4.19.
+    """
+    n, centred = len(values), values - values.mean()
+    if not (square := float(centred @ centred)):
+        return float(n), math.nan
+    total = 1.0
+    for lag in range(1, n // 2):
+        total += 2 * float(centred[:-lag] @ centred[lag:]) / square
+        if lag >= WINDOW * 0.5 * total:
+            value = max(total, 1.0)
+            return value, value * math.sqrt(2 * (2 * lag + 1) / n)
+    return float(n), math.nan

@@ -1,0 +1,100 @@
+"""Conserved quantities and temperatures of a simulation: the columns of the command's log and of our reporter."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeVar
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.constants import GRAM_PER_CM3
+from openmm_sier.engines.temperature import temperatures
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.observe.stock import StockIntegrator
+
+#: Columns of the temperatures of translation, of rotation and of flexible molecules.
+TEMPERATURES = ("Translational Temperature (K)", "Rotational Temperature (K)", "Flexible Temperature (K)")
+
+#: All columns, with the names and units of OpenMM's StateDataReporter where it has them.
+COLUMNS = (
+    "Step",
+    "Time (ps)",
+    "Potential Energy (kJ/mole)",
+    "Kinetic Energy (kJ/mole)",
+    "Total Energy (kJ/mole)",
+    "Conserved Energy (kJ/mole)",
+    "Temperature (K)",
+    *TEMPERATURES,
+    *(f"Momentum {axis} (dalton nm/ps)" for axis in "xyz"),
+    *(f"Angular Momentum {axis} (dalton nm^2/ps)" for axis in "xyz"),
+    "Box Volume (nm^3)",
+    "Density (g/mL)",
+)
+
+
+Volume = TypeVar("Volume", float, np.ndarray)
+
+
+def density(mass: float, volume: Volume) -> Volume:
+    """Density in g/ml of a mass in dalton in a volume, or an array of volumes, in nm^3."""
+    return mass / volume / GRAM_PER_CM3
+
+
+def sier_integrator(context: openmm.Context) -> SIERIntegrator | StockIntegrator:
+    """The integrator of a Context, one of this package or a `StockIntegrator`.
+
+    Raises:
+        TypeError: it is of another kind.
+    """
+    integrator = context.getIntegrator()
+    if not isinstance(integrator, SIERIntegrator | StockIntegrator):
+        raise TypeError(f"this report needs a SIER integrator, the Context has a {type(integrator).__name__}")
+    return integrator
+
+
+def columns(integrator: openmm.Integrator) -> tuple[str, ...]:
+    """`COLUMNS`, and the additional columns of an integrator of this package."""
+    return (*COLUMNS, *integrator.reported()) if isinstance(integrator, SIERIntegrator) else COLUMNS
+
+
+def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[float, ...]:
+    """Values of `columns` at the last completed step.
+
+    The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a
+    thermostat and volume moves of this package gave. Thermostats and barostats of OpenMM do not count their heat:
+    with OpenMM's integrators the conserved energy is then NaN, with integrators of this package it lacks that heat.
+    Temperatures follow the rule of `openmm_sier.engines.temperature`. Angular momentum is about the origin, with
+    positions as they are in the Context; periodic boundaries do not conserve it. Volume and density are NaN for a
+    System without periodic boundaries.
+
+    Args:
+        context: of an integrator of this package, or of a `StockIntegrator`.
+        observed: a State of it with energies; None asks for one, which costs an evaluation of the energy.
+
+    Raises:
+        TypeError: the Context has another integrator.
+    """
+    integrator = sier_integrator(context)
+    observed = context.getState(energy=True) if observed is None else observed
+    bodies, motion = integrator.bodies, integrator.getBodyState()
+    potential = observed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    kinetic = sum(bodies.kinetic_energies(motion))
+    momentum, angular_momentum = bodies.total_momenta(motion)
+    periodic = context.getSystem().usesPeriodicBoundaryConditions()
+    volume = observed.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3) if periodic else math.nan
+    values = (
+        observed.getTime().value_in_unit(unit.picosecond),
+        potential,
+        kinetic,
+        potential + kinetic,
+        potential + kinetic - motion.heat,
+        *temperatures(bodies, motion, integrator.conservesMomentum),
+        *momentum,
+        *angular_momentum,
+        volume,
+        density(bodies.masses.sum(), volume),
+        *integrator.reported().values(),
+    )
+    return (observed.getStepCount(), *(float(value) for value in values))

@@ -1,0 +1,196 @@
+"""OpenMM's own integrators, used like this package's: observed at whole steps, and restarted bit for bit.
+
+OpenMM's Verlet is a leapfrog: the velocities in its Context are those half a step before the positions. Everything here
+refers to whole steps: there velocities are advanced by half a step of the forces, as for OpenMM's own kinetic energy.
+
+The random numbers of OpenMM's baths and barostats, and the size of its volume moves, are in no State. A run that goes
+on after a checkpoint must nevertheless equal one that is restarted from it. So both begin the noise anew there, with a
+seed derived from the run's seed and the step.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
+
+#: Tolerance of constraints; SETTLE is not better than 1e-8.
+CONSTRAINT_TOLERANCE = 1e-7
+
+VELOCITY, FORCE = unit.nanometer / unit.picosecond, unit.kilojoule_per_mole / unit.nanometer
+
+
+#: Steps between two attempts to change the volume, OpenMM's default. The count restarts at each checkpoint.
+BAROSTAT_INTERVAL = 25
+
+
+class BrokenDownError(openmm.OpenMMException):
+    """Positions or velocities are not finite, or molecules are torn."""
+
+
+class Surroundings(NamedTuple):
+    """What keeps temperature and pressure.
+
+    Attributes:
+        temperature: K; None at constant energy.
+        friction: 1/ps; with Verlet, the collision rate of its AndersenThermostat.
+        pressure: bar, of a MonteCarloBarostat; None at constant volume.
+    """
+
+    temperature: float | None = None
+    friction: float = 1.0
+    pressure: float | None = None
+
+
+class StockIntegrator(openmm.Integrator):
+    """Gives OpenMM's integrators the interface of this package's. Call `attend` before anything else.
+
+    Attributes:
+        bodies: the rigid bodies of the Context.
+        fastForceGroups: none; all forces act at once.
+        forceEvaluations: number of steps done in this process, since each needs one.
+    """
+
+    bodies: RigidBodies
+    fastForceGroups: frozenset[int] = frozenset()
+    forceEvaluations = 0
+
+    #: Whether a bath or barostat of OpenMM gives heat that is not counted.
+    _bathed = False
+
+    def attend(self, context: openmm.Context, bodies: RigidBodies) -> None:
+        """Tell the integrator about its Context and the bodies in it."""
+        self.bodies = bodies
+        # The Context holds the integrator.
+        self._context = weakref.proxy(context)
+        self._momentum = MomentumConservation.of_system(context.getSystem(), bodies)
+
+    def step(self, steps: int) -> None:
+        """Advance by a number of steps."""
+        super().step(steps)
+        self.forceEvaluations += steps
+
+    @property
+    def conservesMomentum(self) -> bool:
+        """Whether the total momentum is conserved, see `MomentumConservation`."""
+        return self._momentum.holds(self)
+
+    def getBodyState(self) -> BodyState:
+        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any.
+
+        Raises:
+            BrokenDownError: positions or velocities are not finite, or molecules are torn.
+        """
+        try:
+            found = body_state(self._context, self.bodies)
+        except (NotFiniteError, RigidityError) as error:
+            raise BrokenDownError(str(error)) from error
+        return replace(found, heat=math.nan) if self._bathed else found
+
+    def computeTemperatures(self) -> Temperatures:
+        """Temperatures, as `SIERIntegrator.computeTemperatures` gives them."""
+        return temperatures(self.bodies, self.getBodyState(), self.conservesMomentum)
+
+    def reported(self) -> dict[str, float]:
+        """No further columns of the log."""
+        return {}
+
+
+class StockVerlet(StockIntegrator, openmm.VerletIntegrator):
+    """OpenMM's VerletIntegrator."""
+
+
+class StockLangevinMiddle(StockIntegrator, openmm.LangevinMiddleIntegrator):
+    """OpenMM's LangevinMiddleIntegrator."""
+
+
+def make_stock(name: str, step: float, around: Surroundings) -> StockIntegrator:
+    """One of OpenMM's integrators.
+
+    Args:
+        name: "verlet" or "langevinmiddle".
+        step: ps.
+        around: what keeps the temperature; "langevinmiddle" needs a temperature.
+    """
+    integrator: Any
+    if name == "verlet":
+        integrator = StockVerlet(step)
+    else:
+        integrator = StockLangevinMiddle(around.temperature, around.friction, step)
+    integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
+    integrator._bathed = around.temperature is not None or around.pressure is not None
+    return integrator
+
+
+def surrounded(system: openmm.System, name: str, around: Surroundings) -> openmm.System:
+    """A copy of a System with the Forces that keep temperature and pressure for one of OpenMM's integrators."""
+    system = openmm.XmlSerializer.clone(system)
+    if around.temperature is not None and name == "verlet":
+        system.addForce(openmm.AndersenThermostat(around.temperature, around.friction))
+    if around.pressure is not None:
+        system.addForce(openmm.MonteCarloBarostat(around.pressure * unit.bar, around.temperature, BAROSTAT_INTERVAL))
+    return system
+
+
+def seed_noise(system: openmm.System, integrator: openmm.Integrator, seed: int, step: int) -> None:
+    """Set the seeds with which the next Context, or the next `reinitialize`, starts at a given step of a run."""
+    noisy = [integrator, *system.getForces()]
+    noisy = [one for one in noisy if hasattr(one, "setRandomNumberSeed")]
+    # OpenMM takes 31 bits, and draws a seed itself where it is given 0.
+    words = np.random.SeedSequence([seed, step]).generate_state(len(noisy))
+    for one, word in zip(noisy, words.tolist(), strict=True):
+        one.setRandomNumberSeed(word % (2**31 - 1) + 1)
+
+
+def go_on_as_a_restart(context: openmm.Context, seed: int) -> None:
+    """Make a Context of a `StockIntegrator` continue from a checkpoint exactly as a restart from it would."""
+    state = context.getState(positions=True, velocities=True, parameters=True)
+    seed_noise(context.getSystem(), context.getIntegrator(), seed, context.getStepCount())
+    # Keeping the state here would keep the old noise.
+    context.reinitialize()
+    context.setState(state)
+
+
+def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
+    """The state of the bodies at a whole step, from atoms that one of OpenMM's integrators moves.
+
+    Raises:
+        NotFiniteError, RigidityError: the positions do not form the bodies.
+    """
+    integrator = context.getIntegrator()
+    leapfrog = isinstance(integrator, openmm.VerletIntegrator)
+    state = context.getState(positions=True, velocities=True, forces=leapfrog)
+    q, A = bodies.fit(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
+    p, L = bodies.momenta(state.getVelocities(asNumpy=True).value_in_unit(VELOCITY), A)
+    if leapfrog:
+        # Constraint forces need not be known: within a body they exert no net force or torque, and between bodies the
+        # projection replaces them.
+        F, tau = bodies.forces_and_torques(state.getForces(asNumpy=True).value_in_unit(FORCE), A)
+        half = 0.5 * integrator.getStepSize().value_in_unit(unit.picosecond)
+        p, L = p + half * F, L + half * tau
+    p = bodies.constraints.project(q, p)
+    return BodyState(q, p, A, L)
+
+
+def shift_velocities(context: openmm.Context, time: float) -> None:
+    """Advance the velocities of a Context by its forces over a time in ps, which may be negative.
+
+    Half a step back turns velocities at whole steps into those that OpenMM's Verlet starts from; half a step forward
+    undoes this.
+    """
+    system = context.getSystem()
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    state = context.getState(velocities=True, forces=True)
+    velocities = state.getVelocities(asNumpy=True).value_in_unit(VELOCITY)
+    massive = masses > 0
+    velocities[massive] += time * state.getForces(asNumpy=True).value_in_unit(FORCE)[massive] / masses[massive, None]
+    context.setVelocities(velocities)
+    context.applyVelocityConstraints(CONSTRAINT_TOLERANCE)

@@ -1,0 +1,1 @@
+"""Changes a System for long steps."""

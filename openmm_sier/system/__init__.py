@@ -1,0 +1,1 @@
+"""Reads an OpenMM System: bodies, constraints, masses, vibrations, checks."""

@@ -1,0 +1,91 @@
+"""Arguments of integrators, checked and converted to one form."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import operator
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import RigidBodies
+
+#: Values of the argument `bodies` of integrators.
+Bodies = RigidBodies | Sequence[Sequence[int]] | None
+
+#: OpenMM has this many force groups.
+GROUPS = 32
+
+
+def checked_bodies(bodies: Bodies) -> Bodies:
+    """Bodies as `RigidBodies`, lists of integers, or None.
+
+    Raises:
+        TypeError: they are none of these.
+    """
+    if bodies is None or isinstance(bodies, RigidBodies):
+        return bodies
+    try:
+        return [[operator.index(i) for i in cluster] for cluster in bodies]
+    except TypeError:
+        raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
+
+
+def step_size(size: Any) -> float:
+    """A step in ps, from a quantity or a number; see `quantity_to_float`."""
+    size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
+    if size < 0:
+        raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")
+    return size
+
+
+def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> float:
+    """A finite number in a unit, from a quantity or a plain number."""
+    if unit.is_quantity(value):
+        if not value.unit.is_compatible(of):
+            raise TypeError(f"{name} must be in units like {symbol}, got {value}")
+        value = value.value_in_unit(of)
+    try:
+        value = float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{name} must be finite, got {value} {symbol}")
+    return value
+
+
+def whole_number(name: str, value: Any) -> int:
+    """A nonnegative integer, from an int or a float without a fraction."""
+    whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
+    if not whole or value < 0:
+        raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
+    return int(value)
+
+
+def group_mask(name: str, groups: Iterable[int] | int | None) -> int:
+    """Force groups as a bit mask, from a set of numbers, from a mask, or from None for no group.
+
+    Raises:
+        ValueError: a group is not from 0 to 31.
+        TypeError: it is neither a set of numbers nor a mask.
+    """
+    if groups is None:
+        return 0
+    if isinstance(groups, int):
+        if not 0 <= groups < 2**GROUPS:
+            raise ValueError(f"{name} must be a set of force groups or a bit mask below 2^{GROUPS}, got {groups}")
+        return groups
+    try:
+        found = {operator.index(group) for group in groups}
+    except TypeError:
+        raise TypeError(f"{name} must be a set of force groups, such as {{1}}, got {groups!r}") from None
+    if wrong := [group for group in found if not 0 <= group < GROUPS]:
+        raise ValueError(f"{name} must be from 0 to {GROUPS - 1}, got {wrong[0]}")
+    return sum(1 << group for group in found)
+
+
+def groups_of(mask: int) -> list[int]:
+    """The force groups of a bit mask, ascending."""
+    return [group for group in range(GROUPS) if mask >> group & 1]

@@ -1,0 +1,44 @@
+"""Bonded Forces of a System, and the atoms that their terms act on."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import numpy as np
+import openmm
+
+#: Forces whose terms name two to eight atoms, each with the element and the attributes that do so in its XML.
+_FOUR = ("p1", "p2", "p3", "p4")
+TERMS = {
+    openmm.HarmonicBondForce: ("Bond", _FOUR[:2]),
+    openmm.HarmonicAngleForce: ("Angle", _FOUR[:3]),
+    openmm.PeriodicTorsionForce: ("Torsion", _FOUR),
+    openmm.RBTorsionForce: ("Torsion", _FOUR),
+    openmm.CMAPTorsionForce: ("Torsion", ("a1", "a2", "a3", "a4", "b1", "b2", "b3", "b4")),
+    openmm.CustomBondForce: ("Bond", _FOUR[:2]),
+    openmm.CustomAngleForce: ("Angle", _FOUR[:3]),
+    openmm.CustomTorsionForce: ("Torsion", _FOUR),
+}
+
+#: These exert no forces, whatever their group.
+WITHOUT_FORCES = (
+    openmm.CMMotionRemover,
+    openmm.AndersenThermostat,
+    openmm.MonteCarloBarostat,
+    openmm.MonteCarloAnisotropicBarostat,
+    openmm.MonteCarloMembraneBarostat,
+    openmm.MonteCarloFlexibleBarostat,
+)
+
+
+def bonded_kind(force: openmm.Force) -> type | None:
+    """The class among `TERMS` that a Force is of; None if it is not a bonded one."""
+    return next((kind for kind in TERMS if isinstance(force, kind)), None)
+
+
+def bonded_terms(force: openmm.Force) -> np.ndarray:
+    """Particles of each term of a Force that has a `bonded_kind`, (t, k)."""
+    tag, attributes = TERMS[bonded_kind(force)]
+    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
+    found = [[int(term.attrib[name]) for name in attributes] for parent in root.iter(f"{tag}s") for term in parent]
+    return np.array(found, dtype=np.int64).reshape(-1, len(attributes))

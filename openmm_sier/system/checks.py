@@ -1,0 +1,155 @@
+"""Checks of a System: Forces that change positions, velocities or the box, and barostats that deform bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
+from openmm_sier.system.geometries import RESOLUTION
+from openmm_sier.system.notices import tell
+
+#: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
+PASSIVE_FORCES = (
+    openmm.NonbondedForce,
+    openmm.HarmonicBondForce,
+    openmm.HarmonicAngleForce,
+    openmm.PeriodicTorsionForce,
+    openmm.RBTorsionForce,
+    openmm.CMAPTorsionForce,
+    openmm.GBSAOBCForce,
+    openmm.GayBerneForce,
+    openmm.RMSDForce,
+    openmm.CustomBondForce,
+    openmm.CustomAngleForce,
+    openmm.CustomTorsionForce,
+    openmm.CustomExternalForce,
+    openmm.CustomCompoundBondForce,
+    openmm.CustomCentroidBondForce,
+    openmm.CustomNonbondedForce,
+    openmm.CustomGBForce,
+    openmm.CustomHbondForce,
+    openmm.CustomManyParticleForce,
+    # It has an effect, which `Actors.swept` takes over: a sum over bodies is cheaper than reading atoms back.
+    openmm.CMMotionRemover,
+)
+
+#: These change the box and positions together, and neither read nor change velocities.
+BAROSTATS = (
+    openmm.MonteCarloBarostat,
+    openmm.MonteCarloAnisotropicBarostat,
+    openmm.MonteCarloMembraneBarostat,
+    openmm.MonteCarloFlexibleBarostat,
+)
+
+
+def is_passive(force: openmm.Force) -> bool:
+    """Whether a Force only gives forces and does not depend on the time."""
+    if isinstance(force, openmm.CustomCVForce):
+        return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
+    return isinstance(force, PASSIVE_FORCES)
+
+
+def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:
+    """Refuse a System whose volume an integrator cannot change.
+
+    Raises:
+        openmm.OpenMMException: it is not periodic, has a barostat of its own, or a particle that belongs to no body.
+    """
+    if not system.usesPeriodicBoundaryConditions():
+        raise openmm.OpenMMException("A pressure needs a System with periodic boundary conditions")
+    for force in system.getForces():
+        if isinstance(force, BAROSTATS):
+            raise openmm.OpenMMException(
+                f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
+            )
+    alone = np.ones(bodies.n_particles, dtype=bool)
+    for species in bodies.species:
+        alone[species.atoms] = False
+    for i in np.flatnonzero(alone).tolist():
+        if not system.isVirtualSite(i):
+            raise openmm.OpenMMException(
+                f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
+                "has no mass or was left out of `bodies`: keep the volume, or do without it"
+            )
+
+
+def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequence[int]], bodies: RigidBodies) -> None:
+    """Refuse a barostat that moves atoms of one body apart.
+
+    Args:
+        system: openmm.System.
+        molecules: particle indices of OpenMM's molecules, `Context.getMolecules()`.
+        bodies: the rigid bodies.
+
+    Raises:
+        RigidityError: a barostat scales atoms one by one, or moves apart molecules that share a body.
+    """
+    barostats = [force for force in system.getForces() if isinstance(force, BAROSTATS)]
+    if not barostats:
+        return
+    molecule = molecule_of_atoms(molecules, bodies.n_particles)
+    for species in bodies.species:
+        if species.atoms.shape[1] == 1:
+            continue
+        for barostat in barostats:
+            if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
+                raise RigidityError(
+                    f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies: create it with "
+                    "scaleMoleculesAsRigid=True"
+                )
+        split = np.ptp(molecule[species.atoms], axis=1) > 0
+        if split.any():
+            raise RigidityError(
+                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
+                f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
+                "strength)"
+            )
+
+
+def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:
+    """Refuse rigid bodies of three or more atoms on a line that constraints hold.
+
+    OpenMM's own constraint solvers divide by zero there: minimization, `applyConstraints` and
+    `setVelocitiesToTemperature` give NaN.
+
+    Raises:
+        RigidityError: there is one; the message names the first.
+    """
+    lines = [s for s in bodies.species if s.atoms.shape[1] > 2 and s.moments[0] == 0]
+    if not lines:
+        return
+    pairs = {tuple(sorted(system.getConstraintParameters(i)[:2])) for i in range(system.getNumConstraints())}
+    for species in lines:
+        for row in species.atoms.tolist():
+            if all(pair in pairs for pair in combinations(sorted(row), 2)):
+                raise RigidityError(
+                    f"{bodies.describe_atoms(row)}: atoms in a row are held by constraints between all of them, of "
+                    "which OpenMM makes NaN. Give the mass to the two outer atoms and make the others virtual sites; "
+                    "or leave out these constraints and name the atoms in `bodies`"
+                )
+
+
+def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
+    """Warn of atoms that move by more than the rounding of a PDB file when bodies are fitted to them.
+
+    Args:
+        bodies: the rigid bodies.
+        misfit: for each body the largest distance of an atom from its place, (n,), nm.
+
+    Returns:
+        Whether there were any.
+    """
+    off = int(np.count_nonzero(misfit > RESOLUTION))
+    if not off:
+        return False
+    worst = int(misfit.argmax())
+    tell(
+        f"{off} of {bodies.n} bodies are not quite in the shape of their constraints, or of the geometry that they "
+        f"were given, and are moved onto it: an atom by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. "
+        "Is it the force field that the positions were made with?"
+    )
+    return True

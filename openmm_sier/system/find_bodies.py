@@ -1,0 +1,393 @@
+"""Rigid bodies of an OpenMM System: those defined by its constraints, and those named by the user."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, combinations
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics import bodies as dynamics
+from openmm_sier.dynamics.bodies import RigidityError, Species
+from openmm_sier.system import geometries
+from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.geometries import EMBEDDING_TOLERANCE, Cluster, Kind, KindCollector, Sharing
+from openmm_sier.system.links import Links, joins_a_body
+from openmm_sier.system.notices import tell
+
+#: The value of `rigid` that makes each heavy atom and its hydrogens one body.
+HYDROGEN_GROUPS = "heavy atoms with hydrogens"
+
+#: Values of the argument `rigid`.
+Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
+
+#: Constraint lengths in nm by ascending pairs of particles.
+Lengths = dict[tuple[int, int], float]
+
+
+class RigidBodies(dynamics.RigidBodies):
+    """The rigid and point bodies of an OpenMM System."""
+
+    @classmethod
+    def from_system(
+        cls,
+        system: openmm.System,
+        topology: openmm.app.Topology | None = None,
+        rigid: Rigid = None,
+        positions: Any = None,
+    ) -> RigidBodies:
+        """Find the bodies of a System.
+
+        Particles that the user names form bodies with their present geometry. Of the others, molecules in which every
+        distance is constrained form bodies whose geometry the constraint lengths define. Every remaining particle with
+        mass is a point body, joined to others by its constraints. Virtual sites follow their atoms. Massless particles
+        that are not virtual sites stay where they are.
+
+        Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
+        geometry, and a warning says so.
+
+        Args:
+            system: openmm.System.
+            topology: openmm.app.Topology, for the names of residues in messages, and for some choices of `rigid`.
+            rigid: rigid bodies in addition to those that constraints define. Lists of particle indices; or a mapping
+                {residue name: "rigid"}; or "heavy atoms with hydrogens", which makes each heavy atom and the hydrogens
+                bonded to it one body. The last fixes bonds to hydrogen and H-X-H angles, and leaves all torsions free.
+            positions: (N, 3), nm or a Quantity, from which the geometry of `rigid` is taken.
+
+        Raises:
+            RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
+                massless particle that is not a virtual site is in a body, or positions are needed and were not given.
+            ValueError: `rigid` names particles or residues that do not exist, or a particle twice; or it needs the
+                topology.
+        """
+        if unit.is_quantity(positions):
+            positions = positions.value_in_unit(unit.nanometer)
+        return BodyPlan(system, topology, rigid).bodies(None if positions is None else np.array(positions, dtype=float))
+
+
+class BodyPlan:
+    """Which particles of a System form rigid bodies; see `RigidBodies.from_system` for the rules.
+
+    Attributes:
+        kinds: the kinds of body.
+    """
+
+    def __init__(self, system: openmm.System, topology: openmm.app.Topology | None = None, rigid: Rigid = None):
+        """
+        Args:
+            system: openmm.System.
+            topology: openmm.app.Topology.
+            rigid: as in `RigidBodies.from_system`, which also lists the errors raised.
+        """
+        n = system.getNumParticles()
+        self._labels = None if topology is None else _residue_labels(topology, n)
+        self._n = n
+        self._describe = RigidBodies([], n, self._labels).describe_atoms
+        self._masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(n)])
+        lengths = constraint_lengths(system)
+        self._links = Links(system, lengths)
+        named = self._checked(_named(topology, rigid, lengths, self._links), system)
+        self.kinds = self._collect(named, lengths)
+
+    @property
+    def needs_positions(self) -> bool:
+        """Whether the geometry of some body is known from positions only."""
+        return any(kind.needs_positions for kind in self.kinds)
+
+    def bodies(self, positions: np.ndarray | None = None, sites: np.ndarray | None = None) -> RigidBodies:
+        """The bodies.
+
+        Args:
+            positions: (N, 3), nm.
+            sites: (N, 3), nm, atom positions in the principal frames of their bodies. Named bodies get exactly these
+                sites, unless the frames are not principal.
+
+        Raises:
+            RigidityError: positions are needed and were not given, or they contradict the constraints.
+        """
+        if positions is None:
+            if self.needs_positions:
+                raise RigidityError("the geometry of these bodies is known from positions only: give positions")
+            positions = np.empty((0, 3))
+        species: list[Species] = []
+        shared = [kind.sharing for kind in self.kinds if kind.sharing is not None and kind.model is not None]
+        for kind in self.kinds:
+            if kind.needs_positions:
+                self._demand_extent(kind, positions)
+            if kind.model is None:
+                known = [] if sites is None else geometries.from_sites(kind, sites)
+                found, sharing = (known, []) if known else geometries.from_positions(kind, positions, self._describe)
+                species += found
+                shared += sharing
+            elif kind.needs_positions:
+                species += geometries.by_handedness(kind.model, positions)
+            else:
+                species.append(kind.model)
+        self._say(shared)
+        return self._links.tie(RigidBodies(species, self._n, self._labels))
+
+    def _say(self, shared: list[Sharing]) -> None:
+        shared = [some for some in shared if some.deviation > geometries.ROUNDING]
+        if not shared:
+            return
+        first = max(shared, key=lambda some: some.deviation)
+        others = sum(len(some.clusters) for some in shared) - len(first.clusters)
+        more = f"; {others} bodies of {len(shared) - 1} more kinds do alike, with less deviation" if others else ""
+        tell(
+            f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} share one geometry, the average of "
+            f"theirs, from which they differ by up to {first.deviation:.1g} nm ({self._describe(first.worst)}){more}"
+        )
+
+    # --- which particles ---
+
+    def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
+        """Named bodies without their virtual sites."""
+        clusters = []
+        seen: set[int] = set()
+        for indices in groups:
+            cluster = tuple(int(i) for i in indices if not (0 <= int(i) < self._n and system.isVirtualSite(int(i))))
+            for i in cluster:
+                if not 0 <= i < self._n:
+                    raise ValueError(f"bodies name particle {i}, the System has {self._n} particles")
+                if i in seen:
+                    raise ValueError(f"bodies name particle {i} twice")
+                if self._masses[i] == 0:
+                    raise RigidityError(
+                        f"{self._describe(cluster)}: atom {i} has no mass and is no virtual site. Give it a mass, or "
+                        "leave it out of the body"
+                    )
+                seen.add(i)
+            if cluster:
+                clusters.append(cluster)
+        return clusters
+
+    def _collect(self, named: list[Cluster], lengths: Lengths) -> list[Kind]:
+        inside, loose = _inside(named, lengths)
+        collector = KindCollector()
+        free = self._masses > 0
+        for cluster, constraints in zip(named, inside, strict=True):
+            collector.add(cluster, self._masses[list(cluster)], constraints)
+            free[list(cluster)] = False
+        for cluster, rigid in _constrained_clusters(loose, self._links):
+            self._check(cluster)
+            if rigid:
+                pairs = {pair: lengths[pair] for pair in combinations(cluster, 2)}
+                collector.add(cluster, self._masses[list(cluster)], pairs)
+                free[list(cluster)] = False
+        masses = self._masses.tolist()
+        for atom in np.flatnonzero(free).tolist():
+            collector.add((atom,), (masses[atom],), {})
+        return collector.kinds(self._describe)
+
+    def _check(self, cluster: Cluster) -> None:
+        for atom in cluster:
+            if self._masses[atom] == 0:
+                raise RigidityError(
+                    f"{self._describe(cluster)}: atom {atom} is constrained but has no mass. Give it a mass, or make "
+                    "it a virtual site"
+                )
+
+    def _demand_extent(self, kind: Kind, positions: np.ndarray) -> None:
+        for cluster in kind.clusters:
+            x = positions[cluster]
+            if not np.isfinite(x).all():
+                raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
+            if len(cluster) > 1 and not np.ptp(x, axis=0).any():
+                raise RigidityError(
+                    f"{self._describe(cluster)}: its atoms lie on one point, where positions must tell its geometry. "
+                    "Set the positions first"
+                )
+
+
+class KnownBodies:
+    """A plan of bodies that a user gave, with the methods of `BodyPlan`."""
+
+    needs_positions = False
+
+    def __init__(self, bodies: dynamics.RigidBodies):
+        self._bodies = bodies
+
+    def bodies(self, positions: np.ndarray | None = None, sites: np.ndarray | None = None) -> dynamics.RigidBodies:
+        """The bodies, whatever the positions."""
+        return self._bodies
+
+
+def plan_bodies(system: openmm.System, given: Bodies) -> BodyPlan | KnownBodies:
+    """The plan of a System's bodies, from what a user gave: `RigidBodies`, lists of particle indices, or None.
+
+    Raises:
+        ValueError: the System has another number of particles or other masses.
+        RigidityError: see `BodyPlan` and `tied`.
+    """
+    if isinstance(given, dynamics.RigidBodies):
+        return KnownBodies(tied(system, given))
+    return BodyPlan(system, rigid=given)
+
+
+# --- bodies that are named --------------------------------------------------------------------------------------------
+
+
+def _named(
+    topology: openmm.app.Topology | None, rigid: Rigid, lengths: Lengths, links: Links
+) -> Iterable[Iterable[int]]:
+    if rigid is None:
+        return []
+    if not isinstance(rigid, str | Mapping):
+        return rigid
+    if isinstance(rigid, str) and rigid != HYDROGEN_GROUPS:
+        raise ValueError(f'rigid must be lists of particles, a mapping or "{HYDROGEN_GROUPS}", got "{rigid}"')
+    if topology is None:
+        raise ValueError("bodies by name need the topology: RigidBodies.from_system(system, topology, rigid)")
+    return (
+        _hydrogen_groups(topology, _constrained_clusters(lengths, links))
+        if isinstance(rigid, str)
+        else _residues_named(topology, rigid)
+    )
+
+
+def _residues_named(topology: openmm.app.Topology, rigid: Mapping[str, str]) -> Iterable[list[int]]:
+    """Particle indices of the residues in a mapping {residue name: "rigid"}."""
+    wrong = [value for value in rigid.values() if value != "rigid"]
+    if wrong:
+        raise ValueError(f'bodies by residue name must be "rigid", got {wrong[0]!r}')
+    residues = list(topology.residues())
+    for name in rigid:
+        if all(residue.name != name for residue in residues):
+            raise ValueError(f"bodies name residue {name}, which the topology does not have")
+    return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
+
+
+def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Cluster, bool]]) -> list[list[int]]:
+    """Each heavy atom with its hydrogens, except in molecules that constraints already hold rigid."""
+    molecule = {i: cluster[0] for cluster, rigid in clusters if rigid for i in cluster}
+    groups: dict[int, list[int]] = {}
+    grouped: set[int] = set()
+    for bond in topology.bonds():
+        heavy, light = sorted(bond, key=lambda atom: atom.element is not None and atom.element.symbol == "H")
+        is_hydrogen = light.element is not None and light.element.symbol == "H"
+        if not is_hydrogen or heavy.element is None or heavy.element.symbol == "H" or light.index in grouped:
+            continue
+        groups.setdefault(heavy.index, [heavy.index]).append(light.index)
+        grouped.add(light.index)
+    if not groups:
+        raise ValueError(
+            f'"{HYDROGEN_GROUPS}" needs bonds of hydrogens in the topology, which has {topology.getNumBonds()} bonds '
+            "and none of a hydrogen to a heavy atom"
+        )
+    return [sorted(group) for group in groups.values() if len({molecule.get(i, -i - 1) for i in group}) > 1]
+
+
+def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str]:
+    labels = [f"{atom.residue.name} {atom.residue.id}" for atom in topology.atoms()]
+    if len(labels) != n_particles:
+        raise ValueError(f"the topology has {len(labels)} atoms, the System {n_particles} particles")
+    return labels
+
+
+# --- constraints ------------------------------------------------------------------------------------------------------
+
+
+def constraint_lengths(system: openmm.System) -> Lengths:
+    """Lengths in nm by ascending pairs of particles.
+
+    Raises:
+        RigidityError: a pair has two lengths.
+    """
+    lengths: Lengths = {}
+    for i in range(system.getNumConstraints()):
+        a, b, distance = system.getConstraintParameters(i)
+        length = distance.value_in_unit(unit.nanometer)
+        pair = min(a, b), max(a, b)
+        other = lengths.setdefault(pair, length)
+        if abs(other - length) > EMBEDDING_TOLERANCE:
+            raise RigidityError(
+                f"the constraints of atoms {pair[0]} and {pair[1]} contradict each other: they are to be {other:.4f} "
+                f"and {length:.4f} nm apart"
+            )
+    return lengths
+
+
+def _inside(named: Sequence[Cluster], lengths: Lengths) -> tuple[list[Lengths], Lengths]:
+    """The constraints inside each named body, and those of other particles.
+
+    Raises:
+        RigidityError: a constraint joins a body to another particle.
+    """
+    if not named:
+        return [], lengths
+    owner = {i: number for number, cluster in enumerate(named) for i in cluster}
+    inside: list[Lengths] = [{} for _ in named]
+    loose: Lengths = {}
+    for (a, b), length in lengths.items():
+        if owner.get(a) != owner.get(b):
+            raise joins_a_body(a, b)
+        (inside[owner[a]] if a in owner else loose)[a, b] = length
+    return inside, loose
+
+
+def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Cluster, bool]]:
+    """Clusters that constraints join, each with whether it is a molecule in which every distance is constrained.
+
+    A rigid group in a larger molecule does not count: fast forces move only points, so constraints hold its atoms.
+    """
+    clusters = _clusters(lengths)
+    sizes = np.fromiter(map(len, clusters), int, len(clusters))
+    number = np.empty(links.n_particles, dtype=int)
+    number[np.fromiter(chain.from_iterable(clusters), int, sizes.sum())] = np.repeat(np.arange(len(clusters)), sizes)
+    of_constraints = number[np.fromiter((first for first, _ in lengths), int, len(lengths))]
+    complete = np.bincount(of_constraints, minlength=len(clusters)) == sizes * (sizes - 1) // 2
+    return zip(clusters, (complete & ~links.leave(clusters)).tolist(), strict=True)
+
+
+def _clusters(pairs: Iterable[tuple[int, int]]) -> list[Cluster]:
+    """Connected components of a graph, each in ascending order, ordered by their first particle."""
+    neighbours: dict[int, list[int]] = defaultdict(list)
+    for a, b in pairs:
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    seen: set[int] = set()
+    clusters = []
+    for start in sorted(neighbours):
+        if start in seen:
+            continue
+        seen.add(start)
+        stack, members = [start], []
+        while stack:
+            node = stack.pop()
+            members.append(node)
+            fresh = [other for other in neighbours[node] if other not in seen]
+            seen.update(fresh)
+            stack.extend(fresh)
+        clusters.append(tuple(sorted(members)))
+    return clusters
+
+
+def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
+    """Bodies that a user gave, with a System's constraints between them and its molecules.
+
+    Raises:
+        ValueError: the System has another number of particles or other masses.
+        RigidityError: a constraint joins a body of several atoms to something else.
+    """
+    n = system.getNumParticles()
+    if bodies.n_particles != n:
+        raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {n}")
+    _refuse_other_masses(system, bodies)
+    return Links(system, constraint_lengths(system)).tie(bodies)
+
+
+def _refuse_other_masses(system: openmm.System, bodies: dynamics.RigidBodies) -> None:
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(bodies.n_particles)])
+    for species in bodies.species:
+        wrong = np.argwhere(masses[species.atoms] != species.masses)
+        if len(wrong):
+            body, site = wrong[0]
+            atom = species.atoms[body, site]
+            raise ValueError(
+                f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
+                f"{atom}, the System has {masses[atom]}: make the bodies anew"
+            )

@@ -1,0 +1,160 @@
+"""What must hold on CUDA, HIP and OpenCL. `test_gpu_platforms` runs this module where there is one of them.
+
+Few Contexts are made here: OpenMM compiles some hundred kernels for each, which takes 20 s on a CPU.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.engines.native import program as native_program
+from tests.support import opencl
+from tests.support.commands import log, run, write_lattice
+from tests.support.ethane import ethane
+from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
+
+
+@pytest.fixture(scope="module", params=opencl.gpu_platforms())
+def gpu(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Three molecules with virtual sites."""
+    topology, positions, system = cluster_system(3, "tip4pew")
+    return system, relaxed(topology, positions, system)
+
+
+def gpu_context(gpu, precision, system, integrator, point):
+    context = openmm.Context(system, integrator, platform(gpu), {"Precision": precision})
+    context.setPositions(point[0])
+    context.setVelocities(point[1])
+    return context
+
+
+@pytest.fixture(scope="module")
+def in_precision(gpu, cluster):
+    """The cluster's Context in a precision, and its integrator."""
+
+    @functools.cache
+    def make(precision):
+        integrator = SIERIntegrator(0.004, SIER4G)
+        return gpu_context(gpu, precision, cluster[0], integrator, cluster[1]), integrator
+
+    return make
+
+
+@pytest.mark.parametrize(("precision", "error"), [("double", 1e-7), ("mixed", 1e-6), ("single", 1e-4)])
+def test_program_moves_atoms_as_on_reference(in_precision, cluster, precision, error):
+    system, point = cluster
+    (context, integrator), reference = in_precision(precision), SIERIntegrator(0.004, SIER4G, engine="native")
+    expected = context_at(system, reference, point)
+    assert integrator.engine == "native"
+    integrator.step(10)
+    reference.step(10)
+    assert context.getStepCount() == 10
+    assert context.getTime()._value == pytest.approx(0.04, abs=1e-15)
+    # SETTLE works in single precision for lengths, 5e-9 nm a substep; forces of mixed precision are good to 1e-6, and
+    # positions of single precision to 1e-7 nm, from which each substep takes velocities. A virtual site that stayed
+    # behind moves atoms by 1e-3 nm in this time.
+    assert np.abs(phase_point(context)[0] - phase_point(expected)[0]).max() < error
+    assert integrator.getConstraintTolerance() == (1e-6 if precision == "single" else 1e-9)
+    assert integrator.computeSystemTemperature()._value == pytest.approx(
+        reference.computeSystemTemperature()._value, rel=max(1e-4, 100 * error)
+    )
+
+
+def test_fourth_order_in_double_precision(in_precision, cluster):
+    system, point = cluster
+    exact = context_at(system, SIERIntegrator(0.0005, SIER4P, engine="exact"), point)
+    exact.getIntegrator().step(64)
+    context, integrator = in_precision("double")
+    errors = []
+    for steps in (8, 16):
+        integrator.setStepSize(0.032 / steps)
+        context.setPositions(point[0])
+        context.setVelocities(point[1])
+        integrator.step(steps)
+        errors.append(np.abs(phase_point(context)[0] - phase_point(exact)[0]).max())
+    # 16 in the limit and 4 in a program of second order. The next term of the error is a tenth of the first at 4 fs.
+    assert 14 < errors[0] / errors[1] < 19
+
+
+def test_constant_pressure_and_both_ways_between_the_engines(gpu):
+    topology, positions, system = periodic_system("tip4pew")
+    point = relaxed(topology, positions, system)
+    barostat = openmm.MonteCarloBarostat(500 * unit.bar, 300 * unit.kelvin, 2)
+    barostat.setRandomNumberSeed(1)
+    system.addForce(barostat)
+    integrators = on_cpu, on_gpu, again = [SIERLangevinIntegrator(300, 5, 0.004, SIER4G) for _ in range(3)]
+    for integrator in integrators:
+        integrator.setRandomNumberSeed(1)
+    first = context_at(system, on_cpu, point, "CPU")
+    on_cpu.step(3)
+    everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
+    context = gpu_context(gpu, "mixed", system, on_gpu, point)
+    context.setState(first.getState(**everything))
+    assert (on_cpu.engine, on_gpu.engine) == ("exact", "native")
+    # Mixed precision keeps positions as two numbers of single precision, 2^-48 of 2 nm, and velocities in double.
+    assert np.abs(phase_point(context)[0] - phase_point(first)[0]).max() < 1e-13
+    assert (phase_point(context)[1] == phase_point(first)[1]).all()
+    # PME in single precision: 1e-5 of the energy.
+    assert energies(context)[0] == pytest.approx(energies(first)[0], rel=1e-4)
+    volume, total, heat = context.getState().getPeriodicBoxVolume(), sum(energies(context)), on_gpu.getHeat()._value
+    on_gpu.step(8)
+    assert context.getState().getPeriodicBoxVolume() != volume
+    assert context.getStepCount() == 11
+    # What barostats do to the energy is not counted: some kT per accepted move, of which there are up to four.
+    assert sum(energies(context)) - total == pytest.approx(on_gpu.getHeat()._value - heat, abs=60)
+    last = context_at(system, again, point, "CPU")
+    last.setState(context.getState(**everything))
+    assert np.abs(phase_point(last)[0] - phase_point(context)[0]).max() == 0
+    assert last.getState().getPeriodicBoxVolume() == context.getState().getPeriodicBoxVolume()
+    again.step(2)
+    assert last.getStepCount() == 13
+    assert again.computeSystemTemperature()._value == pytest.approx(300, abs=80)
+
+
+def test_solutes_in_mixed_precision(gpu):
+    """Fast forces in the drift, and constraints that converge to 1e-9, which positions of single precision do not."""
+    system, positions = ethane()
+    for force in system.getForces():
+        force.setForceGroup(isinstance(force, openmm.HarmonicBondForce))
+    program = native_program.write(SIER4G, 1, {1})
+    integrator = openmm.CustomIntegrator(0.002 / len(program.parts))
+    native_program.install(program, integrator)
+    integrator.setConstraintTolerance(1e-9)
+    context = gpu_context(gpu, "mixed", system, integrator, (positions, np.zeros((8, 3))))
+    context.setVelocitiesToTemperature(300, 1)
+    integrator.step(len(program.parts))
+    start = sum(energies(context))
+    integrator.step(150 * len(program.parts))
+    # On Reference the energy stays within 0.002 kJ/mol; forces of mixed precision add 1e-6 of 150 steps. Forces that
+    # are twice in the program, or not at all, change it by kT.
+    assert sum(energies(context)) == pytest.approx(start, abs=0.02)
+    x = phase_point(context)[0]
+    pairs = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    errors = [np.linalg.norm(x[i] - x[j]) - length._value for i, j, length in pairs]
+    # OpenMM keeps the lengths in single precision, 2^-25 of 0.109 nm. About these they are good to 1e-9 of it.
+    assert np.abs(errors).max() < 4e-9
+    assert np.ptp(errors) < 2e-10
+
+
+def test_command_runs_and_restarts(gpu, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    box = write_lattice(tmp_path / "box.pdb")
+    every = ("--every", "0.01", "--report-every", "0.01")
+    run("run", box, "--platform", "Reference", "--steps", "5", "--dt", "2", "--equilibrate", "0.2", *every)
+    run("run", box, "--platform", gpu, "--steps", "15", "--restart", "box.chk")
+    assert f"on the {gpu} platform" in capsys.readouterr().out
+    rows = log(tmp_path / "box.csv")
+    assert rows["Step"].tolist() == [0, 5, 10, 15]
+    # 27 molecules have some 200 kJ/mol of kinetic energy, of which 1e-3 is lost at 2 fs with SIER4.
+    assert np.ptp(rows["Total Energy (kJ/mole)"]) < 0.5

@@ -1,0 +1,547 @@
+"""Molecules that are not rigid, in the exact engine: order, reversal, conservation, restarts, and what is refused."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import math
+import warnings
+import weakref
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import (
+    SIER4G,
+    SIER4P,
+    RigidBodies,
+    RigidityError,
+    SIER2Integrator,
+    SIER4GIntegrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+    prepare_system,
+)
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.engines.exact import motion
+from openmm_sier.engines.exact.solute import SoluteError
+from tests.support.flexible import cage, chains, ring, rotor
+from tests.support.flexible_systems import FAST, farthest, started, system_of, total_energy
+from tests.support.methanols import GEOMETRY, positions_of, topology_of
+from tests.support.methanols import system_of as methanols_of
+from tests.support.peptides import capped_alanine
+from tests.support.restarts import assert_restart_is_the_same, assert_same, everything
+from tests.support.waters import context_at, platform
+
+X_H = ((0, 1), (0, 2), (0, 3), (4, 5))
+
+
+def end_of(system, positions, h, steps, scheme=SIER4G, **options):
+    integrator = SIERIntegrator(h, scheme, engine="exact", **options)
+    # Kept: an integrator's Context must live as long as it is asked.
+    context = started(system, integrator, positions)
+    integrator.step(steps)
+    assert context.getStepCount() == steps
+    return integrator.getBodyState()
+
+
+def slope_of(system, positions, steps, time, **options):
+    """Of the errors of runs over a time, by the run with four times as many steps as the finest."""
+    exact = end_of(system, positions, time / (4 * steps[-1]), 4 * steps[-1], **options)
+    errors = [farthest(end_of(system, positions, time / n, n, **options), exact) for n in steps]
+    return np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+def peptide_in_water():
+    """ACE-ALA-NME in four waters, bonds of hydrogen constrained, prepared."""
+    system, positions = capped_alanine(waters=4)
+    assert prepare_system(system).fastForceGroups == {FAST}
+    return system, positions
+
+
+MODELS = {
+    "rotor in a field": (lambda: system_of(rotor(3)), {}),
+    "flexible chains, nested": (lambda: system_of(chains()), {"fastForceGroups": {FAST}, "substeps": 1}),
+    "chains beside water and an ion": (
+        lambda: system_of(chains(), waters=2, ions=1),
+        {"fastForceGroups": {FAST}, "substeps": 1},
+    ),
+    "ring of constraints": (lambda: system_of(ring()), {}),
+    "peptide in water": (peptide_in_water, {"fastForceGroups": {FAST}, "substeps": 1}),
+}
+
+
+@pytest.mark.parametrize("scheme", [SIER4G, SIER4P], ids=lambda scheme: scheme.name)
+@pytest.mark.parametrize("model", MODELS)
+def test_order_four(model, scheme):
+    """By slope, at steps of 2 and 1 fs."""
+    make, options = MODELS[model]
+    # The next term of the error is a few per cent of the first at 2 fs.
+    assert slope_of(*make(), (4, 8), 0.008, scheme=scheme, **options) == pytest.approx(-4, abs=0.35)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_time_reversal(model):
+    make, options = MODELS[model]
+    system, positions = make()
+    integrator = SIERIntegrator(0.004, SIER4G, **options)
+    context = started(system, integrator, positions)
+    start = integrator.getBodyState()
+    integrator.step(25)
+    assert farthest(integrator.getBodyState(), start) > 1
+    context.setVelocities(-context.getState(velocities=True).getVelocities(asNumpy=True))
+    integrator.step(25)
+    back = integrator.getBodyState()
+    # Rounding of 1e-16 nm and 1e-15 dalton nm/ps in each of 150 stages, which the 0.2 ps hardly magnify.
+    assert np.abs(back.q - start.q).max() < 1e-12
+    assert np.abs(back.p + start.p).max() < 1e-10
+
+
+@pytest.mark.parametrize(("nested", "constrained"), [(False, True), (True, True), (False, False), (True, False)])
+def test_an_isolated_cluster_keeps_momentum_and_angular_momentum(nested, constrained):
+    """Two chains and three waters, without a field; an ion would be a point without a group to turn."""
+    system, positions = system_of(chains(constrained, field=False), waters=3)
+    integrator = SIER4GIntegrator(0.003, fastForceGroups={FAST} if nested else None)
+    context = started(system, integrator, positions)
+    velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+    context.setVelocities(velocities + np.array([1.0, 2.0, -0.5]))
+
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+
+    def totals():
+        """Of the atoms: points have no angular momentum of their own, whatever their states carry."""
+        x, v = context.getState(positions=True), context.getState(velocities=True)
+        x, p = x.getPositions(asNumpy=True)._value, masses[:, None] * v.getVelocities(asNumpy=True)._value
+        return np.concatenate([p.sum(axis=0), np.cross(x, p).sum(axis=0)])
+
+    integrator.step(0)
+
+    before = totals()
+    integrator.step(40)
+    # 40 steps with some twenty roundings of all momenta, of 30 dalton nm/ps, each.
+    assert np.abs(totals() - before).max() < 1e-10
+    assert np.abs(before).max() > 10
+
+
+CASES = {
+    "none": lambda: system_of(chains(constrained=False), waters=1),
+    "bonds of hydrogen": lambda: system_of(chains(), waters=1),
+    "all bonds": lambda: system_of(ring(), waters=1),
+    "redundant": lambda: system_of(cage(), waters=1),
+    "ions alone": lambda: system_of(rotor(0), ions=3),
+}
+
+
+@pytest.mark.parametrize("bath", [False, True], ids=["NVE", "NVT"])
+@pytest.mark.parametrize("case", CASES)
+def test_runs_conserves_and_restarts(case, bath):
+    system, positions = CASES[case]()
+    # Unconstrained C-H in the model has 11 fs.
+    h = 0.001 if case == "none" else 0.002
+
+    def integrator():
+        if not bath:
+            return SIER4GIntegrator(h, fastForceGroups={FAST})
+        langevin = SIERLangevinIntegrator(300, 10, h, fastForceGroups={FAST})
+        langevin.setRandomNumberSeed(5)
+        return langevin
+
+    one = integrator()
+    context = started(system, one, positions)
+    one.step(0)
+    start, found = total_energy(context), []
+    for _ in range(10):
+        one.step(5)
+        found.append(total_energy(context) - (one.getHeat()._value if bath else 0) - start)
+    # Fourth order at a fiftieth to a hundredth of the period of the fastest motion: 1e-3 of thermal energies of up to
+    # 70 kJ/mol.
+    assert np.abs(found).max() < 0.15
+    state = one.getBodyState()
+    assert one.bodies.constraints.residual(state.q) < 1e-13
+    assert_restart_is_the_same(system, context, integrator(), 7)
+
+
+def test_the_native_engine_agrees():
+    system, positions = system_of(rotor(3), waters=1)
+    ends = []
+    for engine in ("exact", "native"):
+        integrator = SIERIntegrator(0.0005, SIER4G, engine=engine, substeps=5)
+        # The Context must live until the state is read.
+        context = started(system, integrator, positions)
+        integrator.step(40)
+        state = integrator.getBodyState()
+        ends.append((state.q, context.getState().getTime()._value, integrator.bodies.dof))
+    # Five steps of RATTLE, of fourth order, at 0.5 fs; constraints to 1e-9.
+    assert np.abs(ends[0][0] - ends[1][0]).max() < 2e-8
+    assert ends[0][1:] == ends[1][1:]
+
+
+# --- temperatures and degrees of freedom ---
+
+
+def test_temperatures_of_what_is_rigid_and_what_is_not():
+    system, positions = system_of(chains(), waters=4, ions=2)
+    integrator = SIER2Integrator(0.0005)
+    context = started(system, integrator, positions)
+    bodies = integrator.bodies
+    assert bodies.dof == (18 * 3 - 12) + 4 * 6 + 2 * 3
+    kinetic = context.getState(energy=True).getKineticEnergy()._value
+    # The field acts on absolute positions, so that the centre of mass has its heat.
+    total = 2 * kinetic / (bodies.dof * GAS_CONSTANT)
+    found = integrator.computeTemperatures()
+    # Velocities drawn by OpenMM satisfy the constraints to 1e-5.
+    assert found.total == pytest.approx(total, rel=1e-4)
+    weights = 6 * 3, 4 * 3, 18 * 3 - 12
+    assert np.dot(weights, found[1:]) / sum(weights) == pytest.approx(found.total, rel=1e-12)
+    v = context.getState(velocities=True).getVelocities(asNumpy=True)._value[:18]
+    masses = np.array([system.getParticleMass(i)._value for i in range(18)])
+    chain = (masses * (v**2).sum(axis=1)).sum() / ((18 * 3 - 12) * GAS_CONSTANT)
+    assert found.flexible == pytest.approx(chain, rel=1e-4)
+
+
+def test_a_bath_gives_constrained_atoms_their_temperature():
+    """A rotor in a strong bath: mean kinetic energy per degree of freedom, 9 of 12."""
+    system, positions = system_of(rotor(3))
+    integrator = SIERLangevinIntegrator(300, 200, 0.004)
+    integrator.setRandomNumberSeed(4)
+    context = started(system, integrator, positions)
+    found = []
+    for _ in range(500):
+        integrator.step(1)
+        found.append(integrator.computeTemperatures().flexible)
+    # 500 samples, independent by half after each step, of 9 degrees of freedom: 9 K; without projected noise 400 K.
+    assert np.mean(found) == pytest.approx(300, abs=36)
+    assert context.getStepCount() == 500
+
+
+# --- fast forces ---
+
+
+def test_fast_forces_leave_fewer_errors_than_kicks():
+    system, positions = system_of(chains(), waters=2)
+    found = {}
+    for groups in (None, {FAST}):
+        integrator = SIER4GIntegrator(0.004, fastForceGroups=groups)
+        context = started(system, integrator, positions)
+        integrator.step(0)
+        start, errors = total_energy(context), []
+        for _ in range(40):
+            integrator.step(1)
+            errors.append(total_energy(context) - start)
+        found[groups is None] = np.abs(errors).max()
+    assert found[False] < 0.5 * found[True]
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
+    """By `updateParametersInContext` and by a parameter of the Context, as in a new Context."""
+    system, positions = system_of(chains())
+    custom = openmm.CustomBondForce("stiffness*(r-0.5)^2")
+    custom.addGlobalParameter("stiffness", 100.0)
+    custom.addBond(0, 9)
+    custom.setForceGroup(FAST)
+    custom = system.getForce(system.addForce(custom))
+    springs = system.getForce(0)
+    integrator = SIER4GIntegrator(0.002, fastForceGroups={FAST})
+    context = started(system, integrator, positions)
+    integrator.step(2)
+    if early:
+        context.setParameter("stiffness", 300.0)
+    i, j, length, constant = springs.getBondParameters(0)
+    springs.setBondParameters(0, i, j, 1.1 * length, constant)
+    springs.updateParametersInContext(context)
+    if not early:
+        context.setParameter("stiffness", 300.0)
+    middle = context.getState(positions=True, velocities=True)
+    integrator.step(2)
+    custom.setGlobalParameterDefaultValue(0, 300.0)
+    fresh = SIER4GIntegrator(0.002, fastForceGroups={FAST})
+    other = openmm.Context(system, fresh, platform())
+    other.setPositions(middle.getPositions())
+    other.setVelocities(middle.getVelocities())
+    fresh.step(2)
+    # The new Context takes positions over from atoms, to rounding.
+    assert farthest(integrator.getBodyState(), fresh.getBodyState()) < 1e-9
+
+
+def test_fast_forces_travel_in_copies():
+    made = SIERLangevinIntegrator(300, 1, 0.004, fastForceGroups={1, 5}, substeps=2)
+    xml = openmm.XmlSerializer.serialize(made)
+    for other in (copy.copy(made), openmm.XmlSerializer.deserialize(xml), openmm.XmlSerializer.clone(made)):
+        assert other.fastForceGroups == {1, 5}
+        assert other.substeps == 2
+    assert openmm.XmlSerializer.serialize(SIER4GIntegrator(0.004)) != openmm.XmlSerializer.serialize(
+        SIER4GIntegrator(0.004, fastForceGroups={1})
+    )
+
+
+@pytest.mark.parametrize(
+    ("groups", "error"), [({32}, ValueError), ({-1}, ValueError), ("a", TypeError), (2.5, TypeError)]
+)
+def test_force_groups_that_do_not_exist(groups, error):
+    with pytest.raises(error, match="fastForceGroups"):
+        SIER4GIntegrator(0.004, fastForceGroups=groups)
+
+
+def test_forces_that_cannot_be_fast_are_refused():
+    system, _ = system_of(chains(), waters=1)
+    system.getForce(2).setForceGroup(FAST)
+    with pytest.raises(SoluteError, match=r"CustomNonbondedForce .* Put it into another group with setForceGroup"):
+        openmm.Context(system, SIER4GIntegrator(0.002, fastForceGroups={FAST}), platform())
+
+
+# --- prepare_system ---
+
+
+def test_prepare_system():
+    system, positions = system_of(chains(), waters=1)
+    springs = system.getForce(0)
+    springs.setForceGroup(0)
+    done = prepare_system(system)
+    assert done.fastForceGroups == {1}
+    assert "fastForceGroups={1}: HarmonicBondForce" in str(done)
+    assert [force.getForceGroup() for force in system.getForces()] == [1, 0, 0]
+    integrator = SIER4GIntegrator(0.003, fastForceGroups=done.fastForceGroups)
+    context = started(system, integrator, positions)
+    integrator.step(1)
+    assert context.getStepCount() == 1
+    # Prepared a second time it is as it was.
+    assert prepare_system(system).fastForceGroups == done.fastForceGroups
+
+
+def test_prepare_system_leaves_what_acts_on_rigid_bodies():
+    system = methanols_of(2)
+    positions, topology = positions_of(2), topology_of(2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        groups = RigidBodies.from_system(system, topology, "heavy atoms with hydrogens", positions)
+    done = prepare_system(system, groups)
+    assert done.fastForceGroups == frozenset()
+    assert "stay in the kicks" in str(done)
+    assert {force.getForceGroup() for force in system.getForces()} == {0}
+
+
+def test_prepare_system_refuses_a_group_in_use():
+    system, _ = system_of(chains())
+    system.getForce(0).setForceGroup(0)
+    with pytest.raises(ValueError, match="CustomExternalForce is in force group 0"):
+        prepare_system(system, fastForceGroup=0)
+    assert system.getForce(0).getForceGroup() == 0
+    with pytest.raises(ValueError, match="from 0 to 31, got 32"):
+        prepare_system(system, fastForceGroup=32)
+
+
+# --- steps ---
+
+
+def test_steps_that_fast_bonds_do_not_bear():
+    """Unconstrained C-H, of 11.4 fs: refused, warned of and taken."""
+    system, _ = system_of(chains(constrained=False))
+    period = 2000 * math.pi * math.sqrt(12 / 13 / 2.8e5)
+
+    def context(h, **options):
+        return openmm.Context(system, SIER4GIntegrator(h / 1000, fastForceGroups={FAST}, **options), platform())
+
+    with pytest.raises(openmm.OpenMMException, match=rf"inner step of .* period of {period:.3g} fs.*more substeps"):
+        context(2.1 * 3.46 / (2 * math.pi) * period, substeps=1)
+    with pytest.warns(UserWarning, match=rf"resonates .* period of {period:.3g} fs"):
+        context(0.5 * period)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        context(0.4 * period)
+
+
+# --- faults and refusals ---
+
+
+def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step():
+    """A step in which hydrogens would go round the carbon."""
+    system, positions = system_of(rotor(3))
+    integrator = SIER4GIntegrator(0.002)
+    context = started(system, integrator, positions)
+    integrator.step(3)
+    good = everything(context)
+    integrator.setStepSize(2.0)
+    with pytest.raises(openmm.OpenMMException, match=r"In step 4 the constraints of .*last completed step"):
+        integrator.step(1)
+    assert_same(everything(context), good)
+    integrator.setStepSize(0.002)
+    integrator.step(1)
+    assert context.getStepCount() == 4
+
+
+def test_positions_far_off_the_constraints_are_refused():
+    system, positions = system_of(rotor(3))
+    integrator = SIER4GIntegrator(0.002)
+    context = started(system, integrator, positions)
+    cut = positions.copy()
+    cut[2] += [0, 0, 0.4]
+    context.setPositions(cut)
+    with pytest.raises(RigidityError, match=r"atom|constraints"):
+        integrator.step(1)
+    off = positions.copy()
+    off[2] += [0.002, 0, 0]
+    context.setPositions(off)
+    with pytest.warns(UserWarning, match="not quite in the shape of their constraints"):
+        mended = integrator.getBodyState().q
+    assert integrator.bodies.constraints.residual(mended) < 1e-13
+    integrator.step(1)
+
+
+def test_atoms_in_a_row_are_refused_and_both_ways_out_work():
+    """Carbon dioxide: three constraints, carbon as a virtual site, a named body."""
+    positions = np.array([[0.0, 0, 0], [0.116, 0, 0], [0.232, 0, 0]])
+    system = openmm.System()
+    for mass in (15.999, 12.011, 15.999):
+        system.addParticle(mass)
+    named = copy.deepcopy(system)
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        system.addConstraint(i, j, positions[j, 0] - positions[i, 0])
+    with pytest.raises(RigidityError, match=r"atoms 0, 1, 2.*virtual sites.*name the atoms in `bodies`"):
+        openmm.Context(system, SIER4GIntegrator(0.002), platform())
+    dumbbell = openmm.System()
+    for mass in (22.0, 0.0, 22.0):
+        dumbbell.addParticle(mass)
+    dumbbell.setVirtualSite(1, openmm.TwoParticleAverageSite(0, 2, 0.5, 0.5))
+    dumbbell.addConstraint(0, 2, 0.232)
+    for way, bodies in ((named, [[0, 1, 2]]), (dumbbell, None)):
+        integrator = SIER4GIntegrator(0.002, bodies=bodies)
+        context = started(way, integrator, positions)
+        integrator.step(5)
+        assert integrator.bodies.dof == 5
+        x = context.getState(positions=True).getPositions(asNumpy=True)._value
+        assert np.linalg.norm(x[2] - x[0]) == pytest.approx(0.232, abs=1e-12)
+
+
+# --- minimization and pressure ---
+
+
+@pytest.mark.parametrize("named", [False, True], ids=["OpenMM", "FIRE"])
+def test_minimization_keeps_constraints(named):
+    """With a named body, which OpenMM's minimizer would tear, ours keeps the constraints of the others too."""
+    system, positions = methanols_of(3, X_H, positions_of(3, GEOMETRY, digit=0)), positions_of(3, GEOMETRY, digit=0)
+    if named:
+        for number in reversed(range(system.getNumConstraints())):
+            if system.getConstraintParameters(number)[0] < 6:
+                system.removeConstraint(number)
+    integrator = SIER4GIntegrator(0.002, bodies=[range(6)] if named else None)
+    context = context_at(system, integrator, (positions, 0 * positions))
+    before = total_energy(context)
+    openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
+    assert total_energy(context) < before - 1
+    x = context.getState(positions=True).getPositions(asNumpy=True)._value
+    for i, j, length in (system.getConstraintParameters(c) for c in range(system.getNumConstraints())):
+        # OpenMM's minimizer keeps them to 1e-5.
+        assert np.linalg.norm(x[i] - x[j]) == pytest.approx(length._value, rel=1e-10 if named else 1e-4)
+    integrator.step(1)
+    assert context.getStepCount() == 1
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["pressure", "MonteCarloBarostat"])
+def test_constant_pressure(own):
+    """Molecules keep their constraints to rounding while the box changes; our own moves restart to the bit."""
+    system, positions = system_of(chains(field=False), waters=3, ions=1, box=2.2)
+    if not own:
+        system.addForce(openmm.MonteCarloBarostat(50, 300, 2))
+    pressure = {"pressure": 50.0, "barostatInterval": 2} if own else {}
+
+    def integrator():
+        made = SIERLangevinIntegrator(300, 5, 0.002, fastForceGroups={FAST}, **pressure)
+        made.setRandomNumberSeed(2)
+        return made
+
+    one = integrator()
+    context = started(system, one, positions + 1.0)
+    one.step(30)
+    box = context.getState().getPeriodicBoxVolume()._value
+    assert box != pytest.approx(2.2**3, rel=1e-6)
+    assert one.bodies.constraints.residual(one.getBodyState().q) < 1e-13
+    if own:
+        assert_restart_is_the_same(system, context, integrator(), 9)
+
+
+# --- a peptide ---
+
+
+@pytest.fixture(scope="module")
+def peptide():
+    """ACE-ALA-NME in four waters, with bonds of hydrogen constrained: System and positions."""
+    return capped_alanine(waters=4)
+
+
+def test_close_pairs_leave_the_forces_what_they_are(peptide):
+    """On Reference, to rounding: interactions of a few bonds apart only move from one Force to another."""
+    system, positions = peptide
+    prepared = copy.deepcopy(system)
+    assert "pairs up to 4 bonds apart are a force of their own" in str(prepare_system(prepared))
+    # By the topology ACE-ALA-NME has 41 pairs three bonds apart and 40 four bonds.
+    (moved,) = (force for force in prepared.getForces() if force.getName() == "ClosePairs")
+    assert moved.getNumBonds() == 41 + 40
+    found = []
+    for one in (system, prepared):
+        context = openmm.Context(one, openmm.VerletIntegrator(0.001), platform())
+        context.setPositions(positions)
+        state = context.getState(energy=True, forces=True)
+        found.append((state.getPotentialEnergy()._value, state.getForces(asNumpy=True)._value))
+    assert found[0][0] == pytest.approx(found[1][0], abs=1e-9)
+    assert np.abs(found[0][1] - found[1][1]).max() < 1e-8
+
+
+def test_close_pairs_stay_where_they_cannot_be_moved(peptide):
+    system = copy.deepcopy(peptide[0])
+    custom = openmm.CustomNonbondedForce("0")
+    for _ in range(system.getNumParticles()):
+        custom.addParticle()
+    system.addForce(custom)
+    assert "stay in the kicks, since CustomNonbondedForce has to exclude" in str(prepare_system(system))
+
+
+def test_peptide_in_water_runs_on_the_cpu_platform(peptide):
+    """As a user would: Simulation, reporter, 6 fs with fast forces."""
+    system, positions = copy.deepcopy(peptide[0]), peptide[1]
+    prepared = prepare_system(system)
+    integrator = SIERLangevinIntegrator(
+        300 * unit.kelvin, 1 / unit.picosecond, 0.004, fastForceGroups=prepared.fastForceGroups
+    )
+    context = started(system, integrator, positions, name="CPU")
+    openmm.LocalEnergyMinimizer.minimize(context, 10, 50)
+    context.setVelocitiesToTemperature(300, 1)
+    integrator.step(20)
+    assert 100 < integrator.computeTemperatures().flexible < 900
+    assert integrator.forceEvaluations < 20 * 3 + 10
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+@pytest.mark.parametrize("small", [0, 1000])
+def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(peptide, monkeypatch, threads, small):
+    """On the CPU platform or on Reference, by the number of threads and of atoms."""
+    monkeypatch.setattr(motion, "SMALL_SOLUTE", small)
+    system, positions = copy.deepcopy(peptide[0]), peptide[1]
+    integrator = SIER4GIntegrator(0.002, fastForceGroups=prepare_system(system).fastForceGroups)
+    context = openmm.Context(system, integrator, platform("CPU"), {"Threads": threads})
+    context.setPositions(positions)
+    integrator.step(0)
+    q = integrator.getBodyState().q
+    members = np.flatnonzero(integrator.bodies.flexible)
+    atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
+    expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
+    found = integrator._engine._motion.fast.forces.at(q[:, members])
+    # Forces of the CPU platform pass through single precision where they are summed.
+    assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
+
+
+def test_an_engine_with_fast_forces_needs_no_garbage_collector():
+    """Its second Context goes with the integrator; a collector might delete the System of that one first."""
+    system, positions = system_of(chains())
+    integrator = SIER4GIntegrator(0.002, fastForceGroups={FAST})
+    context = started(system, integrator, positions)
+    integrator.step(1)
+    motion = weakref.ref(integrator._engine._motion)
+    gc.disable()
+    try:
+        del context, integrator
+        assert motion() is None
+    finally:
+        gc.enable()

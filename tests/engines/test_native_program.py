@@ -1,0 +1,130 @@
+"""The program that a scheme becomes: as data, and executed on particles without constraints."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier import SIER2, SIER4G, Scheme, SIERIntegrator
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.dynamics.stages import DRIFT, KICK
+from openmm_sier.engines.native import program as native_program
+from tests.support.waters import context_at, phase_point
+
+SCHEMES = [*CATALOGUE.values(), *(scheme.with_bath() for scheme in CATALOGUE.values())]
+NAMES = [*CATALOGUE, *(f"{name} with a bath" for name in CATALOGUE)]
+
+
+def statements(part):
+    return [statement for line in part for statement in line.statements]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=NAMES)
+def test_native_steps_take_forces_before_they_move_anything(scheme):
+    program = native_program.write(scheme, 3)
+    for part in program.parts:
+        moved = [s.moves for s in statements(part)]
+        forces = [s.needs_force for s in statements(part)]
+        first_move = moved.index(True) if any(moved) else len(moved)
+        assert not any(forces[first_move:])
+    assert statements(program.parts[0])[0].target == native_program.UPDATE
+    # One native step for each force evaluation, and one for what comes before the first of them: a drift, or a kick by
+    # the force that the last step left.
+    assert len(program.parts) == scheme.force_evaluations + 1
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 3, 4, 5, 7])
+def test_substeps_make_up_the_drift(substeps):
+    program = native_program.write(SIER4G, substeps)
+    drifts = [line for part in program.parts for line in part if line.title == "drift"]
+    assert len(drifts) == 2
+    for line in drifts:
+        assert len(line.lengths) == substeps
+        # Rounding of a few numbers.
+        assert sum(line.lengths) == pytest.approx(0.5, abs=1e-15)
+        assert line.lengths == line.lengths[::-1]
+        cubes = sum(d**3 for d in line.lengths)
+        assert abs(cubes) < 1e-15 if substeps in native_program.COMPOSITIONS else cubes > 1e-3
+
+
+def test_program_prints_as_the_algorithm():
+    text = str(SIERIntegrator(0.006, SIER4G).program)
+    lines = text.splitlines()
+    assert len(lines) <= 12
+    assert lines[0] == "SIER4G: one step h = 4 native steps dt"
+    assert "v = v + 0.16666666666666666*h*f/m; constrain v" in text
+    assert "sier_" not in text
+
+
+def test_scheme_that_cannot_be_written_out_is_left_to_the_exact_engine():
+    other = Scheme("other", ((KICK, 0.5), (DRIFT, 1.0), (KICK, 0.5), ("spin", 1.0)))
+    integrator = SIERIntegrator(0.002, other)
+    with pytest.raises(ValueError, match="'spin'"):
+        _ = integrator.program
+    system = openmm.System()
+    system.addParticle(1.0)
+    with pytest.raises(openmm.OpenMMException, match=r"does not know this scheme.*take another scheme"):
+        openmm.Context(system, SIERIntegrator(0.002, other, engine="native"))
+    many = Scheme("many", ((KICK, 0.5), *[(DRIFT, 0.05), (KICK, 0.0)] * 20, (KICK, 0.5)))
+    with pytest.raises(ValueError, match="21 native steps, more than 12"):
+        native_program.write(many, 1)
+
+
+@pytest.mark.parametrize("name", ["engine", "substeps"])
+def test_bad_arguments_are_named(name):
+    with pytest.raises(ValueError, match=name):
+        SIERIntegrator(0.002, SIER2, **{name: 0})
+
+
+@pytest.fixture(scope="module")
+def particles():
+    """Anharmonic oscillators that are coupled, and a point of their phase space.
+
+    The coupling is no bond: of a molecule the exact engine conserves the angular momentum in gradient kicks.
+    """
+    system, rng = openmm.System(), np.random.default_rng(5)
+    pairs = openmm.CustomNonbondedForce("20*(r-0.3)^2 + 50*(r-0.3)^3")
+    well = openmm.CustomExternalForce("30*(x^2+y^2+z^4)")
+    for i in range(5):
+        system.addParticle(1.0 + i)
+        pairs.addParticle([])
+        well.addParticle(i, [])
+    system.addForce(pairs)
+    system.addForce(well)
+    return system, (rng.normal(size=(5, 3)) * 0.2, rng.normal(size=(5, 3)))
+
+
+@pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
+def test_without_constraints_both_engines_make_the_same_trajectory(scheme, particles):
+    """RATTLE without constraints is the exact drift, so that every coefficient of the program is compared."""
+    system, point = particles
+    ends = {}
+    for engine in ("exact", "native"):
+        integrator = SIERIntegrator(0.02, scheme, engine=engine, substeps=3)
+        context = context_at(system, integrator, point)
+        integrator.step(20)
+        assert integrator.engine == engine
+        ends[engine] = phase_point(context)
+        assert context.getStepCount() == 20
+        assert integrator.forceEvaluations == pytest.approx(20 * scheme.force_evaluations, abs=1)
+    assert np.abs(ends["exact"][0] - point[0]).max() > 0.1
+    for exact, native in zip(ends["exact"], ends["native"], strict=True):
+        # 20 steps of some 10 roundings, which the motion amplifies less than a hundredfold. A wrong last digit of a
+        # coefficient of 1e-9 shows.
+        assert np.abs(exact - native).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("name", "substeps", "inner"),
+    [("sier2", 3, 1), ("sier4g", 3, 1), ("sier4p", 3, 1), ("sier4", 5, 2), ("sier4v", 5, 2)],
+)
+def test_schemes_with_long_drifts_have_more_substeps(name, substeps, inner):
+    """With three, rms(H)/rms(V) of water by SIER4V at 2 fs per force is six times that of the exact engine."""
+    scheme = CATALOGUE[name]
+    assert native_program.write(scheme) == native_program.write(scheme, substeps)
+    assert native_program.write(scheme, fast_groups={1}) == native_program.write(scheme, inner, {1})
+    assert SIERIntegrator(0.002, scheme).program == native_program.write(scheme, substeps)
+    assert SIERIntegrator(0.002, scheme, substeps=2).program == native_program.write(scheme, 2)
+    lengths = [d for part in native_program.write(scheme, inner, {1}).parts for line in part for d in line.lengths]
+    assert native_program.longest_inner_step(scheme) == pytest.approx(max(map(abs, lengths)), rel=1e-14)

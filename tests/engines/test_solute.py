@@ -1,0 +1,189 @@
+"""Bonded forces from a Context of some atoms: those of the whole System, parameters and box, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier.engines.exact.solute import SoluteError, SoluteForces, solute_system
+
+#: Particles: a water 0-2 in front, eight flexible atoms in a shuffled order, a virtual site, an ion.
+FLEXIBLE = [9, 3, 4, 7, 5, 6, 10, 8]
+WATER = [0, 1, 2]
+SITE, ION = 11, 12
+FAST = 3
+
+
+def bonded_forces():
+    """One of each kind, with terms on flexible atoms."""
+    a = FLEXIBLE
+    bond = openmm.HarmonicBondForce()
+    bond.addBond(a[0], a[1], 0.15, 2e5)
+    bond.addBond(a[6], a[7], 0.12, 1e5)
+    angle = openmm.HarmonicAngleForce()
+    angle.addAngle(a[2], a[0], a[1], 1.9, 400)
+    torsion = openmm.PeriodicTorsionForce()
+    torsion.addTorsion(a[0], a[1], a[2], a[3], 3, 0.4, 9)
+    ryckaert = openmm.RBTorsionForce()
+    ryckaert.addTorsion(a[4], a[5], a[6], a[7], 1, 2, 3, 4, 5, 6)
+    cmap = openmm.CMAPTorsionForce()
+    angles = 2 * np.pi * np.arange(24) / 24
+    cmap.addMap(24, (10 * np.outer(np.sin(angles), np.cos(2 * angles)) + 4 * np.cos(angles)).ravel())
+    cmap.addTorsion(0, a[0], a[1], a[2], a[3], a[1], a[2], a[3], a[4])
+    custom_bond = openmm.CustomBondForce("scale*k*(r-0.2)^4")
+    custom_bond.addGlobalParameter("scale", 1.0)
+    custom_bond.addPerBondParameter("k")
+    custom_bond.addBond(a[3], a[5], [3e4])
+    custom_angle = openmm.CustomAngleForce("k*(theta-2)^2")
+    custom_angle.addPerAngleParameter("k")
+    custom_angle.addAngle(a[3], a[4], a[5], [77.0])
+    custom_torsion = openmm.CustomTorsionForce("k*cos(2*theta)")
+    custom_torsion.addPerTorsionParameter("k")
+    custom_torsion.addTorsion(a[1], a[3], a[5], a[7], [11.0])
+    return [bond, angle, torsion, ryckaert, cmap, custom_bond, custom_angle, custom_torsion]
+
+
+def whole_system(forces):
+    system = openmm.System()
+    for mass in [15.999, 1.008, 1.008, *8 * [12.011], 0.0, 22.99]:
+        system.addParticle(mass)
+    system.setVirtualSite(SITE, openmm.TwoParticleAverageSite(FLEXIBLE[0], FLEXIBLE[1], 0.5, 0.5))
+    slow = openmm.HarmonicBondForce()
+    slow.addBond(ION, FLEXIBLE[0], 0.1, 500)
+    system.addForce(slow)
+    system.addForce(openmm.CMMotionRemover())
+    for force in forces:
+        force.setForceGroup(FAST)
+        system.addForce(force)
+    return system
+
+
+def whole_context(system, x):
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
+    context.setPositions(x)
+    return context
+
+
+def reference(system):
+    return openmm.Platform.getPlatformByName("Reference")
+
+
+def forces_in(context):
+    return context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value
+
+
+@pytest.fixture
+def positions(rng):
+    x = 0.5 * rng.random((13, 3))
+    x[SITE] = 0.5 * (x[FLEXIBLE[0]] + x[FLEXIBLE[1]])
+    return x
+
+
+@pytest.mark.parametrize("kind", range(len(bonded_forces())), ids=[type(f).__name__ for f in bonded_forces()])
+def test_each_kind_gives_the_forces_of_the_whole_system(positions, kind):
+    """Every kind alone, so that a wrong one cannot hide; other groups and passive Forces stay out."""
+    system = whole_system([bonded_forces()[kind]])
+    solute = SoluteForces(system, FLEXIBLE, {FAST}, platform=reference(system))
+    expected = forces_in(whole_context(system, positions))[FLEXIBLE].T
+    assert np.abs(expected).max() > 1.0
+    # The same arithmetic on the same numbers.
+    assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_all_kinds_together_and_their_energy(positions):
+    system = whole_system(bonded_forces())
+    context = whole_context(system, positions)
+    solute = SoluteForces(system, FLEXIBLE, {FAST}, platform=reference(system))
+    q = positions[FLEXIBLE].T
+    assert solute(q).shape == q.shape
+    expected = context.getState(energy=True, groups={FAST}).getPotentialEnergy()._value
+    assert solute.energy(q) == pytest.approx(expected, rel=1e-12)
+    assert not solute.is_empty
+    assert SoluteForces(system, FLEXIBLE, {7}).is_empty
+
+
+def test_the_reduced_system_has_the_atoms_in_their_order():
+    system = whole_system(bonded_forces())
+    system.setParticleMass(FLEXIBLE[2], 3.0)
+    reduced = solute_system(system, FLEXIBLE, {FAST})
+    masses = [reduced.getParticleMass(i)._value for i in range(reduced.getNumParticles())]
+    assert masses == [12.011, 12.011, 3.0, *5 * [12.011]]
+    assert reduced.getNumForces() == len(bonded_forces())
+    assert reduced.getNumConstraints() == 0
+
+
+def test_parameters_and_box_follow(positions):
+    bond = openmm.HarmonicBondForce()
+    bond.addBond(FLEXIBLE[0], FLEXIBLE[1], 0.15, 2e5)
+    bond.setUsesPeriodicBoundaryConditions(True)
+    forces = [bonded_forces()[5], bond]
+    system = whole_system(forces)
+    system.setDefaultPeriodicBoxVectors(*(3 * np.eye(3)))
+    # Half a box apart, where the nearest image depends on the box.
+    positions[FLEXIBLE[1]] = positions[FLEXIBLE[0]] + [1.2, 0, 0]
+    context = whole_context(system, positions)
+    solute = SoluteForces(system, FLEXIBLE, {FAST}, platform=reference(system))
+    assert not solute.follow(context)
+    context.setParameter("scale", 2.5)
+    assert solute.follow(context)
+    assert not solute.follow(context)
+    context.setPeriodicBoxVectors(*(2.2 * np.eye(3)))
+    assert solute.follow(context)
+    expected = forces_in(context)[FLEXIBLE].T
+    assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_terms_within_a_rigid_body_are_left_out(positions):
+    """As force fields have them for rigid water; one that joins it to the solute is refused."""
+    angle = openmm.HarmonicAngleForce()
+    angle.addAngle(1, 0, 2, 1.8, 400)
+    angle.addAngle(*FLEXIBLE[:3], 1.8, 400)
+    rigid = np.full(13, -1)
+    rigid[WATER] = 0
+    system = whole_system([angle])
+    solute = SoluteForces(system, FLEXIBLE, {FAST}, rigid, reference(system))
+    expected = forces_in(whole_context(system, positions))[FLEXIBLE].T
+    assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
+    with pytest.raises(
+        SoluteError, match="angle of HarmonicAngleForce acts on the atoms 1, 0, 2; atom 1 is not among those"
+    ):
+        solute_system(system, FLEXIBLE, {FAST})
+    joined = openmm.HarmonicBondForce()
+    joined.addBond(0, FLEXIBLE[0], 0.3, 100)
+    with pytest.raises(
+        SoluteError, match="bond of HarmonicBondForce acts on the atoms 0, 9; atom 0 is not among those"
+    ):
+        solute_system(whole_system([joined]), FLEXIBLE, {FAST}, rigid)
+
+
+def test_what_is_refused():
+    external = openmm.CustomExternalForce("x")
+    external.setName("trap")
+    with pytest.raises(
+        SoluteError, match=r"trap \(CustomExternalForce\) is in the fast force group 3; only HarmonicBondForce"
+    ):
+        solute_system(whole_system([external]), FLEXIBLE, {FAST})
+    system = whole_system([])
+    with pytest.raises(SoluteError, match="atom 13, the System has 13"):
+        solute_system(system, [3, 13], {FAST})
+    with pytest.raises(SoluteError, match="atom 3, which is named twice"):
+        solute_system(system, [3, 3], {FAST})
+    with pytest.raises(SoluteError, match="atom 11, which is a virtual site"):
+        solute_system(system, [3, SITE], {FAST})
+
+
+def test_a_force_on_a_virtual_site_is_refused():
+    bond = openmm.HarmonicBondForce()
+    bond.addBond(FLEXIBLE[0], SITE, 0.15, 2e5)
+    with pytest.raises(SoluteError, match="atom 11 is not among those"):
+        solute_system(whole_system([bond]), FLEXIBLE, {FAST})
+
+
+def test_the_system_itself_is_unchanged():
+    system = whole_system(bonded_forces())
+    before = openmm.XmlSerializer.serialize(system)
+    solute_system(system, FLEXIBLE, {FAST})
+    assert openmm.XmlSerializer.serialize(system) == before
+    assert system.getParticleMass(FLEXIBLE[0]) == 12.011 * unit.dalton

@@ -1,0 +1,201 @@
+"""Degrees of freedom and temperatures: what counts as heat, by what is conserved."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app
+
+from openmm_sier import SIER2, BodyState, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.engines.temperature import degrees_of_freedom, temperatures
+from openmm_sier.observe import conservation
+from openmm_sier.observe.reporters import ConservationReporter
+from tests.support.molecules import GEOMETRIES, ION, WATER, ensemble, scattered, thermal_state
+from tests.support.waters import periodic_system, platform
+
+N = 59
+
+
+@pytest.fixture(scope="module")
+def box():
+    return periodic_system(removeCMMotion=False)
+
+
+def nve():
+    return SIER2Integrator(0.001)
+
+
+def langevin(friction=1.0):
+    return SIERLangevinIntegrator(300, friction, 0.001, scheme=SIER2)
+
+
+def external(group=0):
+    force = openmm.CustomExternalForce("x")
+    force.addParticle(0)
+    force.setForceGroup(group)
+    return force
+
+
+def compound(expression):
+    force = openmm.CustomCompoundBondForce(2, expression)
+    force.addBond([0, 3])
+    return force
+
+
+def variable(force):
+    collective = openmm.CustomCVForce("cv")
+    collective.addCollectiveVariable("cv", force)
+    return collective
+
+
+#: Integrator, what is added to the System, and degrees of freedom that hold no heat.
+CASES = {
+    "constant energy": (nve, [], 3),
+    "constant energy, motion removed": (nve, [openmm.CMMotionRemover()], 3),
+    "constant energy, barostat": (nve, [openmm.MonteCarloBarostat(1, 300)], 3),
+    "bath": (langevin, [], 0),
+    "bath without friction": (lambda: langevin(0), [], 3),
+    "bath, motion removed": (langevin, [openmm.CMMotionRemover()], 3),
+    "Andersen's bath": (nve, [openmm.AndersenThermostat(300, 1)], 0),
+    "field": (nve, [external()], 0),
+    "field that acts on nothing": (nve, [openmm.CustomExternalForce("x")], 3),
+    "field as a collective variable": (nve, [variable(external())], 0),
+    "bond by distance": (nve, [compound("distance(p1, p2)")], 3),
+    "bond by coordinates": (nve, [compound("x1 - z2")], 0),
+}
+
+
+def atomic_kinetic_energy(context):
+    """From the velocities of the atoms, kJ/mol: all of it, and that of the centre of mass."""
+    system = context.getSystem()
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    v = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+    return 0.5 * float(masses @ (v**2).sum(axis=1)), 0.5 * float(((masses @ v) ** 2).sum()) / masses.sum()
+
+
+def moving_context(box, integrator, forces=(), drift=(0.5, -0.3, 0.2)):
+    """A Context whose centre of mass moves at 0.6 nm/ps, with a fifth of the kinetic energy."""
+    _, positions, system = box
+    system = openmm.XmlSerializer.clone(system)
+    for force in forces:
+        system.addForce(openmm.XmlSerializer.clone(force))
+    context = openmm.Context(system, integrator, platform())
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(300, 1)
+    velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+    context.setVelocities(velocities + np.array(drift))
+    return context
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_degrees_of_freedom_by_what_is_conserved(box, case):
+    """Without conservation all motion is heat; with it three degrees of freedom and the centre of mass are not."""
+    make, forces, left_out = CASES[case]
+    integrator = make()
+    context = moving_context(box, integrator, forces)
+    kinetic, of_centre = atomic_kinetic_energy(context)
+    assert of_centre > 100
+    heat = kinetic - (of_centre if left_out else 0)
+    expected = 2 * heat / ((6 * N - left_out) * GAS_CONSTANT)
+    assert integrator.conservesMomentum == bool(left_out)
+    # Velocities as drawn by OpenMM are those of rigid bodies to 1e-5; three degrees of freedom are 1 %.
+    assert integrator.computeSystemTemperature()._value == pytest.approx(expected, rel=1e-5)
+
+
+def test_force_groups_that_do_not_move_the_bodies_do_not_count(box):
+    integrator = nve()
+    context = moving_context(box, integrator, [external(group=5)])
+    assert not integrator.conservesMomentum
+    integrator.setIntegrationForceGroups({0})
+    assert integrator.conservesMomentum
+    del context
+
+
+def test_friction_counts_when_it_is_set(box):
+    integrator = langevin()
+    context = moving_context(box, integrator)
+    assert not integrator.conservesMomentum
+    integrator.setFriction(0)
+    assert integrator.conservesMomentum
+    del context
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_fixed_particles_take_up_momentum_and_virtual_sites_do_not(fixed):
+    system = openmm.System()
+    for mass in (1.0, 1.0, 0.0):
+        system.addParticle(mass)
+    if not fixed:
+        system.setVirtualSite(2, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
+    integrator = nve()
+    context = openmm.Context(system, integrator, platform())
+    context.setPositions(np.eye(3))
+    assert integrator.conservesMomentum == (not fixed)
+
+
+def test_everything_that_states_a_temperature_agrees(box, tmp_path):
+    """The log of the command, both reporters and the integrator, for one phase point of 59 waters."""
+    topology, positions, system = box
+    simulation = app.Simulation(topology, system, nve(), platform())
+    simulation.context.setPositions(positions)
+    simulation.context.setVelocitiesToTemperature(300, 1)
+    ours = ConservationReporter(tmp_path / "ours.csv", 1)
+    simulation.reporters += [ours, app.StateDataReporter(str(tmp_path / "theirs.csv"), 1, temperature=True)]
+    simulation.step(1)
+    ours.close()
+    row = dict(zip(conservation.COLUMNS, conservation.row(simulation.context), strict=True))
+    kinetic, of_centre = atomic_kinetic_energy(simulation.context)
+    expected = 2 * (kinetic - of_centre) / ((6 * N - 3) * GAS_CONSTANT)
+    assert row["Temperature (K)"] == pytest.approx(expected, rel=1e-10)
+    parts = (3 * N - 3) * row["Translational Temperature (K)"] + 3 * N * row["Rotational Temperature (K)"]
+    assert parts / (6 * N - 3) == pytest.approx(expected, rel=1e-10)
+    header, values = (tmp_path / "ours.csv").read_text().splitlines()
+    assert float(values.split(",")[header.split(",").index("Temperature (K)")]) == row["Temperature (K)"]
+    assert float((tmp_path / "theirs.csv").read_text().splitlines()[1]) == row["Temperature (K)"]
+
+
+def test_a_box_that_moves_as_a_whole_is_not_hotter(box):
+    found = []
+    for drift in ((0, 0, 0), (3, 2, 1)):
+        context = moving_context(box, nve(), drift=drift)
+        found.append(context.getIntegrator().computeTemperatures())
+    # Rounding of momenta of 1000 dalton at 4 nm/ps beside thermal ones.
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+
+
+def test_mean_temperature_of_few_bodies(rng):
+    """Canonical velocities of three waters with the centre of mass brought to rest: the mean is the temperature."""
+    bodies, state = ensemble(WATER, 3)
+    found = []
+    for _ in range(4000):
+        state = thermal_state(rng, bodies, state.q, 300.0)
+        at_rest = state.p - np.outer(state.p.sum(axis=1), bodies.masses / bodies.masses.sum())
+        found.append(temperatures(bodies, BodyState(state.q, at_rest, state.A, state.L), conserved=True))
+    # Standard errors of 300 K sqrt(2/dof/4000) with 15, 6 and 9 degrees of freedom; four of them. Nine instead of six
+    # for the translation would give 200 K.
+    for mean, dof in zip(np.mean(found, axis=0)[:3], (15, 6, 9), strict=True):
+        assert mean == pytest.approx(300.0, abs=4 * 300 * math.sqrt(2 / dof / 4000))
+
+
+def test_kinds_of_bodies_have_their_degrees_of_freedom():
+    bodies = scattered(list(GEOMETRIES), each=10, n_free=0)
+    assert degrees_of_freedom(bodies, conserved=False) == (3 * 70, 10 * (4 * 3 + 2 * 2), 0)
+    assert degrees_of_freedom(bodies, conserved=True) == (3 * 70 - 3, 10 * (4 * 3 + 2 * 2), 0)
+
+
+def test_nothing_that_moves_has_no_temperature():
+    ions, state = ensemble(ION, 1)
+    assert np.isnan(temperatures(ions, state, conserved=True)).all()
+    total, translation, rotation, flexible = temperatures(ions, state, conserved=False)
+    assert total == translation > 0
+    assert math.isnan(rotation)
+    assert math.isnan(flexible)
+    none = RigidBodies([], 3)
+    empty = BodyState(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros((3, 3, 0)), np.zeros((3, 0)))
+    for conserved in (True, False):
+        assert np.isnan(list(itertools.chain(temperatures(none, empty, conserved)))).all()

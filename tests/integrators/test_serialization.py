@@ -1,0 +1,320 @@
+"""XML, copies and caches keyed by XML: all settings are in what OpenMM serializes, and come back from it."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import itertools
+import pickle
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import (
+    SIER2,
+    SIER4,
+    SIER4G,
+    RigidBodies,
+    Scheme,
+    SIER2Integrator,
+    SIER4Integrator,
+    SIERHMCIntegrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+    hooks,
+)
+from openmm_sier.dynamics import bodies as dynamics
+from openmm_sier.dynamics import rotation
+from tests.support.waters import array, cluster_system, context_at, platform, relaxed
+
+serialize, deserialize = openmm.XmlSerializer.serialize, openmm.XmlSerializer.deserialize
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Topology, System, and positions and velocities of a few waters."""
+    topology, positions, system = cluster_system(3)
+    return topology, system, relaxed(topology, positions, system)
+
+
+def langevin(temperature=300.0, friction=1.0, **settings):
+    return SIERLangevinIntegrator(temperature, friction, 0.002, **settings)
+
+
+def nudged(scheme: Scheme) -> Scheme:
+    """Another scheme of the same name, which differs in the last bit of two fractions."""
+    first = np.nextafter(scheme.stages[0].fraction, 1)
+    stages = [list(stage) for stage in scheme.stages]
+    stages[0][1] = stages[-1][1] = float(first)
+    return Scheme(scheme.name, tuple(map(tuple, stages)), scheme.source)
+
+
+def own_map(A, L, moments, h):
+    """A free-rotation map that XML can name."""
+    return rotation.mrdl(A, L, moments, h)
+
+
+#: No two of them are alike.
+DISTINCT = {
+    "SIER2": lambda: SIER2Integrator(0.002),
+    "SIER4": lambda: SIER4Integrator(0.002),
+    "SIER2 by the general class": lambda: SIERIntegrator(0.002, SIER2),
+    "SIER4G": lambda: SIERIntegrator(0.002, SIER4G),
+    "a last bit": lambda: SIERIntegrator(0.002, nudged(SIER4G)),
+    "other rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=rotation.mrdl),
+    "own rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=own_map),
+    "bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[0, 1, 2]]),
+    "other bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[3, 4, 5]]),
+    "more bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[0, 1, 2], [3, 4, 5]]),
+    "settled bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=RigidBodies.from_system(cluster_system(3)[2])),
+    "Langevin": langevin,
+    "temperature": lambda: langevin(310),
+    "friction": lambda: langevin(friction=2),
+    "rotational friction": lambda: langevin(rotationalFriction=2),
+    "the same rotational friction": lambda: langevin(rotationalFriction=1),
+    "scheme of the bath": lambda: langevin(scheme=SIER2),
+    "pressure": lambda: langevin(pressure=1 * unit.bar),
+    "higher pressure": lambda: langevin(pressure=2 * unit.bar),
+    "engine": lambda: SIERIntegrator(0.002, SIER2, engine="native"),
+    "substeps": lambda: SIERIntegrator(0.002, SIER2, engine="native", substeps=5),
+    "interval": lambda: langevin(pressure=1 * unit.bar, barostatInterval=5),
+    "hybrid Monte Carlo": lambda: SIERHMCIntegrator(300, 0.002),
+    "length of trials": lambda: SIERHMCIntegrator(300, 0.002, stepsPerTrial=5),
+    "momenta kept in part": lambda: SIERHMCIntegrator(300, 0.002, frictionCoeff=1),
+    "trials at constant pressure": lambda: SIERHMCIntegrator(300, 0.002, pressure=1 * unit.bar, barostatInterval=5),
+}
+
+
+def described(integrator) -> list:
+    """All that users can ask of an integrator."""
+    parts = [type(integrator), integrator.getStepSize(), integrator.scheme, integrator.rotation]
+    parts += [integrator.getIntegrationForceGroups(), integrator.getConstraintTolerance()]
+    parts.append(integrator.getRandomNumberSeed())
+    if isinstance(integrator, SIERLangevinIntegrator):
+        parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
+        parts += [integrator.getPressure(), integrator.getBarostatInterval(), integrator._same_friction]
+    if isinstance(integrator, SIERHMCIntegrator):
+        parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getStepsPerTrial()]
+        parts += [integrator.getPressure(), integrator.getBarostatInterval()]
+    return parts
+
+
+def test_what_differs_serializes_differently():
+    found = {name: serialize(make()) for name, make in DISTINCT.items()}
+    alike = [pair for pair in itertools.combinations(found, 2) if found[pair[0]] == found[pair[1]]]
+    assert not alike
+
+
+@pytest.mark.parametrize("make", DISTINCT.values(), ids=DISTINCT)
+def test_xml_gives_back_the_integrator(make):
+    """Of the same class and settings, of the same XML, and to the bit."""
+    original = make()
+    original.setIntegrationForceGroups({0, 3})
+    original.setConstraintTolerance(1e-7)
+    original.setRandomNumberSeed(12)
+    for way in (lambda it: deserialize(serialize(it)), openmm.XmlSerializer.clone):
+        back = way(original)
+        assert described(back) == described(original)
+        assert serialize(back) == serialize(original)
+
+
+def test_settings_that_are_changed_are_in_xml():
+    integrator = langevin(pressure=1 * unit.bar)
+    changes = {
+        "setTemperature": 320,
+        "setFriction": 3,
+        "setRotationalFriction": 4,
+        "setPressure": 5,
+        "setStepSize": 0.001,
+    }
+    seen = {serialize(integrator)}
+    for name, value in changes.items():
+        getattr(integrator, name)(value)
+        seen.add(serialize(integrator))
+        assert described(deserialize(serialize(integrator))) == described(integrator)
+    assert len(seen) == len(changes) + 1
+
+
+@pytest.mark.parametrize("make", DISTINCT.values(), ids=DISTINCT)
+def test_copies_of_a_bound_integrator_serialize_like_it(cluster, make):
+    integrator = make()
+    if integrator_has_pressure(integrator):
+        integrator = langevin()
+    _context = context_at(cluster[1], integrator, cluster[2])
+    integrator.step(1)
+    for way in (copy.copy, copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))):
+        assert serialize(way(integrator)) == serialize(integrator)
+
+
+def integrator_has_pressure(integrator) -> bool:
+    return hasattr(integrator, "getPressure") and integrator.getPressure() is not None
+
+
+def test_settled_bodies_come_back_to_the_bit(cluster):
+    bodies = RigidBodies.from_system(cluster[1], cluster[0])
+    back = deserialize(serialize(SIER2Integrator(0.001, bodies)))._given_bodies
+    assert back.n_particles == bodies.n_particles
+    for one, two in zip(back.species, bodies.species, strict=True):
+        for name in ("atoms", "masses", "sites", "moments"):
+            assert np.array_equal(getattr(one, name), getattr(two, name))
+    # Copies in one process also know the names of residues, for messages.
+    assert copy.deepcopy(SIER2Integrator(0.001, bodies))._given_bodies is bodies
+
+
+def test_bodies_without_a_system_are_stored_like_those_of_one(cluster):
+    bodies = RigidBodies.from_system(cluster[1])
+    plain = dynamics.RigidBodies(bodies.species, bodies.n_particles)
+    assert serialize(SIER2Integrator(0.001, plain)) == serialize(SIER2Integrator(0.001, bodies))
+
+
+def test_a_run_from_xml_files_is_the_run(tmp_path, cluster):
+    """OpenMM's Simulation takes file names of System, integrator and State; nothing else is needed to go on."""
+    topology, system, point = cluster
+    integrator = SIERIntegrator(0.004, SIER4G)
+    context = context_at(system, integrator, point)
+    integrator.step(3)
+    state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+    files = [str(tmp_path / f"{name}.xml") for name in ("system", "integrator", "state")]
+    for file, item in zip(files, (system, integrator, state), strict=True):
+        with open(file, "w") as out:
+            out.write(serialize(item))
+    simulation = app.Simulation(topology, files[0], files[1], platform(), state=files[2])
+    assert isinstance(simulation.integrator, SIERIntegrator)
+    integrator.step(5)
+    simulation.step(5)
+    ends = [array(it.getState(positions=True).getPositions(asNumpy=True)) for it in (context, simulation.context)]
+    assert np.array_equal(*ends)
+
+
+def test_a_state_does_not_bring_back_settings(cluster):
+    """A checkpoint of a colder run leaves the integrator at the temperature that it was made with, as in OpenMM."""
+    _, system, point = cluster
+    cold = langevin(100)
+    first = context_at(system, cold, point)
+    cold.step(1)
+    warm = langevin(300)
+    second = context_at(system, warm, point)
+    second.loadCheckpoint(first.createCheckpoint())
+    assert warm.getTemperature() == 300 * unit.kelvin
+    assert described(deserialize(serialize(warm)))[7] == 300 * unit.kelvin
+
+
+@pytest.mark.parametrize("n", [1, 5])
+def test_copy_of_a_bound_integrator_in_another_system(cluster, n):
+    """OpenMM does not check that per-atom variables fit the System, and would read beyond their end."""
+    integrator = SIER2Integrator(0.001)
+    _context = context_at(cluster[1], integrator, cluster[2])
+    integrator.step(1)
+    system = openmm.System()
+    for _ in range(n):
+        system.addParticle(1.0)
+    other = copy.deepcopy(integrator)
+    context = openmm.Context(system, other, platform())
+    context.setPositions(np.arange(3.0 * n).reshape(n, 3))
+    context.setVelocities(np.ones((n, 3)))
+    other.step(2)
+    assert len(other.getPerDofVariableByName("sier_state0")) == n
+    found = array(context.getState(positions=True).getPositions(asNumpy=True))
+    # Two steps at constant velocity, to rounding.
+    assert found == pytest.approx(np.arange(3.0 * n).reshape(n, 3) + 0.002, abs=1e-14)
+
+
+def test_copies_of_a_bound_integrator_have_their_own_noise(cluster):
+    """A copy does not repeat the random numbers of its original, unless both are given one seed."""
+    _, system, point = cluster
+    original = langevin()
+    context = context_at(system, original, point)
+    other = copy.deepcopy(original)
+    second = context_at(system, other, point)
+    original.step(1)
+    other.step(1)
+    ends = [array(it.getState(velocities=True).getVelocities(asNumpy=True)) for it in (context, second)]
+    assert not np.array_equal(*ends)
+
+
+def test_variables_that_others_write_over_ours_do_not_repeat_noise(cluster):
+    """openmmtools' ContextCache copies the variables of an integrator without a Context, all zero, over ours."""
+    _, system, point = cluster
+    integrator = langevin(friction=50.0)
+    integrator.setRandomNumberSeed(3)
+    context = context_at(system, integrator, point)
+    ends = []
+    for _ in range(3):
+        for i in range(integrator.getNumGlobalVariables()):
+            integrator.setGlobalVariable(i, 0.0)
+        context.setPositions(point[0])
+        context.setVelocities(point[1])
+        integrator.step(1)
+        ends.append(array(context.getState(velocities=True).getVelocities(asNumpy=True)))
+    assert not np.array_equal(ends[0], ends[1])
+    assert not np.array_equal(ends[1], ends[2])
+
+
+@pytest.mark.parametrize("name", ["a 'b' \"c\" {d} <e> & f", "100 % é", "", " x "])
+def test_names_that_xml_readers_damage(name):
+    scheme = Scheme(name, SIER2.stages, name)
+    back = deserialize(serialize(SIERIntegrator(0.001, scheme)))
+    assert back.scheme == scheme
+
+
+def test_rotation_without_a_name():
+    """XML cannot carry it and says so; copies within the process can."""
+    integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: rotation.mrdl(A, L, moments, h))
+    assert copy.deepcopy(integrator).rotation is integrator.rotation
+    with pytest.raises(openmm.OpenMMException, match=r"free-rotation map .*lambda.* cannot be imported"):
+        deserialize(serialize(integrator))
+    other = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: (A, L))
+    assert serialize(other) != serialize(integrator)
+
+
+class Special(SIERIntegrator):
+    """A user's own class, with an attribute of its own."""
+
+    colour = "red"
+
+
+def test_classes_of_users():
+    integrator = Special(0.001, SIER4)
+    integrator.colour = "blue"
+    assert type(deserialize(serialize(integrator))) is Special
+    assert copy.deepcopy(integrator).colour == "blue"
+    assert pickle.loads(pickle.dumps(integrator)).colour == "blue"
+
+
+def test_xml_of_another_version():
+    xml = serialize(SIER2Integrator(0.001)).replace("sier stages", "sier steps")
+    with pytest.raises(openmm.OpenMMException, match="without its stages, by another version of openmm_sier"):
+        deserialize(xml)
+
+
+@pytest.mark.parametrize("bodies", [3, "0 1 2", [[0, 1.5]], [0, 1, 2]])
+def test_bodies_that_are_no_lists_of_indices(bodies):
+    with pytest.raises(TypeError, match="bodies must be RigidBodies or lists of particle indices"):
+        SIER2Integrator(0.001, bodies)
+
+
+def test_other_integrators_are_left_alone():
+    plain = openmm.CustomIntegrator(0.001)
+    plain.addTabulatedFunction("sierra nevada", openmm.Discrete1DFunction([1.0]))
+    assert type(deserialize(serialize(plain))) is openmm.CustomIntegrator
+    assert type(copy.deepcopy(openmm.VerletIntegrator(0.001))) is openmm.VerletIntegrator
+
+
+def test_hooks_are_put_in_place_once(cluster):
+    """Also where the package is imported again: OpenMM's own methods are one layer below."""
+
+    def depth():
+        method, layers = openmm.Context.__init__, 0
+        while hasattr(method, "__wrapped__"):
+            method, layers = method.__wrapped__, layers + 1
+        return layers
+
+    before = depth()
+    hooks.install()
+    importlib.reload(hooks).install()
+    assert depth() == before == 1
+    context = context_at(cluster[1], SIER2Integrator(0.001), cluster[2])
+    context.getIntegrator().step(1)
+    assert context.getStepCount() == 1

@@ -1,0 +1,186 @@
+"""Tuning of hybrid Monte Carlo: the acceptance it reaches, what it leaves behind, and what it refuses."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier import SIER2, SIER4G, SIERHMCIntegrator, SIERIntegrator, tune
+from openmm_sier.dynamics import metropolis
+from openmm_sier.integrators import tuning
+from openmm_sier.integrators.tuning import LengthFound, inefficiency
+from tests.support.waters import context_at, platform
+
+TEMPERATURE = 300.0
+
+
+def wells(h=0.004, n=10, scheme=SIER2, seed=3, particles=20):
+    """A Context of particles in wells of several frequencies, 30 to 60 per ps."""
+    system, well = openmm.System(), openmm.CustomExternalForce("0.5*k*(x^2+y^2+z^2)")
+    well.addPerParticleParameter("k")
+    for i in range(particles):
+        system.addParticle(1.0)
+        well.addParticle(i, [1000.0 * (1 + 3 * i / particles)])
+    system.addForce(well)
+    integrator = SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n)
+    integrator.setRandomNumberSeed(seed)
+    return context_at(system, integrator, np.zeros((2, particles, 3)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("h", "scheme"), [(0.002, SIER2), (0.05, SIER2), (0.01, SIER4G)])
+def test_the_acceptance_that_was_asked_for(h, scheme):
+    """From steps that are too short and too long, 0.05 ps being beyond the wells' stability."""
+    context = wells(h, 4, scheme)
+    integrator = context.getIntegrator()
+    integrator.step(2)
+    before = integrator.forceEvaluations
+    found = tune(context, 0.8, samples=20)
+    assert (integrator.getStepSize()._value, integrator.getStepsPerTrial()) == (found.stepSize, found.stepsPerTrial)
+    assert integrator.forceEvaluations == before + found.forceEvaluations
+    # A sample, and none of the tuning is counted.
+    assert integrator.getBodyState().trial is None
+    assert context.getStepCount() % found.stepsPerTrial == 0
+    assert integrator.trials == 0
+    for _ in range(100):
+        integrator.step(found.stepsPerTrial)
+    # 100 trials know it to 0.04, the spread of 40 errors the step to 6 %, which is 0.03 again for second order; and
+    # the spread depends on the length of trajectories in wells by some tenths.
+    assert integrator.acceptanceRate == pytest.approx(0.8, abs=0.15)
+    assert f"{found.stepsPerTrial} in a trial" in str(found)
+    assert str(found).count("\n") == 4 + len(found.steps) + len(found.lengths)
+
+
+def test_equal_seeds_tune_alike():
+    one, other, third = (tune(wells(n=3, seed=seed), trials=10, samples=10) for seed in (3, 3, 4))
+    assert str(one) == str(other)
+    assert one.stepSize == other.stepSize
+    assert one.stepSize != third.stepSize
+
+
+def test_the_cheapest_length_is_taken(monkeypatch):
+    costs = {2: (8.0, 5.0), 3: (9.0, 1.0), 5: (7.0, math.nan)}
+
+    def known(integrator, step, steps, samples):
+        # As many steps for each length.
+        assert samples == max(10, round(200 * 0.04 / (step * steps)))
+        return LengthFound(steps, 0.9, 1.0, costs[steps])
+
+    monkeypatch.setattr(tuning, "_try_length", known)
+    found = tune(wells(), trials=10, lengths=[5, 3, 3, 2])
+    assert [each.steps for each in found.lengths] == [2, 3, 5]
+    # With its error the first is dearer, and the last is not known.
+    assert found.stepsPerTrial == 3
+
+
+def test_a_length_that_does_not_reverse_is_left_out(monkeypatch):
+    def error(bodies, advance, start, steps):
+        return 1.0 if steps > 4 else 0.0
+
+    monkeypatch.setattr(metropolis, "reversal_error", error)
+    context = wells(n=4)
+    found = tune(context, trials=10, samples=10, lengths=[2, 8])
+    assert "missed its start" in found.lengths[1].refused
+    assert "missed its start" in str(found)
+    assert found.stepsPerTrial == 2
+    with pytest.raises(openmm.OpenMMException, match="missed its start"):
+        tune(context, trials=10, samples=10, lengths=[8])
+
+
+def test_steps_stay_below_what_a_bond_bears():
+    """The spread of a single bond's energy errors is never what an acceptance of 0.05 has."""
+    system, bond = openmm.System(), openmm.HarmonicBondForce()
+    for _ in range(2):
+        system.addParticle(1.0)
+    bond.addBond(0, 1, 0.1, 2e4)
+    system.addForce(bond)
+    integrator = SIERHMCIntegrator(TEMPERATURE, 0.004, SIER2, stepsPerTrial=3)
+    integrator.setRandomNumberSeed(5)
+    with pytest.warns(UserWarning, match="A step of 4 fs is long"):
+        context = context_at(system, integrator, (np.array([[0.0, 0, 0], [0.1, 0, 0]]), np.zeros((2, 3))))
+    found = tune(context, 0.05, trials=10, samples=10)
+    refused = [each.step for each in found.steps if math.isinf(each.spread)]
+    assert refused
+    # What was refused is not tried again.
+    assert all(one > other for one, other in itertools.pairwise(refused))
+    # Stable up to 2/sqrt(2e4/0.5) = 0.01 ps.
+    assert found.stepSize < 0.01
+    integrator.step(found.stepsPerTrial)
+
+
+@pytest.mark.parametrize("after", [5, 60])
+def test_an_interrupt_restores_step_and_length(monkeypatch, after):
+    context = wells(n=4)
+    integrator, trial, count = context.getIntegrator(), tuning._trial, []
+
+    def interrupted(*arguments):
+        count.append(1)
+        if len(count) > after:
+            integrator.step(1)
+            raise KeyboardInterrupt
+        return trial(*arguments)
+
+    monkeypatch.setattr(tuning, "_trial", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        tune(context, trials=10, samples=10)
+    assert (integrator.getStepSize()._value, integrator.getStepsPerTrial()) == (0.004, 4)
+    integrator.finishTrial()
+    assert integrator.getBodyState().trial is None
+    assert context.getStepCount() % 4 == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"acceptance": 1.0}, "acceptance must be between 0 and 1, got 1"),
+        ({"acceptance": 0.0}, "acceptance must be between 0 and 1, got 0"),
+        ({"trials": 9}, "trials must be at least 10, got 9"),
+        ({"samples": 2.5}, "samples must be a whole number"),
+        ({"lengths": [3, 0]}, "lengths must be at least 1, got 0"),
+        ({"lengths": []}, "at least one number of steps"),
+    ],
+)
+def test_arguments_that_make_no_sense(options, message):
+    context = wells()
+    before = context.createCheckpoint()
+    with pytest.raises(ValueError, match=message):
+        tune(context, **options)
+    assert context.createCheckpoint() == before
+
+
+def test_other_integrators_are_refused():
+    system = openmm.System()
+    system.addParticle(1.0)
+    context = openmm.Context(system, SIERIntegrator(0.001), platform())
+    with pytest.raises(TypeError, match="with a SIERHMCIntegrator, got a SIERIntegrator"):
+        tune(context)
+    with pytest.raises(ValueError, match="step must be above zero"):
+        tune(wells(0.0))
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.5, 0.9])
+def test_inefficiency_of_a_series_of_known_memory(rng, kept):
+    """x' = a x + noise has (1 + a)/(1 - a) values in an independent one."""
+    found = []
+    for _ in range(30):
+        series = [0.0]
+        for noise in rng.normal(size=2000):
+            series.append(kept * series[-1] + noise)
+        found.append(inefficiency(np.array(series)))
+    values, errors = np.transpose(found)
+    expected = (1 + kept) / (1 - kept)
+    # The window cuts off exp(-2.5) of the sum, and the mean is taken from the series itself.
+    assert values.mean() == pytest.approx(expected, rel=0.1)
+    if kept:
+        assert values.std(ddof=1) == pytest.approx(errors.mean(), rel=0.5)
+
+
+def test_inefficiency_of_what_does_not_change_is_the_length():
+    assert inefficiency(np.ones(12))[0] == 12
+    assert math.isnan(inefficiency(np.ones(12))[1])
+    # A trend has no memory that the series tells.
+    assert inefficiency(np.arange(40.0))[0] > 10

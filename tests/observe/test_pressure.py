@@ -1,0 +1,328 @@
+"""The molecular pressure tensor, against sums over pairs, OpenMM's barostats and the ideal gas."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER2, SIER2Integrator, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.constants import BAR
+from openmm_sier.observe.pressure import COLUMNS, COMPONENTS, MolecularPressure
+from openmm_sier.observe.reporters import ConservationReporter, PressureReporter
+from tests.support.restarts import assert_same, everything, simulation_of
+from tests.support.waters import array, cluster_system, context_at, periodic_system, platform, relaxed
+
+#: Edges of the box of ions, nm, and the rotation that turns a diagonal of it to the x axis.
+EDGES = np.array([1.6, 1.8, 1.7])
+TURN = np.array([[1.6, 1.8, 0], [-1.8, 1.6, 0], [0, 0, math.hypot(1.6, 1.8)]]) / math.hypot(1.6, 1.8)
+
+
+def tensor_of(context):
+    """The tensor in kJ/mol/nm^3, (3, 3)."""
+    found = MolecularPressure(context).components(context.getState(positions=True, velocities=True)) * BAR
+    tensor = np.zeros((3, 3))
+    for (i, j), value in zip(COMPONENTS, found, strict=True):
+        tensor[i, j] = tensor[j, i] = value
+    return tensor
+
+
+def periodic_box(edges):
+    system = openmm.System()
+    system.setDefaultPeriodicBoxVectors(*np.asarray(edges, dtype=float))
+    return system
+
+
+# --- pairs ---
+
+
+def water_of_smooth_pairs(cutoff):
+    """TIP4P water with virtual sites and a smooth potential q_i q_j 50 (1 - r²/cutoff²)³ between molecules."""
+    topology, positions, system = periodic_system("tip4pew", 27)
+    charges = openmm.CustomNonbondedForce(f"50*q1*q2*(1-(r/{cutoff})^2)^3")
+    charges.addPerParticleParameter("q")
+    charges.setNonbondedMethod(charges.CutoffPeriodic)
+    charges.setCutoffDistance(cutoff)
+    owners = np.array([atom.residue.index for atom in topology.atoms()])
+    q = np.array([{"O": 0.3, "H": 0.5, "M": -1.2}[atom.name[0]] for atom in topology.atoms()])
+    for value in q:
+        charges.addParticle([value])
+    for a in range(len(q)):
+        for b in range(a):
+            if owners[a] == owners[b]:
+                charges.addExclusion(a, b)
+    for number in reversed(range(system.getNumForces())):
+        system.removeForce(number)
+    system.addForce(charges)
+    return system, positions, owners, q
+
+
+def pair_tensor(positions, velocities, masses, owners, q, edge, cutoff):
+    """The tensor by a sum over pairs of force times distance of the centres, kJ/mol/nm^3, symmetrized."""
+    totals = np.bincount(owners, masses)
+    centres = np.stack([np.bincount(owners, masses * x) for x in positions.T], axis=1) / totals[:, None]
+    momenta = np.stack([np.bincount(owners, masses * x) for x in velocities.T], axis=1)
+    arms = positions - centres[owners]
+    apart = positions[:, None] - positions
+    apart -= edge * np.round(apart / edge)
+    r2 = (apart**2).sum(axis=2) / cutoff**2
+    acting = (r2 < 1) & (owners[:, None] != owners)
+    # -du/dr over r.
+    strength = np.where(acting, 50 * np.outer(q, q) * 6 * (1 - r2) ** 2 / cutoff**2, 0.0)
+    between = apart - arms[:, None] + arms
+    virial = np.einsum("ij,ija,ijb->ab", strength, apart, between) / 2
+    tensor = (momenta.T @ (momenta / totals[:, None]) + virial) / edge**3
+    return (tensor + tensor.T) / 2
+
+
+def test_water_with_virtual_sites_against_pairs():
+    cutoff = 0.4
+    system, positions, owners, q = water_of_smooth_pairs(cutoff)
+    context = context_at(system, SIER2Integrator(0.001), (positions, 0 * positions))
+    context.setVelocitiesToTemperature(300, 3)
+    state = context.getState(positions=True, velocities=True)
+    masses = np.array([system.getParticleMass(i)._value for i in range(len(q))])
+    edge = array(state.getPeriodicBoxVectors())[0, 0]
+    point = array(state.getPositions()), array(state.getVelocities())
+    expected = pair_tensor(*point, masses, owners, q, edge, cutoff)
+    # The third derivative of the energy makes an error of some 1e-6 by a strain of 1e-3.
+    np.testing.assert_allclose(tensor_of(context), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+    # Molecules at other images are the same liquid.
+    images = np.random.default_rng(4).integers(-2, 3, (27, 3))[owners]
+    context.setPositions(point[0] + edge * images)
+    np.testing.assert_allclose(tensor_of(context), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+
+
+# --- Ewald sums and the correction for dispersion ---
+
+
+def salt(turn=False, dispersion=True):
+    """System and phase point of ions near a rock-salt lattice, with all periodic images turned or not."""
+    cells = 4
+    grid = np.stack(np.meshgrid(*[np.arange(cells)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    positions = (grid + np.random.default_rng(2).normal(scale=0.1, size=grid.shape)) * EDGES / cells
+    box = np.diag(EDGES)
+    if turn:
+        # The same lattice of images: its first vector is a diagonal, its second was the first edge.
+        box = np.array([box[0] + box[1], -box[0], box[2]]) @ TURN.T
+        box[0, 1] = 0
+        positions = positions @ TURN.T
+    system, force = periodic_box(box), openmm.NonbondedForce()
+    force.setNonbondedMethod(force.PME)
+    force.setCutoffDistance(0.5)
+    force.setPMEParameters(6.6, 48, 40, 40)
+    force.setUseSwitchingFunction(True)
+    force.setSwitchingDistance(0.4)
+    force.setUseDispersionCorrection(dispersion)
+    for place in grid:
+        system.addParticle(30.0)
+        force.addParticle((-1.0) ** place.sum(), 0.25, 0.5)
+    system.addForce(force)
+    velocities = np.random.default_rng(3).normal(size=grid.shape)
+    return system, (positions, velocities @ TURN.T if turn else velocities)
+
+
+def test_diagonal_against_the_barostat_of_openmm():
+    system, point = salt()
+    found = tensor_of(context_at(system, openmm.VerletIntegrator(0.001), point))
+    barostat = openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1, 1, 1), 300, True, True, True, 0)
+    system.addForce(barostat)
+    theirs = barostat.computeCurrentPressure(context_at(system, openmm.VerletIntegrator(0.001), point))
+    # Theirs takes the same differences. Ions are molecules of one atom, whose centre is no matter of definition.
+    np.testing.assert_allclose(np.diag(found), np.array(theirs.value_in_unit(unit.bar)) * BAR, rtol=1e-6)
+
+
+def test_shear_is_the_diagonal_of_a_turned_box():
+    """The same lattice of periodic images, in a box that is not rectangular."""
+    straight = tensor_of(context_at(*_with(openmm.VerletIntegrator(0.001), salt())))
+    # The Reference platform of OpenMM 8.6 misses pairs where a box is as oblique and as small as this one.
+    turned = tensor_of(context_at(*_with(openmm.VerletIntegrator(0.001), salt(turn=True)), "CPU"))
+    # The meshes of PME are different ones, and the CPU platform has single precision.
+    np.testing.assert_allclose(turned, TURN @ straight @ TURN.T, rtol=0, atol=2e-3 * np.abs(straight).max())
+    assert abs(straight[0, 1]) > 0.02 * np.abs(straight).max()
+
+
+def test_correction_for_dispersion():
+    """Its energy is inverse to the volume, so that it adds energy/volume to the pressure, and no shear."""
+    found, energies = [], []
+    for dispersion in (True, False):
+        context = context_at(*_with(openmm.VerletIntegrator(0.001), salt(dispersion=dispersion)))
+        found.append(tensor_of(context))
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
+    expected = (energies[0] - energies[1]) / EDGES.prod() * np.eye(3)
+    assert expected[0, 0] < -0.1
+    np.testing.assert_allclose(found[0] - found[1], expected, rtol=0, atol=1e-5 * abs(expected[0, 0]))
+
+
+def _with(integrator, made):
+    system, point = made
+    return system, integrator, point
+
+
+def test_trace_is_the_slope_of_the_energy_by_the_volume():
+    """Water with PME, molecules moved whole with the box."""
+    topology, positions, system = periodic_system("tip4pew", 64)
+    context = context_at(system, SIER2Integrator(0.001), (positions, 0 * positions))
+    found = np.trace(tensor_of(context)) / 3
+    box = array(context.getState().getPeriodicBoxVectors())
+    masses = np.array([system.getParticleMass(i)._value for i in range(len(positions))])
+    owners = np.array([atom.residue.index for atom in topology.atoms()])
+    centres = np.stack([np.bincount(owners, masses * x) for x in positions.T], axis=1)[owners]
+    centres /= np.bincount(owners, masses)[owners][:, None]
+    energies = []
+    for factor in (1.001, 0.999):
+        context.setPeriodicBoxVectors(*(factor * box))
+        context.setPositions(positions + (factor - 1) * centres)
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
+    slope = (energies[0] - energies[1]) / (np.linalg.det(box) * (1.001**3 - 0.999**3))
+    # Pairs that pass the cut-off, which is not switched, do so in one of the two only.
+    assert found == pytest.approx(-slope, rel=0.02)
+
+
+# --- the ideal gas ---
+
+
+def gas(joined, n=20):
+    """A System of bent rotors without interactions, their bodies, and positions; joined by constraints or not."""
+    shape = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.12, 0.0]])
+    system, force = periodic_box(2 * np.eye(3)), openmm.NonbondedForce()
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    force.setCutoffDistance(0.5)
+    bodies, rng, positions = [], np.random.default_rng(5), []
+    for _ in range(n):
+        bodies.append([system.addParticle(mass) for mass in (16.0, 2.0, 1.0)])
+        positions.append(shape + rng.uniform(-3, 3, 3))
+        for _ in shape:
+            force.addParticle(0, 1, 0)
+        for i, j in pairwise((0, 1, 2, 0)) if joined else ():
+            system.addConstraint(bodies[-1][i], bodies[-1][j], float(np.linalg.norm(shape[i] - shape[j])))
+    system.addForce(force)
+    return system, bodies, np.concatenate(positions)
+
+
+@pytest.mark.parametrize("joined", [True, False])
+def test_ideal_gas_of_rotors(joined):
+    system, bodies, positions = gas(joined)
+    integrator = SIERIntegrator(0.002, SIER2, None if joined else bodies)
+    context = openmm.Context(system, integrator, platform())
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(300, 1)
+    integrator.step(3)
+    motion = integrator.getBodyState()
+    expected = motion.p @ motion.p.T / 19.0 / 8.0
+    np.testing.assert_allclose(tensor_of(context), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    # N kT: the translational temperature of all centres.
+    centres = (motion.p**2).sum() / 19.0 / 3
+    assert np.trace(tensor_of(context)) / 3 * 8.0 == pytest.approx(centres, rel=1e-12)
+
+
+# --- the reporter ---
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system("tip3p", 64)
+    return topology, system, relaxed(topology, positions, system, steps=50)
+
+
+def bath():
+    integrator = SIERLangevinIntegrator(297, 5, 0.002, SIER2)
+    integrator.setRandomNumberSeed(1)
+    return integrator
+
+
+def trials():
+    integrator = SIERHMCIntegrator(297, 0.002, SIER2, stepsPerTrial=4)
+    integrator.setRandomNumberSeed(1)
+    return integrator
+
+
+@pytest.mark.filterwarnings("ignore:.*trial")
+@pytest.mark.parametrize(("make", "name"), [(bath, "Reference"), (trials, "Reference"), (bath, "CPU")])
+def test_runs_are_the_same_to_the_bit(tmp_path, box, make, name):
+    """The second report of hybrid Monte Carlo is in mid-trial."""
+    topology, system, point = box
+    ends = []
+    for reported in (True, False):
+        simulation = simulation_of(topology, system, make(), name, point)
+        if reported:
+            simulation.reporters.append(PressureReporter(tmp_path / "p.csv", 3))
+        # Chunks of steps are the same, since another end of one writes the bodies to the Context anew.
+        for _ in range(3):
+            simulation.step(3)
+        ends.append((*everything(simulation.context), np.frombuffer(simulation.context.createCheckpoint(), np.uint8)))
+    assert_same(*ends)
+    assert len((tmp_path / "p.csv").read_text().splitlines()) == 4
+
+
+def test_rows_do_not_depend_on_the_past(tmp_path, box):
+    """On the CPU platform, whose neighbour list does: a restart writes the rows that the run itself would have."""
+    topology, system, point = box
+    simulation = simulation_of(topology, system, bath(), "CPU", point)
+    simulation.reporters.append(PressureReporter(tmp_path / "whole.csv", 1))
+    simulation.step(2)
+    saved = simulation.context.createCheckpoint()
+    simulation.step(1)
+    again = simulation_of(topology, system, bath(), "CPU", point)
+    again.context.loadCheckpoint(saved)
+    again.currentStep = 2
+    again.reporters.append(PressureReporter(tmp_path / "part.csv", 1))
+    again.step(1)
+    whole, part = ((tmp_path / name).read_text().splitlines() for name in ("whole.csv", "part.csv"))
+    assert whole[0] == ",".join(COLUMNS)
+    assert part[1] == whole[3]
+
+
+def test_files_are_continued(tmp_path, box):
+    topology, system, point = box
+    path = tmp_path / "p.csv"
+    for append in (False, True):
+        simulation = simulation_of(topology, system, SIER2Integrator(0.001), "CPU", point)
+        simulation.reporters.append(PressureReporter(path, 1, append=append))
+        simulation.step(1)
+        simulation.reporters.pop().close()
+    lines = path.read_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["Step", "1", "1"]
+    with pytest.raises(ValueError, match=r"p.csv cannot be continued: it has 9 columns .* of ConservationReporter"):
+        ConservationReporter(path, 1, append=True)
+
+
+def test_refusals(tmp_path, box):
+    topology, positions, system = cluster_system(4)
+    simulation = simulation_of(topology, system, SIER2Integrator(0.0005), "Reference", (positions, 0 * positions))
+    simulation.reporters.append(PressureReporter(tmp_path / "p.csv", 1))
+    with pytest.raises(ValueError, match="needs a System with periodic boundary conditions"):
+        simulation.step(1)
+    held = openmm.XmlSerializer.clone(box[1])
+    held.addForce(openmm.CustomExternalForce("x"))
+    with pytest.raises(ValueError, match="has a CustomExternalForce"):
+        MolecularPressure(context_at(held, SIER2Integrator(0.001), box[2]))
+    frozen = openmm.XmlSerializer.clone(salt()[0])
+    frozen.setParticleMass(7, 0)
+    summed, point = salt()
+    summed.getForce(0).setNonbondedMethod(openmm.NonbondedForce.Ewald)
+    with pytest.raises(ValueError, match="PME in place of Ewald sums"):
+        MolecularPressure(context_at(*_with(openmm.VerletIntegrator(0.001), (summed, point))))
+    with pytest.raises(ValueError, match="atom 7 has no mass"):
+        MolecularPressure(context_at(*_with(openmm.VerletIntegrator(0.001), (frozen, salt()[1]))))
+
+
+def test_parameters_and_force_groups_are_followed():
+    system, point = salt()
+    force = system.getForce(0)
+    force.addGlobalParameter("shift", 0.0)
+    force.addParticleParameterOffset("shift", 0, 1.0, 0, 0)
+    context = context_at(system, openmm.VerletIntegrator(0.001), point)
+    pressure = MolecularPressure(context)
+    state = context.getState(positions=True, velocities=True)
+    before = pressure.components(state)
+    context.setParameter("shift", -1.0)
+    assert np.abs(pressure.components(state) - before).max() > 1e-3 * np.abs(before).max()
+    context.getIntegrator().setIntegrationForceGroups(0)
+    momenta = 30.0 * point[1].T @ point[1]
+    expected = [momenta[axes] / EDGES.prod() / BAR for axes in COMPONENTS]
+    np.testing.assert_allclose(pressure.components(state), expected, rtol=1e-12)

@@ -1,0 +1,270 @@
+"""The reporters that know of rigid bodies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+from scipy.spatial.transform import Rotation
+
+from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator
+from openmm_sier.observe import body_states
+from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter
+from tests.support.restarts import simulation_of
+from tests.support.waters import cluster_system, periodic_system, relaxed
+
+h5py = pytest.importorskip("h5py")
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system()
+    return topology, system, relaxed(topology, positions, system)
+
+
+def simulation_at(box, integrator):
+    topology, system, point = box
+    return simulation_of(topology, system, integrator, "CPU", point)
+
+
+@pytest.mark.slow
+def test_conservation_report(tmp_path, box):
+    integrator = SIERLangevinIntegrator(297, 5, 0.001, scheme=SIER2)
+    integrator.setRandomNumberSeed(1)
+    simulation = simulation_at(box, integrator)
+    path = tmp_path / "log.csv"
+    simulation.reporters.append(ConservationReporter(path, 5))
+    simulation.step(10)
+    rows = np.genfromtxt(path, delimiter=",", skip_header=1)
+    header = path.read_text().splitlines()[0].split(",")
+    assert rows.shape == (2, len(header))
+    assert rows[:, 0].tolist() == [5, 10]
+    state = simulation.context.getState(energy=True)
+    energy = (state.getPotentialEnergy() + state.getKineticEnergy()).value_in_unit(unit.kilojoule_per_mole)
+    heat = integrator.getHeat().value_in_unit(unit.kilojoule_per_mole)
+    last = dict(zip(header, rows[-1], strict=True))
+    # Single-precision forces of the CPU platform give an energy that differs from call to call in the seventh digit.
+    assert last["Total Energy (kJ/mole)"] == pytest.approx(energy, rel=1e-6)
+    assert last["Conserved Energy (kJ/mole)"] == pytest.approx(energy - heat, rel=1e-6)
+    parts = last["Potential Energy (kJ/mole)"], last["Kinetic Energy (kJ/mole)"]
+    assert sum(parts) == pytest.approx(last["Total Energy (kJ/mole)"], rel=1e-12)
+    motion = integrator.getBodyState()
+    names = ("Temperature (K)", "Translational Temperature (K)", "Rotational Temperature (K)")
+    assert [last[name] for name in names] == list(integrator.computeTemperatures()[:3])
+    assert np.isnan(last["Flexible Temperature (K)"])
+    assert last["Momentum x (dalton nm/ps)"] == motion.p[0].sum()
+    volume = state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
+    assert last["Box Volume (nm^3)"] == pytest.approx(volume)
+    # 59 molecules of 18.015 g/mol.
+    assert last["Density (g/mL)"] == pytest.approx(59 * 18.0153 / 602.214 / volume, rel=1e-4)
+
+
+def test_columns_that_openmm_reports_too_have_its_names(tmp_path, box):
+    theirs = app.StateDataReporter(
+        str(tmp_path / "theirs.csv"),
+        1,
+        step=True,
+        time=True,
+        potentialEnergy=True,
+        kineticEnergy=True,
+        totalEnergy=True,
+        temperature=True,
+        volume=True,
+        density=True,
+    )
+    simulation = simulation_at(box, SIER2Integrator(0.001))
+    simulation.reporters += [theirs, ConservationReporter(tmp_path / "ours.csv", 1)]
+    simulation.step(1)
+    names, values = (tmp_path / "theirs.csv").read_text().splitlines()
+    ours = [line.split(",") for line in (tmp_path / "ours.csv").read_text().splitlines()]
+    found = dict(zip(ours[0], map(float, ours[1]), strict=True))
+    for name, value in zip(names.lstrip("#").replace('"', "").split(","), map(float, values.split(",")), strict=True):
+        assert found[name] == pytest.approx(value, rel=1e-6)
+
+
+def test_without_periodic_boundaries_there_is_no_density(tmp_path):
+    topology, positions, system = cluster_system(4)
+    simulation = simulation_of(topology, system, SIER2Integrator(0.0005), "Reference", (positions, 0 * positions))
+    simulation.reporters.append(ConservationReporter(tmp_path / "log.csv", 1))
+    simulation.step(1)
+    assert (tmp_path / "log.csv").read_text().splitlines()[1].endswith("nan,nan")
+
+
+def test_a_log_with_other_columns_is_not_continued(tmp_path):
+    (tmp_path / "old.csv").write_text("Step,Time (ps),Total Energy (kJ/mol)\n")
+    with pytest.raises(ValueError, match=r"old.csv cannot be continued: it has 3 columns"):
+        ConservationReporter(tmp_path / "old.csv", 1, append=True)
+
+
+def test_conservation_report_is_continued(tmp_path, box):
+    path = tmp_path / "log.csv"
+    for append in (False, True):
+        simulation = simulation_at(box, SIER2Integrator(0.001))
+        simulation.reporters.append(ConservationReporter(path, 2, append=append))
+        simulation.step(4)
+        simulation.reporters.pop().close()
+    lines = path.read_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["Step", "2", "4", "2", "4"]
+
+
+def test_body_states(tmp_path, box):
+    integrator = SIER2Integrator(0.001)
+    simulation = simulation_at(box, integrator)
+    path = tmp_path / "bodies.h5"
+    simulation.reporters.append(BodyStateReporter(path, 3))
+    simulation.step(9)
+    motion = integrator.getBodyState()
+    # Read while the reporter still has it open, as after a kill.
+    with h5py.File(path, "r") as file:
+        assert file["step"][:].tolist() == [3, 6, 9]
+        assert file["time"][-1] == pytest.approx(0.009)
+        for name, values in (("q", motion.q), ("p", motion.p), ("L", motion.L)):
+            assert np.array_equal(file[name][-1], values.T)
+        assert np.array_equal(file["moments"][:], integrator.bodies.moments.T)
+        assert file["L"].attrs["unit"] == "dalton nm^2/ps"
+        w, x, y, z = file["quaternion"][-1].T
+    # The rotation A^T written out from its quaternion; rounding of products of numbers below 1.
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    assert np.abs(turn - motion.A.transpose(1, 0, 2)).max() < 1e-14
+    simulation.reporters[0].close()
+
+
+KILLED = """
+import sys
+from openmm import app
+from openmm_sier import SIER2Integrator
+from openmm_sier.observe import body_states
+from openmm_sier.observe.reporters import BodyStateReporter
+from tests.support.restarts import simulation_of
+from tests.support.waters import cluster_system
+topology, positions, system = cluster_system(8)
+simulation = simulation_of(topology, system, SIER2Integrator(0.0005), "CPU", (positions, 0 * positions))
+simulation.reporters.append(BodyStateReporter(sys.argv[1], 1))
+simulation.step(5)
+print("ready", flush=True)
+simulation.step(10**6)
+"""
+
+
+def test_body_states_tell_where_the_atoms_are(tmp_path):
+    """Atoms rebuilt from nothing but the file, of a salt solution whose box changes, against those of the Context."""
+    topology, positions, system = periodic_system(ions=True)
+    barostat = openmm.MonteCarloBarostat(1000, 297, 1)
+    barostat.setRandomNumberSeed(1)
+    system.addForce(barostat)
+    simulation = simulation_of(topology, system, SIER2Integrator(0.001), "Reference", (positions, 0 * positions))
+    path = tmp_path / "bodies.h5"
+    simulation.reporters.append(BodyStateReporter(path, 20))
+    # Of twenty moves of the volume between two frames some are accepted.
+    simulation.step(40)
+    state = simulation.context.getState(positions=True)
+    with h5py.File(path, "r") as file:
+        assert [file.attrs[name][:3] for name in ("frame", "quaternion")] == ["lab", "(w,"]
+        rebuilt = np.full((system.getNumParticles(), 3), np.nan)
+        species = file["species"][:]
+        for number in range(species.max() + 1):
+            group = file[f"species_{number}"]
+            mine = species == number
+            q, quaternion = file["q"][-1][mine], file["quaternion"][-1][mine]
+            turned = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix() @ group["sites"][:].T
+            rebuilt[group["atoms"][:]] = q[:, None] + turned.transpose(0, 2, 1)
+            np.testing.assert_array_equal(file["masses"][:][mine], group["masses"][:].sum())
+            masses = [system.getParticleMass(int(i))._value for i in group["atoms"][0]]
+            np.testing.assert_array_equal(group["masses"], masses)
+        boxes = file["box"][:]
+    # Quaternions and back: rounding of positions of 2 nm.
+    assert np.abs(rebuilt - state.getPositions(asNumpy=True)._value).max() < 1e-13
+    np.testing.assert_array_equal(boxes[-1], state.getPeriodicBoxVectors(asNumpy=True)._value)
+    assert not np.array_equal(boxes[0], boxes[1])
+
+
+def test_centres_are_wrapped_on_demand(tmp_path, box):
+    topology, system, (positions, velocities) = box
+    edge = system.getDefaultPeriodicBoxVectors()[0][0]._value
+    far = positions + edge * np.array([2, -3, 0.0])
+    found = {}
+    for unwrapped in (True, False):
+        simulation = simulation_of(topology, system, SIER2Integrator(0.001), "CPU", (far, velocities))
+        path = tmp_path / f"{unwrapped}.h5"
+        simulation.reporters.append(BodyStateReporter(path, 1, unwrapped=unwrapped))
+        simulation.step(1)
+        with h5py.File(path, "r") as file:
+            found[file["q"].attrs["wrapped"]] = file["q"][0]
+    continuous, wrapped = found["no"], found["into the box"]
+    assert continuous[:, 0].min() > edge
+    assert wrapped.min() >= 0
+    assert wrapped.max() <= edge
+    images = (continuous - wrapped) / edge
+    # Two runs on the CPU platform differ by rounding in single precision.
+    assert np.abs(images - np.round(images)).max() < 1e-5
+
+
+def test_points_in_a_triclinic_box(rng):
+    vectors = np.array([[2, 0, 0], [0.7, 1.8, 0], [-0.6, 0.8, 1.5]])
+    points = rng.normal(0, 5, (200, 3))
+    moved = body_states.wrapped(points, vectors)
+    assert (moved >= 0).all()
+    assert (moved <= np.diag(vectors)).all()
+    images = (points - moved) @ np.linalg.inv(vectors)
+    assert np.abs(images - np.round(images)).max() < 1e-12
+
+
+def test_body_states_are_continued(tmp_path, box):
+    path = tmp_path / "bodies.h5"
+    for append in (False, True):
+        simulation = simulation_at(box, SIER2Integrator(0.001))
+        reporter = BodyStateReporter(path, 2, append=append)
+        simulation.reporters.append(reporter)
+        simulation.step(4)
+        reporter.close()
+    with h5py.File(path, "r") as file:
+        assert file["step"][:].tolist() == [2, 4, 2, 4]
+        assert file["q"].shape == (4, 59, 3)
+    topology, positions, system = cluster_system(4)
+    other = simulation_of(topology, system, SIER2Integrator(0.001), "Reference", (positions, 0 * positions))
+    other.reporters.append(BodyStateReporter(path, 1, append=True))
+    with pytest.raises(ValueError, match=r"bodies.h5 cannot be continued: its 59 bodies are not those of this System"):
+        other.step(1)
+
+
+@pytest.mark.slow
+def test_body_states_survive_a_kill(tmp_path):
+    path = tmp_path / "bodies.h5"
+    with subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, cwd=os.getcwd()) as run:
+        assert run.stdout.readline()
+        time.sleep(0.5)
+        run.send_signal(signal.SIGKILL)
+    with h5py.File(path, "r") as file:
+        steps = file["step"][:]
+        assert len(steps) > 1
+        assert np.array_equal(steps[:-1], np.arange(1, len(steps)))
+        # The last frame may be cut off in the middle; those before it are whole.
+        assert np.isfinite(file["q"][:-1]).all()
+        assert (np.linalg.norm(file["quaternion"][: len(steps) - 1], axis=2) > 0.999).all()
+
+
+@pytest.mark.parametrize("make", [ConservationReporter, BodyStateReporter])
+def test_other_integrators_are_refused(tmp_path, box, make):
+    simulation = simulation_at(box, openmm.VerletIntegrator(0.001))
+    simulation.reporters.append(make(tmp_path / "file", 1))
+    with pytest.raises(TypeError, match="needs a SIER integrator"):
+        simulation.step(1)
+
+
+@pytest.mark.parametrize("make", [ConservationReporter, BodyStateReporter])
+def test_impossible_intervals(tmp_path, make):
+    with pytest.raises(ValueError, match="reportInterval"):
+        make(tmp_path / "file", 0)

@@ -1,0 +1,74 @@
+"""OpenMM's own integrators observed at whole steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import RigidBodies
+from openmm_sier.observe import conservation, stock
+from tests.support.waters import context_at, periodic_system, relaxed
+
+NVE, NVT = stock.Surroundings(), stock.Surroundings(297.0, 1.0, None)
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system(removeCMMotion=False)
+    return system, relaxed(topology, positions, system)
+
+
+def simulated(box, name, around=NVE):
+    integrator = stock.make_stock(name, 0.002, around)
+    context = context_at(stock.surrounded(box[0], name, around), integrator, box[1])
+    integrator.attend(context, RigidBodies.from_system(box[0]))
+    return context
+
+
+def openmm_kinetic(context):
+    return context.getState(energy=True).getKineticEnergy().value_in_unit(unit.kilojoule_per_mole)
+
+
+@pytest.mark.parametrize(("name", "around"), [("verlet", NVE), ("langevinmiddle", NVT)])
+def test_kinetic_energies_are_openmms_own(box, name, around):
+    """Which for Verlet are those of velocities half a step on; rounding of SETTLE is left.
+
+    LangevinMiddle's velocities point along chords of the arcs that atoms describe in half a step h/2. OpenMM counts
+    them whole, and bodies know the part along the tangent, (w h/4)^2 less: 1e-3 for atoms that turn with w = 60/ps.
+    """
+    context = simulated(box, name, around)
+    context.getIntegrator().step(5)
+    found = dict(zip(conservation.COLUMNS, conservation.row(context), strict=True))
+    share = found["Kinetic Energy (kJ/mole)"] / openmm_kinetic(context)
+    assert -1e-5 < 1 - share < (1e-5 if name == "verlet" else 3e-3)
+    assert np.isnan(found["Conserved Energy (kJ/mole)"]) == (around.temperature is not None)
+    assert context.getIntegrator().forceEvaluations == 5
+
+
+def test_a_shift_of_velocities_starts_verlet_at_the_phase_point(box):
+    context = simulated(box, "verlet")
+    context.applyVelocityConstraints(1e-8)
+    velocities = context.getState(velocities=True).getVelocities(asNumpy=True)
+    masses = np.array([box[0].getParticleMass(i)._value for i in range(box[0].getNumParticles())])
+    wanted = 0.5 * masses @ (velocities._value**2).sum(axis=1)
+    assert openmm_kinetic(context) != pytest.approx(wanted, rel=1e-4)
+    stock.shift_velocities(context, -0.001)
+    assert openmm_kinetic(context) == pytest.approx(wanted, rel=1e-6)
+    stock.shift_velocities(context, 0.001)
+    back = context.getState(velocities=True).getVelocities(asNumpy=True)
+    assert np.abs((back - velocities)._value).max() < 1e-5
+
+
+def test_noise_is_that_of_the_seed_and_the_step(box):
+    around = stock.Surroundings(297.0, 1.0, 1.0)
+    system, seen = stock.surrounded(box[0], "verlet", around), set()
+    integrator = stock.make_stock("verlet", 0.002, around)
+    noisy = [force for force in system.getForces() if hasattr(force, "setRandomNumberSeed")]
+    assert {type(force) for force in noisy} == {openmm.AndersenThermostat, openmm.MonteCarloBarostat}
+    for seed, step in ((1, 0), (1, 100), (2, 0), (2, 100)):
+        stock.seed_noise(system, integrator, seed, step)
+        seen |= {force.getRandomNumberSeed() for force in noisy}
+    assert len(seen) == 8
+    assert 0 not in seen

@@ -1,0 +1,174 @@
+"""Bonds that nothing holds: steps that they do not bear are refused, and those that they hardly bear said."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER2, SIER4G, RigidBodies, SIER2Integrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.system.vibrations import Vibrations
+from tests.support.waters import cluster_system, context_at, phase_point, platform
+
+#: Of O-H in OpenMM's flexible TIP3P, 462750.4 kJ/mol/nm^2.
+PERIOD = 2 * math.pi * math.sqrt(1 / (462750.4 * (1 / 1.008 + 1 / 15.99943)))
+
+
+@pytest.fixture(scope="module")
+def flexible():
+    return cluster_system(3, rigidWater=False)
+
+
+def diatomic(strength=1e5, masses=(1.0, 16.0), group=0):
+    system = openmm.System()
+    bonds = openmm.HarmonicBondForce()
+    for mass in masses:
+        system.addParticle(mass)
+    bonds.addBond(0, 1, 0.1, strength)
+    bonds.setForceGroup(group)
+    system.addForce(bonds)
+    return system
+
+
+def limits(scheme, period):
+    """Steps in ps at which a mode becomes unstable, and inaccurate."""
+    return (limit * period / (2 * math.pi) for limit in (scheme.stability_limit, scheme.accuracy_limit))
+
+
+@pytest.mark.parametrize("make", [SIERIntegrator, lambda h, s: SIERLangevinIntegrator(297, 1, h, scheme=s)])
+def test_flexible_water_is_refused_when_it_is_bound(flexible, make):
+    _, _, system = flexible
+    with pytest.raises(openmm.OpenMMException) as caught:
+        openmm.Context(system, make(0.006, SIER4G), platform())
+    message = str(caught.value)
+    stable, accurate = limits(SIER4G, PERIOD)
+    assert "A step of 6 fs is too long" in message
+    assert "atoms 0 and 1" in message
+    assert f"a period of {1000 * PERIOD:.3g} fs" in message
+    assert f"steps of up to {1000 * accurate:.3g} fs and bears with less than {1000 * stable:.3g} fs" in message
+    assert "rigidWater=True" in message
+    assert "heavy atoms with hydrogens" in message
+
+
+def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
+    _, positions, system = flexible
+    stable, accurate = limits(SIER4G, PERIOD)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        integrator = SIERIntegrator(0.99 * accurate, SIER4G)
+        context = context_at(system, integrator, (positions, 0 * positions))
+        integrator.step(1)
+    integrator.setStepSize(1.01 * accurate)
+    with pytest.warns(UserWarning, match=r"A step of 3\.\d* fs is long: the bond between") as said:
+        integrator.step(1)
+    assert said[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        integrator.step(1)
+    integrator.setStepSize(1.01 * stable)
+    before = phase_point(context)[0]
+    with pytest.raises(openmm.OpenMMException, match="is too long"):
+        integrator.step(1)
+    assert np.array_equal(phase_point(context)[0], before)
+    assert context.getStepCount() == 3
+    integrator.setStepSize(0.001)
+    integrator.step(1)
+    with pytest.warns(UserWarning, match="is long"):
+        openmm.Context(system, SIER2Integrator(0.001), platform())
+
+
+@pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)
+def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
+    _, _, system = flexible
+    vibrations = Vibrations(system, RigidBodies.from_system(system))
+    assert vibrations.longest_step(scheme, 0, 0) == math.inf
+    slow, fast = vibrations.longest_step(scheme, 1, 0), vibrations.longest_step(scheme, 0, 1)
+    assert vibrations.longest_step(scheme, 1, 1) == min(slow, fast)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        vibrations.check(scheme, 0.999 * slow, 1)
+        vibrations.check_nested(SIER4G, 1e-4, 0.999 * fast, 1)
+    with pytest.warns(UserWarning, match="is long"):
+        vibrations.check(scheme, 1.001 * slow, 1)
+    with pytest.warns(UserWarning, match="resonates"):
+        Vibrations(system, RigidBodies.from_system(system)).check_nested(SIER4G, 1e-4, 1.001 * fast, 1)
+
+
+def test_bonds_inside_bodies_do_not_count(flexible):
+    _, positions, system = flexible
+    named = SIERIntegrator(0.006, SIER4G, bodies=[[0, 1, 2], [3, 4, 5], [6, 7, 8]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", "3 bodies like .* share one geometry")
+        context = context_at(system, named, (positions, 0 * positions))
+        named.step(1)
+    assert context.getStepCount() == 1
+    partly = SIERIntegrator(0.006, SIER4G, bodies=[[0, 1, 2], [6, 7, 8]])
+    context = context_at(system, partly, (positions, 0 * positions))
+    with pytest.raises(openmm.OpenMMException, match="atoms 3 and 4"):
+        partly.step(1)
+    assert context.getStepCount() == 0
+
+
+def test_bonds_that_do_not_act_do_not_count():
+    integrator = SIER2Integrator(0.006)
+    integrator.setIntegrationForceGroups({0})
+    context = openmm.Context(diatomic(2e5, group=1), integrator, platform())
+    context.setPositions(np.array([[0, 0, 0], [0.1, 0, 0]]))
+    integrator.step(1)
+    integrator.setIntegrationForceGroups({0, 1})
+    with pytest.raises(openmm.OpenMMException, match="atoms 0 and 1"):
+        integrator.step(1)
+
+
+@pytest.mark.parametrize("masses", [(1.0, 16.0), (1.0, 0.0), (12.0, 12.0)])
+def test_the_period_is_that_of_the_motion(masses):
+    """The limit is the one at which the bond really becomes unstable: near it energies are wrong by far."""
+    system = diatomic(masses=masses)
+    inverse = sum(1 / mass for mass in masses if mass)
+    period = 2 * math.pi / math.sqrt(1e5 * inverse)
+    context = openmm.Context(system, openmm.VerletIntegrator(period / 5000), platform())
+    context.setPositions(np.array([[0, 0, 0], [0.11, 0, 0]]))
+    lengths = []
+    for _ in range(5000):
+        context.getIntegrator().step(1)
+        x = context.getState(positions=True).getPositions(asNumpy=True)._value
+        lengths.append(np.linalg.norm(x[1] - x[0]))
+    # One period later the bond has its first length, to the square of the step.
+    assert lengths[-1] == pytest.approx(0.11, abs=1e-5)
+    assert min(lengths) == pytest.approx(0.09, abs=1e-5)
+    stable, _ = limits(SIER2, period)
+    openmm.Context(system, SIER2Integrator(0.999 * stable), platform())
+    with pytest.raises(openmm.OpenMMException, match=f"period of {1000 * period:.3g} fs"):
+        openmm.Context(system, SIER2Integrator(1.001 * stable), platform())
+
+
+def test_bonds_without_strength_are_no_oscillators():
+    openmm.Context(diatomic(strength=0.0), SIER2Integrator(1.0), platform())
+    openmm.Context(diatomic(masses=(0.0, 0.0)), SIER2Integrator(1.0), platform())
+
+
+def test_a_bond_at_a_body_moves_the_body(rng):
+    """Its inverse mass is the largest that a rigid motion of the atoms has there, from their own mass matrix."""
+    masses, x = rng.uniform(1, 20, 4), rng.normal(scale=0.1, size=(4, 3))
+    system = openmm.System()
+    for mass in (*masses, 0.0):
+        system.addParticle(mass)
+    bonds = openmm.HarmonicBondForce()
+    bonds.addBond(2, 4, 0.1, 1e5)
+    system.addForce(bonds)
+    bodies = RigidBodies.from_system(system, rigid=[range(4)], positions=np.vstack([x, [0, 0, 1]]) * unit.nanometer)
+    # Columns: what six rigid motions do to the 12 coordinates of the atoms.
+    motions = np.zeros((4, 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    motions[:, :, 3:] = -np.cross(x[:, None, :], np.eye(3)).transpose(0, 2, 1)
+    matrix = np.einsum("k,kxi,kxj->ij", masses, motions, motions)
+    inverse = np.linalg.eigvalsh(motions[2] @ np.linalg.inv(matrix) @ motions[2].T)[-1]
+    assert inverse < 1 / masses[2]
+    (bond,) = Vibrations(system, bodies)._bonds
+    assert bond.period == pytest.approx(2 * math.pi / math.sqrt(1e5 * inverse), rel=1e-10)
+    assert bond.atoms == (2, 4)
