@@ -24,11 +24,10 @@ from typing import Any, TypeAlias
 
 import openmm
 
-from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
-from openmm_sier.engines.native.engine import NativeEngine
-from openmm_sier.engines.stored_state import DRAWS, SEED
+from openmm_sier.engines import interrupts
+from openmm_sier.engines.variables import DRAWS, SEED
 from openmm_sier.integrators.integrator import SIERIntegrator, revived
-from openmm_sier.integrators.stored_settings import stored
+from openmm_sier.integrators.settings import is_stored
 
 #: A method of OpenMM, or its wrapper, which an attribute marks as such.
 Method: TypeAlias = Any
@@ -139,11 +138,9 @@ def _keeping_bodies(method: Method) -> Method:
         integrator = _integrator_of(context)
         if integrator is None:
             return method(context, tolerance, maxIterations, reporter)
-        engine = integrator._bound()
-        if isinstance(engine, NativeEngine) or constraints_hold(context.getSystem(), engine.bodies):
-            method(context, tolerance, maxIterations, reporter)
-            return engine.notice()
-        return minimize_bodies(context, engine, tolerance, maxIterations, reporter)
+        with interrupts.deferred():
+            by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
+            return integrator._bound().minimize(by_openmm, tolerance, maxIterations, reporter)
 
     return wrapper
 
@@ -171,7 +168,9 @@ def _accepting(method: Method) -> Method:
             _set_all_but_integrator(self, state)
         integrator.setGlobalVariableByName(SEED, seed)
         integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
-        _take_over(integrator, self)
+        integrator._take_over()
+        if state.getDataTypes() & openmm.State.IntegratorParameters:
+            integrator._tell_of_lost_noise()
         return None
 
     return wrapper
@@ -185,7 +184,7 @@ def _telling_of_moved_atoms(method: Method) -> Method:
         result = method(self, *args, **kwargs)
         integrator = _integrator_of(self)
         if integrator is not None and integrator._engine is not None:
-            integrator._engine.notice()
+            integrator._engine.atoms_moved()
         return result
 
     return wrapper
@@ -198,16 +197,9 @@ def _loading(method: Method) -> Method:
     def wrapper(self: Any, checkpoint: bytes) -> Any:
         method(self, checkpoint)
         if (integrator := _integrator_of(self)) is not None:
-            _take_over(integrator, self)
+            integrator._take_over()
 
     return wrapper
-
-
-def _take_over(integrator: SIERIntegrator, context: openmm.Context) -> None:
-    integrator._leave_other_engine(context)
-    integrator._tell_program()
-    if integrator._engine is not None:
-        integrator._engine.notice()
 
 
 def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> None:
@@ -246,5 +238,5 @@ def _refuse_parts(integrator: openmm.Integrator) -> None:
         return
     for i in range(integrator.getNumIntegrators()):
         part = integrator.getIntegrator(i)
-        if isinstance(part, openmm.CustomIntegrator) and stored(part, "class") is not None:
+        if isinstance(part, openmm.CustomIntegrator) and is_stored(part):
             raise openmm.OpenMMException("A SIER integrator cannot be part of a CompoundIntegrator")

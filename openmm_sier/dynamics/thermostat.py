@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.operators import Operator
 
 
+@dataclass(frozen=True)
 class OrnsteinUhlenbeck:
     """Langevin thermostat for rigid bodies.
 
@@ -28,11 +29,10 @@ class OrnsteinUhlenbeck:
         seed: together with the number of earlier draws it fixes the noise.
     """
 
-    def __init__(self, temperature: float, friction: float, rotational_friction: float, seed: int):
-        self.temperature = temperature
-        self.friction = friction
-        self.rotational_friction = rotational_friction
-        self.seed = seed
+    temperature: float
+    friction: float
+    rotational_friction: float
+    seed: int = 0
 
     def operator(self, bodies: RigidBodies) -> Operator:
         """The thermostat as an operator of a splitting scheme. It counts its heat and its draws in the state."""

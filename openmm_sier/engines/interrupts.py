@@ -1,14 +1,58 @@
-"""Actions that Ctrl-C must not leave half done."""
+"""Ctrl-C and other signals, which must not leave a Context between two steps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+#: Signals that usually end a program. Only those with a handler in Python are deferred.
+DEFERRED = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+_handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
+_pending: list[tuple[int, FrameType | None]] = []
 
 
-def whatever_interrupts(action: Callable[[], None]) -> None:
-    """Run an action to its end: after a Ctrl-C it is run once more before the interrupt is passed on."""
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Let signals wait until `act_on_pending` or the end of the block.
+
+    Python calls handlers in its main thread, so that in another thread nothing has to wait. Of nested blocks the
+    outermost defers.
+    """
+    if _handlers or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    found = {number: signal.getsignal(number) for number in DEFERRED}
     try:
-        action()
-    except KeyboardInterrupt:
-        action()
-        raise
+        for number, handler in found.items():
+            if callable(handler):
+                _handlers[number] = handler
+                signal.signal(number, _wait)
+        yield
+    finally:
+        while _handlers:
+            number, handler = next(iter(_handlers.items()))
+            # In this order, so that no signal finds `_wait` without the handler behind it.
+            signal.signal(number, handler)
+            del _handlers[number]
+        _call_handlers(found)
+
+
+def act_on_pending() -> None:
+    """Call the handlers of signals that came since `deferred`; that of Ctrl-C raises KeyboardInterrupt."""
+    if _pending:
+        _call_handlers(dict(_handlers))
+
+
+def _wait(number: int, frame: FrameType | None) -> None:
+    _pending.append((number, frame))
+
+
+def _call_handlers(handlers: dict[int, Any]) -> None:
+    while _pending:
+        number, frame = _pending.pop(0)
+        handlers[number](number, frame)

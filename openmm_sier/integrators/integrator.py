@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-from collections.abc import Iterable, Mapping
+import secrets
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -13,25 +14,27 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.operators import Operator, Rotation, Stepper, stepper
+from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import SIER4G, Scheme
-from openmm_sier.engines.exact.engine import Engine
+from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
+from openmm_sier.engines import interrupts
+from openmm_sier.engines.exact.engine import ExactEngine
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.engine import TOLERANCE, NativeEngine
-from openmm_sier.engines.native.program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
-from openmm_sier.engines.stored_state import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES
+from openmm_sier.engines.native.program import PART, VECTORS, WORK, Program
+from openmm_sier.engines.native.refusals import why_not
+from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.temperature import Temperatures
-from openmm_sier.integrators import stored_settings
+from openmm_sier.engines.variables import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Globals
+from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
+from openmm_sier.integrators import settings
+from openmm_sier.integrators.settings import ENGINES, Settings
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, groups_of, step_size, whole_number
-from openmm_sier.system.find_bodies import BodyPlan, KnownBodies, plan_bodies
+from openmm_sier.system.notices import tell
 
 #: The platforms on which `engine="auto"` takes the exact engine, since their forces are in memory that Python can read.
 EXACT_PLATFORMS = ("CPU", "Reference")
-
-ENGINES = ("auto", "exact", "native")
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
@@ -58,6 +61,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         engine: str = "auto",
         substeps: int | None = None,
         fastForceGroups: Iterable[int] | int | None = None,
+        ensemble: Ensemble | None = None,
     ):
         """
         Args:
@@ -75,6 +79,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
                 of molecules that are not rigid, see `prepare_system`. The exact engine computes them in a separate
                 Context of those molecules alone.
+            ensemble: what happens between steps of the scheme, see `openmm_sier.ensembles`; None: constant energy.
 
         Raises:
             ValueError: the step is negative or not finite, the engine is unknown, `substeps` is below 1, or a force
@@ -89,97 +94,90 @@ class SIERIntegrator(openmm.CustomIntegrator):
             raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
         if substeps is not None and (substeps := whole_number("substeps", substeps)) == 0:
             raise ValueError("substeps must be at least 1, got 0")
-        super().__init__(step_size(stepSize))
-        self._engine: Engine | NativeEngine | None = None
-        self._scheme, self._rotation = scheme, rotation
-        self._wanted_engine, self._substeps = engine, substeps
-        self._fast_groups = group_mask("fastForceGroups", fastForceGroups)
-        self._given_bodies = checked_bodies(bodies)
+        given = Settings(
+            kind=settings.place_of(type(self)),
+            scheme=scheme,
+            step=step_size(stepSize),
+            engine=engine,
+            substeps=substeps,
+            fast_groups=group_mask("fastForceGroups", fastForceGroups),
+            bodies=checked_bodies(bodies),
+            rotation=rotation,
+            ensemble=ensemble or ConstantEnergy(),
+        )
+        super().__init__(given.step)
         for name in (*STATE_VARIABLES, SITES):
             self.addPerDofVariable(name, 0)
-        for name in (HEAT, DRAWS, SEED):
+        for name in (HEAT, DRAWS, SEED, *given.ensemble.record):
             self.addGlobalVariable(name, 0)
-        self._program = _written(scheme, substeps, self._fast_groups)
+        self._use(given)
         native_program.install(self._program if isinstance(self._program, Program) else None, self)
         self.setConstraintTolerance(TOLERANCE)
-        self.setStepSize(stepSize)
-        self._store_settings()
-        self._tell_program()
+        self._store()
+
+    def _use(self, given: Settings) -> None:
+        """Take settings for an integrator that is bound to no Context."""
+        self._settings = given
+        self._program = _written(given)
+        self._engine: Engine | None = None
+        self._known: dict[str, float] = {}
+        self._told_of_noise = False
+
+    def _change(self, **changes: Any) -> None:
+        """Replace settings, here and in what OpenMM serializes."""
+        self._settings = replace(self._settings, **changes)
+        self._store()
+
+    def _store(self) -> None:
+        super().setStepSize(self._settings.step / self._native_steps)
+        settings.store(self, self._settings)
+        self._set_program_variables()
+
+    @property
+    def _ensemble(self) -> Any:
+        return self._settings.ensemble
 
     @property
     def _native_steps(self) -> int:
         """Number of OpenMM steps in one step of the scheme."""
         return len(self._program.parts) if isinstance(self._program, Program) else 1
 
-    def _tell_program(self) -> None:
+    def _flow(self) -> Flow:
+        """What an engine is to follow now."""
+        given, ensemble = self._settings, self._settings.ensemble
+        return Flow(
+            scheme=ensemble.executed(given.scheme),
+            step=given.step,
+            rotation=given.rotation,
+            substeps=given.substeps,
+            fast_groups=given.fast_groups,
+            # A loaded checkpoint brings the seed of its run.
+            bath=ensemble.bath(int(self.getGlobalVariableByName(SEED))),
+            updates_context=ensemble.updates_context,
+        )
+
+    def _set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
-        friction, thermal = self._coupling()
-        for name, value in (
-            (EXACT_ONLY, float(self._needs_package())),
-            (PART, 0),
-            (FRICTION, friction),
-            (THERMAL, thermal),
-        ):
-            if self.getGlobalVariableByName(name) != value:
-                self.setGlobalVariableByName(name, value)
-
-    def _needs_package(self) -> bool:
-        """Whether the program, executed now by OpenMM alone, would do less than this integrator."""
-        held = isinstance(self._engine, NativeEngine)
-        return not held and (self._only_exact() is not None or self._given_bodies is not None)
-
-    def _coupling(self) -> tuple[float, float]:
-        """Friction in 1/ps and thermal energy in kJ/mol of the program's bath."""
-        return 0.0, 0.0
-
-    def _only_exact(self) -> str | None:
-        """Why the native engine cannot run this integrator, and the remedy; None if it can."""
-        if isinstance(self._program, str):
-            return f"does not know this scheme, since {self._program}: take another scheme"
-        if self._rotation is not exact:
-            return "has no other free-rotation maps: leave out `rotation`"
-        return None
-
-    def _store_settings(self) -> None:
-        """Add all settings that OpenMM does not know of to what it serializes."""
-        stored_settings.store(self, "class", text=stored_settings.place_of(type(self)))
-        stored_settings.store(self, "rotation", text=stored_settings.place_of(self._rotation))
-        stored_settings.store_scheme(self, self._scheme)
-        stored_settings.store_bodies(self, self._given_bodies)
-        stored_settings.store(self, "engine", [self._substeps or 0, self._fast_groups], self._wanted_engine)
-
-    def _take_settings(self, rotation: Rotation | None = None) -> None:
-        """Read all settings from what OpenMM serialized; `rotation`, if given, replaces the free-rotation map."""
-        self._engine = None
-        self._scheme = stored_settings.stored_scheme(self)
-        place = stored_settings.required(self, "rotation")[0]
-        self._rotation = rotation or stored_settings.from_place(place, "free-rotation map")
-        self._given_bodies = stored_settings.stored_bodies(self)
-        self._wanted_engine, (substeps, groups) = stored_settings.required(self, "engine")
-        self._substeps, self._fast_groups = int(substeps) or None, int(groups)
-        self._program = _written(self._scheme, self._substeps, self._fast_groups)
-        (self._step,) = stored_settings.required(self, "step")[1].tolist()
-        step = super().getStepSize()._value * self._native_steps
-        if not math.isclose(step, self._step, rel_tol=1e-12):
-            # The step was set where this package was not imported.
-            self._step = step
+        flow = self._flow()
+        less = self._ensemble.needs_package or self._settings.bodies is not None
+        native_program.set_variables(self, flow.bath, less or why_not(flow, self._program) is not None)
 
     # --- what users ask ---
 
     @property
     def engine(self) -> str:
         """The engine in use; before a Context is created, the one that was requested."""
-        return self._wanted_engine if self._engine is None else self._engine.name
+        return self._settings.engine if self._engine is None else self._engine.name
 
     @property
     def substeps(self) -> int | None:
         """Number of steps into which a drift is divided, as requested; None leaves it to the engine."""
-        return self._substeps
+        return self._settings.substeps
 
     @property
     def fastForceGroups(self) -> set[int]:
         """The force groups that act within drifts."""
-        return set(groups_of(self._fast_groups))
+        return set(groups_of(self._settings.fast_groups))
 
     @property
     def program(self) -> Program:
@@ -195,12 +193,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
     @property
     def scheme(self) -> Scheme:
         """The splitting scheme."""
-        return self._scheme
+        return self._settings.scheme
 
     @property
     def rotation(self) -> Rotation:
         """The free-rotation map."""
-        return self._rotation
+        return self._settings.rotation
 
     @property
     def bodies(self) -> RigidBodies:
@@ -210,7 +208,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     @property
     def forceEvaluations(self) -> int:
         """Number of force evaluations done by this integrator since its Context was created."""
-        return self._bound().forces.evaluations
+        return self._bound().evaluations
 
     @property
     def conservesMomentum(self) -> bool:
@@ -221,14 +219,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._bound().conserves_momentum()
 
     def getStepSize(self) -> unit.Quantity:
-        """The step of the scheme, a quantity in ps. OpenMM's own step may be a fraction of it."""
-        return self._step * unit.picosecond
+        """Time by which `step(1)` advances the Context, a quantity in ps. OpenMM's own step may be a fraction of it."""
+        return self._settings.step * self._ensemble.steps * unit.picosecond
 
     def setStepSize(self, size: Any) -> None:
-        """Set the step, a time quantity or a number in ps."""
-        self._step = step_size(size)
-        super().setStepSize(self._step / self._native_steps)
-        stored_settings.store(self, "step", [self._step])
+        """Set the time by which `step(1)` advances the Context, a time quantity or a number in ps."""
+        self._change(step=step_size(size) / self._ensemble.steps)
 
     def getBodyState(self) -> BodyState:
         """The state of the rigid bodies, brought up to date with the Context.
@@ -236,9 +232,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             RigidityError: the Context's positions do not form the bodies.
         """
-        engine = self._bound()
-        engine.adopt()
-        return engine.state
+        return self._bound().state()
 
     def step(self, steps: int) -> None:
         """Advance by a number of steps.
@@ -251,7 +245,19 @@ class SIERIntegrator(openmm.CustomIntegrator):
             RigidityError: positions set from outside do not form the bodies.
             openmm.OpenMMException: there is no Context, a force is not finite, or the step is too long for a bond.
         """
-        self._bound().run(whole_number("steps", steps))
+        count, engine = whole_number("steps", steps), self._bound()
+        with interrupts.deferred():
+            self._restore_record()
+            flow = self._flow()
+            engine.begin(flow)
+            try:
+                self._ensemble.advance(engine, flow, Globals(self), count)
+                engine.publish()
+            except BaseException:
+                engine.recover()
+                raise
+            finally:
+                self._know_record()
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
@@ -280,13 +286,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Changes of positions, velocities, box and Context parameters, and changes by `updateParametersInContext`, are
         noticed automatically.
         """
-        self._bound().renew_forces()
+        self._bound().forces_changed()
 
     def setIntegrationForceGroups(self, groups: Iterable[int] | int) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""
         super().setIntegrationForceGroups(groups)
         if self._engine is not None:
-            self._engine.set_groups()
+            self._engine.groups_changed()
 
     # --- copies ---
 
@@ -301,9 +307,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return _unpickled, (openmm.XmlSerializer.serialize(self), type(self), self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("this", "_engine")}
+        """What XML does not hold in full: the settings with their objects, and attributes of subclasses."""
+        return {name: value for name, value in vars(self).items() if name not in ("this", "_engine", "_known")}
 
-    # --- for the engine and for subclasses ---
+    # --- for the hooks ---
 
     def _prepare_for(self, system: openmm.System) -> None:
         """Before a Context is created, clear what a copied integrator still holds from its original's Context."""
@@ -318,20 +325,24 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def _bind(self, context: openmm.Context) -> None:
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
         self._engine = None
-        exact = self._wanted_engine == "exact"
-        if self._wanted_engine == "auto":
-            exact = self._prefers_exact(context.getPlatform().getName())
-        self._engine = Engine(self, context) if exact else self._native_engine(context)
-        self._tell_program()
+        engine = self._new_engine(context)
+        self._ensemble.check(context.getSystem(), engine)
+        self._engine = engine
+        # A Context that was reinitialized with its state keeps its seed.
+        if self._ensemble.is_random and self.getGlobalVariableByName(SEED) == 0:
+            seed = self.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
+            self.setGlobalVariableByName(SEED, seed)
+        self._set_program_variables()
+        self._know_record()
 
-    def _prefers_exact(self, platform: str) -> bool:
-        """Whether `engine="auto"` takes the exact engine on a platform."""
-        return platform in EXACT_PLATFORMS
+    def _new_engine(self, context: openmm.Context) -> Engine:
+        wanted, flow, bodies = self._settings.engine, self._flow(), self._settings.bodies
+        on_host = context.getPlatform().getName() in EXACT_PLATFORMS
+        if wanted == "exact" or (wanted == "auto" and on_host):
+            return ExactEngine(self, context, flow, bodies)
+        return NativeEngine(self, context, flow, bodies, self._program)
 
-    def _native_engine(self, context: openmm.Context) -> NativeEngine:
-        return NativeEngine(self, context)
-
-    def _leave_other_engine(self, context: openmm.Context) -> None:
+    def _take_over(self) -> None:
         """Take over what a loaded State or checkpoint holds, whichever engine wrote it.
 
         The program counts heat for each degree of freedom. Its sum is added to the total that both engines use.
@@ -340,67 +351,73 @@ class SIERIntegrator(openmm.CustomIntegrator):
         if work.any():
             self.setGlobalVariableByName(HEAT, self.getGlobalVariableByName(HEAT) + float(work.sum()))
             self.setPerDofVariableByName(WORK, np.zeros(work.shape))
+        self._set_program_variables()
+        if self._engine is not None:
+            self._engine.atoms_moved()
 
-    def _bound(self) -> Engine | NativeEngine:
+    def _tell_of_lost_noise(self) -> None:
+        """After a State was loaded, say so where the noise goes on differently than in the run that wrote it."""
+        if self._engine is None or self._engine.repeats_noise or self._told_of_noise:
+            return
+        if BATH in self._flow().scheme.operators:
+            self._told_of_noise = True
+            tell(
+                "With the native engine the noise of Langevin dynamics is OpenMM's, which no State holds: the run goes "
+                "on in the same ensemble, but not on the same trajectory. A checkpoint repeats it bit for bit"
+            )
+
+    def _bound(self) -> Engine:
         if self._engine is None:
             raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
         return self._engine
 
-    def _plan_bodies(self, system: openmm.System) -> BodyPlan | KnownBodies:
-        return plan_bodies(system, self._given_bodies)
+    # --- what travels in checkpoints besides the phase point ---
 
-    def _write_record(self, state: BodyState) -> None:
-        """Store what a state holds besides its phase point in variables; `host.Host` has all that the engine calls."""
-        self.setGlobalVariableByName(HEAT, state.heat)
-        self.setGlobalVariableByName(DRAWS, state.draws)
-
-    def _read_record(self, state: BodyState, known: BodyState | None, disturbed: bool) -> BodyState:
-        heat, draws = map(self.getGlobalVariableByName, (HEAT, DRAWS))
-        return replace(state, heat=heat, draws=int(draws))
+    @property
+    def _record(self) -> tuple[str, ...]:
+        return (HEAT, DRAWS, *self._ensemble.record)
 
     def _clear_record(self) -> None:
-        for name in self._RECORD:
+        for name in self._record:
             self.setGlobalVariableByName(name, 0)
 
-    #: Global variables for what a state holds besides its phase point.
-    _RECORD: tuple[str, ...] = (HEAT, DRAWS)
+    def _know_record(self) -> None:
+        self._known = {name: self.getGlobalVariableByName(name) for name in (SEED, *self._record)}
 
-    def _potential_changed(self) -> None:
-        """Respond to a change of forces on bodies, or of the box, from outside."""
+    def _restore_record(self) -> None:
+        """Restore the values known before, if somebody wrote the variables of another integrator over ours.
 
-    def _active_scheme(self) -> Scheme:
-        """The scheme to execute now."""
-        return self._scheme
-
-    def _stepper(self, engine: Engine, scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
-        """The function that makes a step of length h, ps."""
-        return stepper(scheme, operators, h)
-
-    def _moves_volume(self, state: BodyState, steps: int) -> bool:
-        """Whether to move the volume at a state, before the step that follows `steps` completed ones."""
-        return self._piston is not None and (steps + 1) % self._piston.interval == 0
-
-    def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:
-        """Operators other than kick and drift."""
-        return {}
-
-    #: The Monte Carlo move of the volume between steps; None keeps the volume.
-    _piston: MonteCarloVolumeMove | None = None
+        openmmtools' ContextCache does so. Noise must not be used twice.
+        """
+        if self._known.get(SEED) and self.getGlobalVariableByName(SEED) == 0:
+            for name, value in self._known.items():
+                self.setGlobalVariableByName(name, value)
 
 
 def revived(integrator: openmm.Integrator) -> openmm.Integrator:
     """Turn a plain CustomIntegrator read from XML back into the SIER integrator it was; return others unchanged.
 
     Raises:
-        openmm.OpenMMException: its class or free-rotation map cannot be imported, or another version wrote the XML.
+        settings.SettingsError: what is stored cannot be used here, as the message says.
     """
-    if type(integrator) is openmm.CustomIntegrator and (found := stored_settings.stored(integrator, "class")):
-        cls = stored_settings.from_place(found[0], "class")
-        if not (isinstance(cls, type) and issubclass(cls, SIERIntegrator)):
-            raise openmm.OpenMMException(f"{found[0]} is no class of SIER integrators")
-        integrator.__class__ = cls
-        integrator._take_settings()
+    if type(integrator) is openmm.CustomIntegrator and settings.is_stored(integrator):
+        found = settings.stored(integrator)
+        _give_class(integrator, settings.class_at(found.kind, SIERIntegrator), found)
     return integrator
+
+
+def _give_class(plain: openmm.CustomIntegrator, cls: type[SIERIntegrator], found: Settings) -> None:
+    missing = set(found.ensemble.record) - {
+        plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())
+    }
+    if missing:
+        raise settings.SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
+    plain.__class__ = cls
+    plain._use(found)
+    step = openmm.CustomIntegrator.getStepSize(plain)._value * plain._native_steps
+    if not math.isclose(step, found.step, rel_tol=1e-12):
+        # The step was set where this package was not imported.
+        plain._settings = replace(found, step=step)
 
 
 def _plain_clone(integrator: SIERIntegrator) -> openmm.CustomIntegrator:
@@ -409,9 +426,7 @@ def _plain_clone(integrator: SIERIntegrator) -> openmm.CustomIntegrator:
 
 def _restored(plain: openmm.CustomIntegrator, cls: type[SIERIntegrator], attributes: dict[str, Any]) -> SIERIntegrator:
     """Turn a plain CustomIntegrator back into one of ours, with the attributes that XML does not hold in full."""
-    plain.__class__ = cls
-    plain._take_settings(attributes["_rotation"])
-    plain._given_bodies = attributes["_given_bodies"]
+    _give_class(plain, cls, attributes["_settings"])
     for name in attributes.keys() - vars(plain).keys():
         setattr(plain, name, copy.deepcopy(attributes[name]))
     return plain
@@ -421,9 +436,10 @@ def _unpickled(xml: str, cls: type[SIERIntegrator], attributes: dict[str, Any]) 
     return _restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
 
 
-def _written(scheme: Scheme, substeps: int | None, fast_groups: int) -> Program | str:
-    """The program of a scheme, or the reason why it has none."""
+def _written(given: Settings) -> Program | str:
+    """The program of settings, or the reason why there is none."""
+    groups, updates = groups_of(given.fast_groups), given.ensemble.updates_context
     try:
-        return native_program.write(scheme, substeps, groups_of(fast_groups))
+        return native_program.write(given.scheme, given.substeps, groups, updates_context=updates)
     except ValueError as error:
         return str(error)

@@ -7,12 +7,11 @@ from typing import Any
 
 from openmm import unit
 
-from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
-from openmm_sier.integrators import stored_settings
-from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator, checked_friction
+from openmm_sier.dynamics.schemes import SIER4G, Scheme
+from openmm_sier.ensembles.langevin import Langevin
+from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator, checked_friction, volume_move
 from openmm_sier.system.arguments import Bodies
 
 
@@ -23,9 +22,10 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
     drift, bath, half drift, kick), and half at either end of fourth-order schemes (`Scheme.with_bath`). With zero
     friction the trajectory is, bit for bit, that of the scheme without a bath.
 
-    The noise is a function of the seed and of the number of bath operations done so far. Both travel in checkpoints, so
-    that a restarted run continues the same trajectory. A State brings only the number, and never brings back noise that
-    the Context has used: a run restarted from it is the same if its integrator was given the same seed.
+    With the exact engine the noise is a function of the seed and of the number of bath operations done so far. Both
+    travel in checkpoints, so that a restarted run continues the same trajectory. A State brings only the number, and
+    never brings back noise that the Context has used: a run restarted from it is the same if its integrator was given
+    the same seed. With the native engine the noise is OpenMM's, which checkpoints hold and States do not.
 
     With `pressure`, Monte Carlo moves change the volume of the box, and a restarted run repeats them exactly. OpenMM's
     barostats work with this integrator too, but no State holds their memory of earlier moves.
@@ -58,57 +58,30 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             pressure: for constant pressure, a quantity or a number in bar. One move scales all edges of the box by the
                 same factor, and changes ln V by up to 0.5/sqrt(number of molecules).
             barostatInterval: number of steps between attempts to change the volume.
-            engine, substeps, fastForceGroups: see `SIERIntegrator`. The native engine uses OpenMM's noise and
-                barostats.
+            engine, substeps, fastForceGroups: see `SIERIntegrator`. The native engine uses OpenMM's noise.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
         scheme = scheme.with_bath() if isinstance(scheme, Scheme) else scheme
-        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
         friction = checked_friction("frictionCoeff", frictionCoeff)
         turning = friction if rotationalFriction is None else checked_friction("rotationalFriction", rotationalFriction)
-        self._surround(self._checked_temperature(temperature), (friction, turning), pressure, barostatInterval)
-        self._same_friction = rotationalFriction is None
-        self._store_surroundings()
-
-    def _store_surroundings(self) -> None:
-        stored_settings.store(self, "friction", [self._same_friction])
-        super()._store_surroundings()
-
-    def _coupling(self) -> tuple[float, float]:
-        return self._bath.friction, GAS_CONSTANT * self._bath.temperature
-
-    def _only_exact(self) -> str | None:
-        if self._piston is not None:
-            return "has no `pressure` of its own: add an openmm.MonteCarloBarostat to the System"
-        if self._bath.rotational_friction != self._bath.friction:
-            return "has one friction for all motion: leave out `rotationalFriction`"
-        return super()._only_exact()
-
-    def _take_settings(self, rotation: Rotation | None = None) -> None:
-        super()._take_settings(rotation)
-        self._same_friction = bool(stored_settings.required(self, "friction")[1][0])
+        ensemble = Langevin(
+            self._checked_temperature(temperature), friction, turning, volume_move(pressure, barostatInterval)
+        )
+        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
 
     def setFriction(self, coeff: Any) -> None:
-        """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
-        self._bath.friction = checked_friction("coeff", coeff)
-        if self._same_friction:
-            self._bath.rotational_friction = self._bath.friction
-        self._store_surroundings()
+        """Set the friction, a quantity or a number in 1/ps, of the rotation too if it had the same."""
+        before, friction = self._ensemble, checked_friction("coeff", coeff)
+        turning = friction if before.rotational_friction == before.friction else before.rotational_friction
+        self._change_ensemble(friction=friction, rotational_friction=turning)
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Friction of the rotation, a quantity in 1/ps."""
-        return self._bath.rotational_friction / unit.picosecond
+        return self._ensemble.rotational_friction / unit.picosecond
 
     def setRotationalFriction(self, coeff: Any) -> None:
-        """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""
-        self._bath.rotational_friction = checked_friction("coeff", coeff)
-        self._same_friction = False
-        self._store_surroundings()
-
-    def _active_scheme(self) -> Scheme:
-        scheme = super()._active_scheme()
-        cold = self._bath.friction == 0 and self._bath.rotational_friction == 0
-        return scheme.without(BATH) if cold else scheme
+        """Set the friction of the rotation, a quantity or a number in 1/ps."""
+        self._change_ensemble(rotational_friction=checked_friction("coeff", coeff))

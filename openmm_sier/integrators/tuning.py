@@ -133,8 +133,8 @@ def tune(
     take more samples.
 
     All of this is part of the equilibration: while step and length depend on the outcome of trials, these are not
-    samples, and must not enter averages. Equilibrate roughly beforehand. Afterwards step and length are fixed, the
-    Context is at a sample, at a multiple of the new `stepsPerTrial`, and `trials` and `accepted` count from zero. An
+    samples, and must not enter averages. Equilibrate roughly beforehand. Afterwards step and length are fixed, and
+    `trials` and `accepted` count from zero. An
     interrupt or error restores the step and length that the integrator had.
 
     The same seed gives the same result if the platform's forces are deterministic.
@@ -167,16 +167,15 @@ def tune(
     counts = None if lengths is None else [_at_least("lengths", steps, 1) for steps in lengths]
     if lengths is not None and not counts:
         raise ValueError("lengths must have at least one number of steps, got none")
-    before, forces = (integrator.getStepSize(), integrator.getStepsPerTrial()), integrator.forceEvaluations
+    before, forces = (integrator.getSchemeStepSize(), integrator.getStepsPerTrial()), integrator.forceEvaluations
     if not before[0]._value:
         raise ValueError("the integrator's step must be above zero, got 0")
     try:
-        integrator.finishTrial()
         tried, step = _find_step(integrator, acceptance, trials)
         compared, steps = _find_length(integrator, step, samples, counts, before[0]._value * before[1])
         _set(integrator, step, steps)
     except BaseException:
-        integrator.setStepSize(before[0])
+        integrator.setSchemeStepSize(before[0])
         integrator.setStepsPerTrial(before[1])
         raise
     integrator.resetStatistics()
@@ -190,12 +189,10 @@ def _at_least(name: str, value: int, least: int) -> int:
 
 
 def _set(integrator: SIERHMCIntegrator, step: float, steps: int) -> None:
-    """Set step and length, and advance to the next multiple of the length."""
-    integrator.setStepSize(step)
+    """Set step and length, and make a trial, which also checks that trajectories reverse."""
+    integrator.setSchemeStepSize(step)
     integrator.setStepsPerTrial(steps)
-    # At a multiple of the length a whole trial can begin. This also checks that trajectories reverse.
-    integrator.step(steps)
-    integrator.finishTrial()
+    integrator.step(1)
 
 
 def _chances(errors: np.ndarray) -> float:
@@ -208,7 +205,7 @@ def _chances(errors: np.ndarray) -> float:
 
 def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tuple[tuple[StepFound, ...], float]:
     """The steps that were tried, and the one with the wanted acceptance."""
-    step = integrator.getStepSize()._value
+    step = integrator.getSchemeStepSize()._value
     time, order = step * integrator.getStepsPerTrial(), integrator.scheme.order
     tried: list[StepFound] = []
     longest, refusal = math.inf, None
@@ -232,7 +229,7 @@ def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tup
 
 def _try_step(integrator: SIERHMCIntegrator, step: float, steps: int, trials: int) -> StepFound:
     _set(integrator, step, steps)
-    errors = np.array([_trial(integrator, steps) for _ in range(trials)])
+    errors = np.array([_trial(integrator) for _ in range(trials)])
     followed = errors[np.isfinite(errors)]
     spread = float(followed.std(ddof=1)) if len(followed) > len(errors) / 2 else math.inf
     return StepFound(step, spread, _chances(errors))
@@ -245,8 +242,8 @@ def _factor(found: StepFound, wanted: float, order: int) -> float:
     return min(LONGER, max(SHORTER, (spread_at(wanted) / found.spread) ** (1 / order)))
 
 
-def _trial(integrator: SIERHMCIntegrator, steps: int) -> float:
-    integrator.step(steps)
+def _trial(integrator: SIERHMCIntegrator) -> float:
+    integrator.step(1)
     return integrator.lastEnergyError
 
 
@@ -275,8 +272,8 @@ def _try_length(integrator: SIERHMCIntegrator, step: float, steps: int, samples:
     _set(integrator, step, steps)
     before, errors, energies = integrator.forceEvaluations, [], []
     for _ in range(samples):
-        errors.append(_trial(integrator, steps))
-        energies.append(integrator._sampled_energy())
+        errors.append(_trial(integrator))
+        energies.append(integrator._bound().potential_energy())
     forces = (integrator.forceEvaluations - before) / samples
     return LengthFound(steps, _chances(np.array(errors)), forces, inefficiency(np.array(energies)))
 

@@ -10,7 +10,6 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.integrators.hmc import tell_of_samples
 from openmm_sier.observe import conservation, pressure
 from openmm_sier.observe.body_states import BodyStateFile, import_extras
 
@@ -22,14 +21,10 @@ class _Reporter:
         if reportInterval < 1:
             raise ValueError(f"reportInterval must be at least 1, got {reportInterval}")
         self._interval = reportInterval
-        self._told_of_samples = False
         self._include = include
 
     def describeNextReport(self, simulation: app.Simulation) -> dict:
         """Steps to the next report, for OpenMM's Simulation."""
-        if not self._told_of_samples:
-            self._told_of_samples = True
-            tell_of_samples(simulation.integrator, self._interval, type(self).__name__)
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": self._include}
 

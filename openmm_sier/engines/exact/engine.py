@@ -1,4 +1,4 @@
-"""Runs one integrator in one Context: the Context holds the atoms, the engine the bodies."""
+"""The exact engine: the Context holds the atoms, the engine the bodies, which it rotates exactly."""
 
 from __future__ import annotations
 
@@ -11,65 +11,81 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics import operators
+from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
-from openmm_sier.engines import neighbour_list, stored_state
-from openmm_sier.engines.exact.actors import Actors, VolumeMoves, act
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines import neighbour_list
+from openmm_sier.engines.exact import packing
+from openmm_sier.engines.exact.actors import Actors
 from openmm_sier.engines.exact.atoms import Atoms, PotentialEnergies
+from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
 from openmm_sier.engines.exact.motion import Motion, inner_step
 from openmm_sier.engines.exact.reconciliation import Reconciliation
-from openmm_sier.engines.host import Host
-from openmm_sier.engines.interrupts import whatever_interrupts
+from openmm_sier.engines.interrupts import act_on_pending
+from openmm_sier.engines.native.program import updating_context
+from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.stored_state import SITES, STATE_VARIABLES
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
+from openmm_sier.engines.variables import DRAWS, HEAT, SITES, STATE_VARIABLES
 from openmm_sier.system import checks
+from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.find_bodies import plan_bodies
 from openmm_sier.system.vibrations import Vibrations
 
 
-class BlownUp(openmm.OpenMMException):
-    """A force or a position is not finite."""
-
-
-class _Point(NamedTuple):
-    """A completed step: the bodies, the time in ps and the step count."""
+class _Memory(NamedTuple):
+    """What `remember` gives: a completed step, with the box."""
 
     state: BodyState
-    time: float
-    steps: int
+    clock: Clock
+    box: np.ndarray
 
 
-class Engine:
-    """Binding of a `SIERIntegrator` to a Context in which this package moves the bodies.
+class ExactEngine:
+    """Implements `protocol.Engine` by a Python layer over the Context.
 
-    Between two calls of `run` the Context agrees with `state`. `_echo` is a snapshot taken at the end of a call: a
-    Context that later differs from it was changed from outside.
+    After `publish` the Context agrees with the engine's state. `_last_written` is a snapshot of the Context from then:
+    one that later differs from it was changed from outside.
 
     Attributes:
         forces: forces and torques on the bodies, computed by the Context.
     """
 
-    #: The value of `SIERIntegrator.engine`.
     name = "exact"
+    repeats_noise = True
 
-    def __init__(self, integrator: Host, context: openmm.Context):
+    def __init__(self, integrator: openmm.CustomIntegrator, context: openmm.Context, flow: Flow, bodies: Bodies):
+        """
+        Args:
+            integrator: holds the variables in which the state travels.
+            context: openmm.Context.
+            flow: what will be followed.
+            bodies: as users give them, see `find_bodies.plan_bodies`.
+
+        Raises:
+            RigidityError, openmm.OpenMMException: the System or the step is refused, as the message says.
+        """
         # The Context owns its integrator, so that a strong reference back would keep both alive.
         self._integrator_ref = weakref.ref(integrator)
+        self._flow = flow
         self._atoms = Atoms(context)
         system = context.getSystem()
-        plan = integrator._plan_bodies(system)
+        plan = plan_bodies(system, bodies)
         self._actors = Actors(system)
         self._remembers_list = neighbour_list.is_remembered(context)
         self._starts_anew = False
-        self._groups: int
-        self._echo: Snapshot | None = None
-        self._point: _Point | None = None
+        self._groups = integrator.getIntegrationForceGroups()
+        self._last_written: Snapshot | None = None
+        self._state: BodyState | None = None
+        self.clock = Clock(0.0, 0)
         self._energies = PotentialEnergies(self._atoms)
         self.forces = operators.CachedForces(_weakly(self._compute_forces))
         self._bodies: RigidBodies | None = None
         self._momentum: MomentumConservation | None = None
-        self._volume_moves: VolumeMoves | None = None
+        self._centres: MoleculeCentres | None = None
+        self._moves_volume = False
         self._motion: Motion
         self._vibrations: Vibrations
         self._reconciliation: Reconciliation
@@ -83,151 +99,151 @@ class Engine:
         return self._atoms.context
 
     @property
-    def _integrator(self) -> Host:
+    def _integrator(self) -> openmm.CustomIntegrator:
         integrator = self._integrator_ref()
         if integrator is None:
             raise openmm.OpenMMException("The integrator of this Context no longer exists")
         return integrator
 
     @property
+    def evaluations(self) -> int:
+        return self.forces.evaluations
+
+    @property
     def bodies(self) -> RigidBodies:
-        """The bodies of the Context's System."""
         return self._bodies or self._settle_by(Snapshot(self._context).positions)
 
     @property
-    def state(self) -> BodyState:
-        """The bodies' phase point at the last completed step."""
-        return self._reached().state
+    def _reached(self) -> BodyState:
+        """The bodies at the last completed step."""
+        if self._state is None:
+            raise openmm.OpenMMException("The Context has no positions yet")
+        return self._state
 
     @property
-    def steps(self) -> int:
-        """Number of the last completed step."""
-        return self._reached().steps
+    def draws(self) -> int:
+        return self._reached.draws
 
-    def _reached(self) -> _Point:
-        if self._point is None:
-            raise openmm.OpenMMException("The Context has no positions yet")
-        return self._point
+    @draws.setter
+    def draws(self, number: int) -> None:
+        self._state = replace(self._reached, draws=number)
+
+    # --- bodies ---
 
     def _settle_by(self, positions: np.ndarray) -> RigidBodies:
         """Bodies with the geometry that the Context's state carries or, the first time, with that of the positions."""
         sites = np.array(self._integrator.getPerDofVariableByName(SITES))
-        if self._bodies is not None and np.array_equal(stored_state.sites(self._bodies), sites):
+        if self._bodies is not None and np.array_equal(packing.sites(self._bodies), sites):
             return self._bodies
         bodies = self._settle(self._plan.bodies(positions, sites))
-        self._integrator.setPerDofVariableByName(SITES, stored_state.sites(bodies))
+        self._integrator.setPerDofVariableByName(SITES, packing.sites(bodies))
         return bodies
 
     def _settle(self, bodies: RigidBodies) -> RigidBodies:
-        integrator, context = self._integrator, self._context
-        vibrations = Vibrations(context.getSystem(), bodies)
+        system = self._context.getSystem()
+        vibrations = Vibrations(system, bodies)
         self._check_step(vibrations)
-        checks.refuse_constrained_lines(context.getSystem(), bodies)
-        checks.refuse_deforming_barostats(context.getSystem(), context.getMolecules(), bodies)
-        if integrator._piston is not None:
-            self._volume_moves = VolumeMoves(integrator._piston, bodies, self._atoms)
-        self._motion, self._bodies = Motion(context, bodies, self.forces, integrator), bodies
+        checks.refuse_constrained_lines(system, bodies)
+        checks.refuse_deforming_barostats(system, self._context.getMolecules(), bodies)
+        if self._moves_volume:
+            self._centres = self._new_centres(bodies)
+        self._motion, self._bodies = self._new_motion(bodies), bodies
         self._reconciliation = Reconciliation(bodies, self._atoms, _weakly(self._forget_forces))
         self._vibrations = vibrations
         return bodies
 
+    def _new_motion(self, bodies: RigidBodies) -> Motion:
+        fast = self._integrator.getIntegrationForceGroups() & self._flow.fast_groups
+        return Motion(self._context, bodies, self.forces, self._flow.rotation, fast)
+
     def _check_step(self, vibrations: Vibrations) -> None:
-        integrator = self._integrator
-        h, groups = integrator.getStepSize()._value, integrator.getIntegrationForceGroups()
-        vibrations.check(integrator.scheme, h, groups & ~integrator._fast_groups)
-        inner = inner_step(integrator.scheme, h, integrator._substeps)
-        vibrations.check_nested(WITHIN_DRIFTS, inner, h, groups & integrator._fast_groups)
+        flow, groups = self._flow, self._integrator.getIntegrationForceGroups()
+        vibrations.check(flow.scheme, flow.step, groups & ~flow.fast_groups)
+        inner = inner_step(flow.scheme, flow.step, flow.substeps)
+        vibrations.check_nested(WITHIN_DRIFTS, inner, flow.step, groups & flow.fast_groups)
 
-    # --- stepping ---
+    # --- one call of the integrator's step ---
 
-    def run(self, count: int) -> None:
-        """Advance by `count` steps; an error or interrupt leaves the Context at the last completed one."""
-        self.adopt()
+    def begin(self, flow: Flow) -> None:
+        self._flow = flow
+        self._adopt()
         self._check_step(self._vibrations)
-        integrator = self._integrator
-        h = integrator.getStepSize()._value
-        scheme = integrator._active_scheme()
-        step = integrator._stepper(self, scheme, self._motion.operators(scheme, h, integrator._substeps), h)
-        alone = not self._actors.are_present and self._volume_moves is None
-        try:
-            if count and self._starts_anew:
-                self._forget_past()
-            for _ in range(count):
-                if alone or not (self._actors.are_present or self._moves_volume_now()):
-                    # The Context is updated only after the last step.
-                    self._complete(self.state, step, h)
-                else:
-                    self._step_with_actors(step, h)
-            self._publish()
-        except BaseException:
-            # An interrupt of `_publish` is caught here too, so that none leaves the Context between two steps.
-            self.restore()
-            raise
 
-    def start_anew(self) -> None:
-        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it bit for bit."""
-        self._starts_anew = self._remembers_list
+    def follow(self, steps: int) -> None:
+        flow = self._flow
+        step = operators.stepper(flow.scheme, self._motion.operators(flow), flow.step)
+        if steps and self._starts_anew:
+            self._forget_past()
+        for _ in range(steps):
+            if flow.updates_context and self._actors.are_present:
+                self._step_with_actors(step)
+            else:
+                # The Context is written to only by `publish`.
+                self._complete(self._reached, step)
+            act_on_pending()
 
-    def _forget_past(self) -> None:
-        neighbour_list.forget(self._context)
+    def publish(self) -> None:
+        """Write the bodies' state to the Context and to the variables that travel in checkpoints."""
+        state, integrator, context = self._reached, self._integrator, self._context
+        self._place(state.q, state.A)
+        context.setVelocities(self.bodies.move(state, self._atoms.velocities))
+        for name, values in zip(STATE_VARIABLES, packing.pack(self.bodies, state), strict=True):
+            integrator.setPerDofVariableByName(name, values)
+        integrator.setGlobalVariableByName(HEAT, state.heat)
+        integrator.setGlobalVariableByName(DRAWS, state.draws)
+        context.setTime(self.clock.time)
+        context.setStepCount(self.clock.steps)
+        self._last_written = Snapshot(context)
+
+    def recover(self) -> None:
+        if self._state is None:
+            return
         self._forget_forces()
-        self._starts_anew = False
+        self._atoms.forget_place()
+        self.publish()
 
-    def _step_with_actors(self, step: operators.Stepper, h: float) -> None:
-        """Make one step, after the System's barostats and thermostats and the integrator's own piston have acted."""
-        before = self._reached()
-        mark = self._context.getState(positions=True)
+    def _step_with_actors(self, step: operators.Stepper) -> None:
+        """Make one step, after the System's barostats and thermostats have acted."""
+        before, mark = self._state, self._context.getState(positions=True)
         try:
-            self._complete(self._acted_on(h), step, h)
+            self._complete(self._acted_on(), step)
         except BaseException:
-            if self._point is before:
-                whatever_interrupts(lambda: self._atoms.rewind(mark))
+            if self._state is before:
+                self._atoms.rewind(mark)
             raise
 
-    def _complete(self, state: BodyState, step: operators.Stepper, h: float) -> None:
-        _, time, steps = self._reached()
+    def _complete(self, state: BodyState, step: operators.Stepper) -> None:
+        time, steps = self.clock
+        if self._flow.updates_context and self._actors.removes_momentum(steps):
+            state = _shifted(self.bodies, state, -self.bodies.centre_velocity(state.p))
         try:
-            state = step(self._actors.swept(self.bodies, state, steps))
+            state = step(state)
         except ConstraintError as error:
-            raise openmm.OpenMMException(
+            raise TrajectoryError(
                 f"In step {steps + 1} {error}. Is the step size too long? The Context is left at the last completed "
                 "step."
             ) from error
-        # All in one assignment, so that an interrupt finds the clock and the bodies in agreement.
-        self._point = _Point(state, time + h, steps + 1)
+        # In one assignment, so that an error finds the clock and the bodies in agreement.
+        self._state, self.clock = state, Clock(time + self._flow.step, steps + 1)
 
-    def _acted_on(self, h: float) -> BodyState:
-        state = self.state
-        if self._actors.are_present:
-            state = self._update_box() if self._actors.are_barostats else self._update_all(h)
-        if self._volume_moves is None or not self._moves_volume_now():
-            return state
-        try:
-            return self._volume_moves.apply(state, self._reached().steps, self._groups)
-        except NotFiniteError as error:
-            raise self._blown_up("position of", error) from None
+    def _acted_on(self) -> BodyState:
+        return self._update_box() if self._actors.are_barostats else self._update_all()
 
-    def _moves_volume_now(self) -> bool:
-        if self._volume_moves is None:
-            return False
-        state, _, steps = self._reached()
-        return self._integrator._moves_volume(state, steps)
-
-    def _update_all(self, h: float) -> BodyState:
-        self._publish()
-        before = self._echo
-        act(self._integrator)
+    def _update_all(self) -> BodyState:
+        self.publish()
+        before = self._last_written
+        self._let_openmm_act()
         # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
-        self._context.setTime(self._reached().time + h)
-        self._echo = Snapshot(self._context)
-        return self._reconciliation.reconcile(self.state, before, self._echo)
+        self._context.setTime(self.clock.time + self._flow.step)
+        self._last_written = Snapshot(self._context)
+        return self._reconciliation.reconcile(self._reached, before, self._last_written)
 
     def _update_box(self) -> BodyState:
         """Let barostats act. Most often they change nothing, and then nothing is read back."""
-        state = self.state
+        state = self._reached
         self._place(state.q, state.A)
         before = self._atoms.box()
-        act(self._integrator)
+        self._let_openmm_act()
         if np.array_equal(self._atoms.box(), before):
             return state
         now = Snapshot(self._context)
@@ -236,20 +252,23 @@ class Engine:
         self._forget_forces()
         return replace(state, q=q, p=self.bodies.constraints.project(q, state.p), A=A)
 
-    def restore(self) -> None:
-        """Write the last completed step to the Context, even if Ctrl-C is pressed meanwhile."""
-        whatever_interrupts(self._recover)
+    def _let_openmm_act(self) -> None:
+        with updating_context(self._integrator, self._flow.step):
+            openmm.CustomIntegrator.step(self._integrator, 1)
 
-    def _recover(self) -> None:
+    def start_anew(self) -> None:
+        self._starts_anew = self._remembers_list
+
+    def _forget_past(self) -> None:
+        neighbour_list.forget(self._context)
         self._forget_forces()
-        self._atoms.forget_place()
-        self._publish()
+        self._starts_anew = False
 
     # --- forces ---
 
     def _compute_forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forces and torques on bodies in kicks."""
-        return self._forces_of(self._groups & ~self._integrator._fast_groups, q, A)
+        return self._forces_of(self._groups & ~self._flow.fast_groups, q, A)
 
     def all_forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forces and torques on bodies at (q, A), each (3, n), including fast forces."""
@@ -263,8 +282,8 @@ class Engine:
         except NotFiniteError as error:
             raise self._blown_up("force on", error) from None
 
-    def potential_energy(self, state: BodyState) -> float:
-        """Potential energy of the bodies at the positions of a state, in kJ/mol, from all forces that move them."""
+    def potential_energy(self) -> float:
+        state = self._reached
         try:
             return self._energies(self.bodies, state.q, state.A, self._groups)
         except NotFiniteError as error:
@@ -277,13 +296,14 @@ class Engine:
         if self._motion.fast is not None:
             self._motion.fast.follow(self._context)
 
-    def renew_forces(self) -> None:
-        """Respond to a change of the potential."""
-        self._integrator._potential_changed()
+    def forces_changed(self) -> None:
         self._energies.forget()
         self.forces.invalidate()
         if self._bodies is not None:
-            self._motion = Motion(self._context, self._bodies, self.forces, self._integrator)
+            self._motion = self._new_motion(self._bodies)
+
+    def groups_changed(self) -> None:
+        self.forces_changed()
 
     def _place(self, q: np.ndarray, A: np.ndarray) -> None:
         try:
@@ -291,39 +311,113 @@ class Engine:
         except NotFiniteError as error:
             raise self._blown_up("position of", error) from None
 
-    def _blown_up(self, what: str, error: NotFiniteError) -> BlownUp:
-        step = self._context.getStepCount() if self._point is None else self._point.steps + 1
-        return BlownUp(
+    def _blown_up(self, what: str, error: NotFiniteError) -> TrajectoryError:
+        step = self._context.getStepCount() if self._state is None else self.clock.steps + 1
+        return TrajectoryError(
             f"The {what} {self.bodies.describe(error.body)} is not finite in step {step}. Is the step size "
             "too long, or do atoms overlap? The Context is left at the last completed step."
         )
 
-    def set_groups(self) -> None:
-        """Respond to a change of the force groups that move the bodies."""
-        self.renew_forces()
+    # --- between flows ---
 
-    def notice(self) -> None:
-        """Do nothing: `adopt` itself detects positions and velocities that were set from outside."""
+    def kinetic_energy(self) -> float:
+        return sum(self.bodies.kinetic_energies(self._reached))
+
+    def positions(self) -> np.ndarray:
+        state = self._reached
+        return self.bodies.place(state.q, state.A, self._atoms.positions.copy())
+
+    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+        self._state = self._motion.bath(bath)(self._reached, time)
+
+    def remember(self) -> _Memory:
+        return _Memory(self._reached, self.clock, self._atoms.box())
+
+    def go_back(self, memory: _Memory, reverse: bool = False) -> None:
+        state = memory.state
+        if not np.array_equal(memory.box, self._atoms.box()):
+            self._set_box(memory.box)
+        self._state = replace(state, p=-state.p, L=-state.L) if reverse else state
+        self.clock = memory.clock
+
+    @property
+    def mass(self) -> float:
+        return float(self.bodies.masses.sum())
+
+    @property
+    def removes_momentum(self) -> bool:
+        return self._momentum_conservation.removed
+
+    def centre_velocity(self) -> np.ndarray:
+        return self.bodies.centre_velocity(self._reached.p)[:, 0]
+
+    def shift_velocities(self, velocity: np.ndarray) -> None:
+        self._state = _shifted(self.bodies, self._reached, velocity[:, None])
+
+    def prepare_for_volume_moves(self) -> None:
+        self._moves_volume = True
+        if self._bodies is not None:
+            self._centres = self._new_centres(self._bodies)
+
+    def _new_centres(self, bodies: RigidBodies) -> MoleculeCentres:
+        checks.refuse_constant_pressure(self._context.getSystem(), bodies)
+        return MoleculeCentres(bodies, self._context.getMolecules())
+
+    @property
+    def molecules(self) -> int:
+        assert self._centres is not None
+        return self._centres.count
+
+    def volume(self) -> float:
+        return float(np.linalg.det(self._atoms.box()))
+
+    def scale(self, factor: float) -> None:
+        assert self._centres is not None
+        state = self._reached
+        self._set_box(factor * self._atoms.box())
+        self._state = replace(state, q=state.q + (factor - 1) * self._centres(state.q))
+
+    def _set_box(self, box: np.ndarray) -> None:
+        self._context.setPeriodicBoxVectors(*box)
+        if self._motion.fast is not None:
+            self._motion.fast.follow(self._context)
+
+    # --- what users ask ---
 
     def heat(self) -> float:
-        """Energy that the bath and moves of the volume have given, kJ/mol."""
-        self.adopt()
-        return self.state.heat
+        return self.state().heat
 
-    def conserves_momentum(self) -> bool:
-        """Whether the total momentum is conserved, see `MomentumConservation`."""
+    def add_heat(self, energy: float) -> None:
+        self._state = replace(self._reached, heat=self._reached.heat + energy)
+
+    def state(self) -> BodyState:
+        self._adopt()
+        return self._reached
+
+    @property
+    def _momentum_conservation(self) -> MomentumConservation:
         if self._momentum is None:
             self._momentum = MomentumConservation.of_system(self._context.getSystem(), self.bodies)
-        return self._momentum.holds(self._integrator)
+        return self._momentum
+
+    def conserves_momentum(self) -> bool:
+        return self._momentum_conservation.holds(self._integrator)
 
     def temperatures(self) -> Temperatures:
-        """Temperatures in K, see `openmm_sier.engines.temperature`."""
-        self.adopt()
-        return temperatures(self.bodies, self.state, self.conserves_momentum())
+        return temperatures(self.bodies, self.state(), self.conserves_momentum())
+
+    def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
+        if constraints_hold(self._context.getSystem(), self.bodies):
+            by_openmm()
+        else:
+            minimize_bodies(self._context, self, tolerance, iterations, reporter)
 
     # --- agreement with the Context ---
 
-    def adopt(self) -> None:
+    def atoms_moved(self) -> None:
+        """Nothing to do: `begin` itself finds positions and velocities that were set from outside."""
+
+    def _adopt(self) -> None:
         """Take over what was changed in the Context from outside.
 
         The state found depends on nothing but what the Context holds, so that a restart from a checkpoint
@@ -332,44 +426,34 @@ class Engine:
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
-        now = Snapshot(self._context)
-        if self._point is None and not now.positions.any():
+        now, known, integrator = Snapshot(self._context), self._state, self._integrator
+        if known is None and not now.positions.any():
             # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
             self._context.getState(energy=True, groups=0)
-        moved = self._point is None or not now.same_positions(self._echo)
+        moved = known is None or not now.same_positions(self._last_written)
         if moved:
             self.start_anew()
         if moved and self._plan is not None:
             self._settle_by(now.positions)
-        known, integrator = None if self._point is None else self._point.state, self._integrator
-        recalled = None
-        if disturbed := moved or not now.same_velocities(self._echo):
-            recalled = self._reconciliation.recall(integrator, now, moved)
-        if recalled is None and self._echo is not None and not now.same_environment(self._echo):
-            integrator._potential_changed()
-        if recalled is not None:
-            state, disturbed = recalled
-        elif disturbed:
-            state = self._reconciliation.reconcile(known, None if moved else self._echo, now)
-        else:
-            state = self.state
-            self._reconciliation.notice_environment(self._echo, now)
+        disturbed = moved or not now.same_velocities(self._last_written)
+        state = self._reconciliation.recall(integrator, now, moved) if disturbed else None
+        if state is None and disturbed:
+            state = self._reconciliation.reconcile(known, None if moved else self._last_written, now)
+        elif state is None:
+            state = self._reached
+            self._reconciliation.notice_environment(self._last_written, now)
         self._atoms.velocities[:] = now.velocities
         self._groups = integrator.getIntegrationForceGroups()
-        state = integrator._read_record(state, known, disturbed)
-        self._point, self._echo = _Point(state, now.time, now.steps), now
+        heat, draws = map(integrator.getGlobalVariableByName, (HEAT, DRAWS))
+        self._state = replace(state, heat=heat, draws=int(draws))
+        self.clock, self._last_written = Clock(now.time, now.steps), now
 
-    def _publish(self) -> None:
-        """Write the bodies' state to the Context and to the variables that travel in checkpoints."""
-        (state, time, steps), integrator, context = self._reached(), self._integrator, self._context
-        self._place(state.q, state.A)
-        context.setVelocities(self.bodies.move(state, self._atoms.velocities))
-        for name, values in zip(STATE_VARIABLES, stored_state.pack(self.bodies, state), strict=True):
-            integrator.setPerDofVariableByName(name, values)
-        integrator._write_record(state)
-        context.setTime(time)
-        context.setStepCount(steps)
-        self._echo = Snapshot(context)
+
+def _shifted(bodies: RigidBodies, state: BodyState, velocity: np.ndarray) -> BodyState:
+    """The state with a velocity, (3, 1), added to all bodies, and its energy to the heat."""
+    moving = bodies.masses.sum() * (bodies.centre_velocity(state.p) + 0.5 * velocity)
+    gained = float((moving * velocity).sum())
+    return replace(state, p=state.p + bodies.masses * velocity, heat=state.heat + gained)
 
 
 def _weakly(method: Callable[..., Any]) -> Callable[..., Any]:

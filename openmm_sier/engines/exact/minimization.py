@@ -7,7 +7,7 @@ rigid only because they were named.
 from __future__ import annotations
 
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import openmm
@@ -15,7 +15,9 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.minimizer import descent
-from openmm_sier.engines.exact.engine import Engine
+
+if TYPE_CHECKING:
+    from openmm_sier.engines.exact.engine import ExactEngine
 
 
 def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
@@ -31,7 +33,7 @@ def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
 
 def minimize_bodies(
     context: openmm.Context,
-    engine: Engine,
+    engine: ExactEngine,
     tolerance: Any,
     iterations: int,
     reporter: openmm.MinimizationReporter | None = None,
@@ -54,15 +56,14 @@ def minimize_bodies(
     """
     if unit.is_quantity(tolerance):
         tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
-    engine.adopt()
-    state = engine.state
+    state = engine.state()
     points = descent(engine.bodies, engine.all_forces, state.q, state.A)
     try:
         for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
             if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):
                 break
     except BaseException:
-        engine.restore()
+        engine.recover()
         raise
 
 

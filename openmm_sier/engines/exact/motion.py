@@ -16,10 +16,11 @@ from openmm_sier.dynamics.constrained import (
     nested_drift,
     point_operators,
 )
-from openmm_sier.dynamics.operators import CachedForces, Operator
+from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.schemes import BATH, DRIFT, WITHIN_DRIFTS, Scheme
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.exact.solute import SoluteForces, solute_system
-from openmm_sier.engines.host import Host
+from openmm_sier.engines.protocol import Flow
 from openmm_sier.system.arguments import groups_of
 
 #: The longest inner step where the number of substeps is left open, ps.
@@ -37,51 +38,56 @@ class Motion:
         fast: what computes the fast forces; None where there are none.
     """
 
-    def __init__(self, context: openmm.Context, bodies: RigidBodies, forces: CachedForces, integrator: Host):
+    def __init__(
+        self, context: openmm.Context, bodies: RigidBodies, forces: CachedForces, rotation: Rotation, fast_groups: int
+    ):
         """
         Args:
             context: openmm.Context.
             bodies: its bodies.
             forces: forces on them in the kicks.
-            integrator: the integrator that moves them.
+            rotation: free-rotation map.
+            fast_groups: bit mask of the force groups that act within drifts.
 
         Raises:
             SoluteError: a fast force is not a bonded force, or one of its terms acts on something other than a flexible
                 point.
         """
-        self._bodies = bodies
-        groups = _flexible_points(bodies)
-        self._members = np.flatnonzero(groups >= 0)
-        self._groups = groups
-        self.fast = _fast_forces(context, bodies, self._members, integrator)
-        self._drift = operators.drift(bodies, integrator.rotation)
-        self._fixed = self._outer(forces, integrator)
+        self._bodies, self._rotation = bodies, rotation
+        self._groups = _flexible_points(bodies)
+        self._members = np.flatnonzero(self._groups >= 0)
+        self.fast = _fast_forces(context, bodies, self._members, groups_of(fast_groups))
+        self._drift = operators.drift(bodies, rotation)
+        self._outer = self._without_bath(forces)
+        self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
 
-    def _outer(self, forces: CachedForces, integrator: Host) -> dict[str, Operator]:
-        bodies, constraints = self._bodies, self._bodies.constraints
-        extra = integrator._extra_operators(bodies)
+    def _without_bath(self, forces: CachedForces) -> dict[str, Operator]:
+        bodies, rotation = self._bodies, self._rotation
         if not len(self._members):
-            return operators.body_operators(bodies, forces, integrator.rotation) | extra
-        if BATH in extra:
-            extra[BATH] = constrained_bath(extra[BATH], constraints)
-        rotation, groups = integrator.rotation, self._groups
-        return constrained_operators(bodies, forces, constraints, rotation, groups=groups) | extra
+            return operators.body_operators(bodies, forces, rotation)
+        return constrained_operators(bodies, forces, bodies.constraints, rotation, groups=self._groups)
 
-    def operators(self, scheme: Scheme, h: float, substeps: int | None) -> dict[str, Operator]:
-        """The operators that execute a scheme, by name.
+    def bath(self, bath: OrnsteinUhlenbeck) -> Operator:
+        """A bath as an operator."""
+        operator = bath.operator(self._bodies)
+        return constrained_bath(operator, self._bodies.constraints) if len(self._members) else operator
 
-        Args:
-            scheme: the scheme.
-            h: its step, ps.
-            substeps: inner steps in its longest drift; None: as many as `LONGEST_INNER_STEP` asks for.
-        """
-        longest = inner_step(scheme, h, substeps)
-        if self.fast is None or not longest:
-            return self._fixed
-        members = self._members
-        constraints = self._bodies.constraints.restricted(members)
-        within = point_operators(constraints, self.fast.forces, groups=self._groups[members])
-        return self._fixed | {DRIFT: nested_drift(self._drift, members, WITHIN_DRIFTS, within, longest)}
+    def operators(self, flow: Flow) -> dict[str, Operator]:
+        """The operators that execute a flow, by name."""
+        if self._made[0] != flow:
+            found = dict(self._outer)
+            if flow.bath is not None:
+                found[BATH] = self.bath(flow.bath)
+            longest = inner_step(flow.scheme, flow.step, flow.substeps)
+            if self.fast is not None and longest:
+                found[DRIFT] = self._nested_drift(self.fast.forces, longest)
+            self._made = flow, found
+        return self._made[1]
+
+    def _nested_drift(self, forces: FastForces, longest: float) -> Operator:
+        members, constraints = self._members, self._bodies.constraints.restricted(self._members)
+        within = point_operators(constraints, forces, groups=self._groups[members])
+        return nested_drift(self._drift, members, WITHIN_DRIFTS, within, longest)
 
 
 class _Fast:
@@ -114,18 +120,16 @@ def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Pla
     return platform, properties
 
 
-def _fast_forces(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, integrator: Host) -> _Fast | None:
-    groups = integrator.getIntegrationForceGroups() & integrator._fast_groups
-    wanted = groups_of(groups)
-    if not wanted:
+def _fast_forces(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: list[int]) -> _Fast | None:
+    if not groups:
         return None
     atoms = [int(bodies.atoms_of(body)[0]) for body in members.tolist()]
     rigid = np.where(bodies.point_particles, -1, bodies.owners)
     if not atoms:
         # Nothing to compute, but forces that cannot be fast are refused here too.
-        solute_system(context.getSystem(), atoms, wanted, rigid)
+        solute_system(context.getSystem(), atoms, groups, rigid)
         return None
-    fast = _Fast(context, atoms, wanted, rigid)
+    fast = _Fast(context, atoms, groups, rigid)
     return None if fast.is_empty else fast
 
 

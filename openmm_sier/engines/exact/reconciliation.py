@@ -10,10 +10,10 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constraints import ConstraintError
-from openmm_sier.engines import stored_state
+from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.atoms import Atoms
-from openmm_sier.engines.host import Host
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.system import checks
 
 #: Points further than this from their constraints, in nm, are refused, since they are not the molecule that was meant.
@@ -31,7 +31,7 @@ class Reconciliation:
         self._bodies, self._atoms, self._invalidate_forces = bodies, atoms, invalidate_forces
         self._told_of_misfit = False
 
-    def recall(self, integrator: Host, now: Snapshot, moved: bool) -> tuple[BodyState, bool] | None:
+    def recall(self, integrator: openmm.CustomIntegrator, now: Snapshot, moved: bool) -> BodyState | None:
         """The state stored in the integrator's variables, if it reproduces the atoms to the last bit.
 
         It does so after a checkpoint or a State with integrator parameters was loaded. If velocities were set after
@@ -43,14 +43,14 @@ class Reconciliation:
             moved: whether its positions differ from those before.
 
         Returns:
-            The state, and whether velocities were set; None if the atoms are elsewhere.
+            The state; None if the atoms are elsewhere.
         """
         bodies = self._bodies
         # One after the other: OpenMM gives lists of objects, which take much memory.
-        values = np.stack([np.array(integrator.getPerDofVariableByName(name)) for name in stored_state.STATE_VARIABLES])
+        values = np.stack([np.array(integrator.getPerDofVariableByName(name)) for name in STATE_VARIABLES])
         if not values.any() or not np.isfinite(values).all():
             return None
-        state = stored_state.unpack(bodies, values)
+        state = packing.unpack(bodies, values)
         positions = bodies.place(state.q, state.A, now.positions.copy())
         velocities = bodies.move(state, now.velocities.copy())
         reproduced = np.array_equal(positions, now.positions)
@@ -59,9 +59,9 @@ class Reconciliation:
         self._invalidate_forces()
         self._atoms.take_positions(now)
         if np.array_equal(velocities, now.velocities):
-            return state, False
+            return state
         p, L = self._momenta(now.velocities, state.q, state.A)
-        return replace(state, p=p, L=L), True
+        return replace(state, p=p, L=L)
 
     def reconcile(self, old: BodyState | None, before: Snapshot | None, now: Snapshot) -> BodyState:
         """The state after the Context changed from one snapshot to another.

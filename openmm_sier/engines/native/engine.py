@@ -1,24 +1,33 @@
-"""Runs an integrator's own program in one Context: the counterpart of `engine`, for any platform."""
+"""The native engine: OpenMM executes the scheme, which is written out as the integrator's program, on any platform."""
 
 from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Sequence
-from itertools import combinations
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
+from openmm_sier.dynamics.barostat import MoleculeCentres
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import neighbour_list
-from openmm_sier.engines.constraint_errors import Constraints
-from openmm_sier.engines.host import Host
-from openmm_sier.engines.native import fast_forces as native_fast_forces
-from openmm_sier.engines.native.program import WORK, longest_inner_step
+from openmm_sier.engines.interrupts import act_on_pending
+from openmm_sier.engines.native import fast_forces, refusals
+from openmm_sier.engines.native.constraints import Constraints
+from openmm_sier.engines.native.program import (
+    EXACT_ONLY,
+    WORK,
+    Program,
+    longest_inner_step,
+    set_variables,
+)
+from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.stored_state import HEAT
 from openmm_sier.engines.temperature import (
     MomentumConservation,
     Temperatures,
@@ -26,8 +35,10 @@ from openmm_sier.engines.temperature import (
     temperatures,
     thermal_energies,
 )
+from openmm_sier.engines.variables import DRAWS, HEAT
 from openmm_sier.system import checks
-from openmm_sier.system.arguments import groups_of
+from openmm_sier.system.arguments import Bodies, groups_of
+from openmm_sier.system.find_bodies import plan_bodies
 from openmm_sier.system.vibrations import Vibrations
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
@@ -38,37 +49,42 @@ TOLERANCE = 1e-9
 SINGLE_TOLERANCE = 1e-6
 
 
-class _Forces:
-    """Count of force evaluations, which OpenMM makes on its own.
+class _Memory(NamedTuple):
+    """What `remember` gives."""
 
-    Attributes:
-        evaluations: how many there were.
-    """
-
-    def __init__(self, engine: NativeEngine):
-        self.evaluations = 0
-        self._engine = weakref.ref(engine)
-
-    def invalidate(self) -> None:
-        """Compute anew next time: the potential has changed."""
-        if (engine := self._engine()) is not None:
-            context = engine.context
-            # After this OpenMM considers no force valid.
-            context.setPeriodicBoxVectors(*context.getState().getPeriodicBoxVectors())
+    now: Snapshot
+    box: Any
+    potential: float | None
+    heat: float
+    draws: int
 
 
 class NativeEngine:
-    """Binding of a `SIERIntegrator` to a Context in which OpenMM executes its program.
+    """Implements `protocol.Engine` with the program of the integrator.
 
-    Attributes:
-        forces: the count of force evaluations.
+    The Context has the state at any time. An error in mid-step leaves it where it happened, as with OpenMM's
+    integrators.
     """
 
-    #: The value of `SIERIntegrator.engine`.
     name = "native"
+    repeats_noise = False
 
-    def __init__(self, integrator: Host, context: openmm.Context) -> None:
+    def __init__(
+        self,
+        integrator: openmm.CustomIntegrator,
+        context: openmm.Context,
+        flow: Flow,
+        bodies: Bodies,
+        program: Program | str,
+    ) -> None:
         """
+        Args:
+            integrator: has the program.
+            context: openmm.Context.
+            flow: what will be followed.
+            bodies: as users give them; they have to be rigid by constraints.
+            program: of the flow, or the reason why there is none.
+
         Raises:
             openmm.OpenMMException: the integrator needs what only the exact engine has, or the System has a Force that
                 does not work with divided steps.
@@ -77,101 +93,49 @@ class NativeEngine:
         self._context_ref = weakref.ref(context)
         self._integrator_ref = weakref.ref(integrator)
         system = context.getSystem()
-        _refuse(integrator, system)
+        self._program = refusals.refuse(flow, bodies, program, system)
+        self._flow = flow
         self._constraints = Constraints(system)
-        self._points = _points(system)
+        self._points = refusals.points(system)
         self._bodies: RigidBodies | None = None
+        self._plan: Any = None
+        self._no_bodies = ""
         try:
-            self._plan, self._no_bodies = integrator._plan_bodies(system), None
+            self._plan = plan_bodies(system, bodies)
         except RigidityError as error:
-            self._plan, self._no_bodies = None, str(error)
+            self._no_bodies = str(error)
         self._vibrations = Vibrations(system, self._points)
+        self._checked: tuple[Any, ...] = ()
         self._check_step()
         self._momentum = MomentumConservation.of_system(system, self._points)
-        self.forces = _Forces(self)
-        self._state: BodyState | None = None
+        self._masses = np.zeros(system.getNumParticles())
+        for species in self._points.species:
+            self._masses[species.atoms] = species.masses
+        self._centres: MoleculeCentres | None = None
+        self._potential: float | None = None
+        self._environment: Any = None
+        self._is_guarded = bool(integrator.getGlobalVariableByName(EXACT_ONLY))
         self._is_fresh = True
+        self.evaluations = 0
         _loosen_for_single_precision(integrator, context)
 
     @property
-    def context(self) -> openmm.Context:
-        """The Context."""
+    def _context(self) -> openmm.Context:
         context = self._context_ref()
         if context is None:
             raise openmm.OpenMMException("The Context of this integrator no longer exists")
         return context
 
     @property
-    def _integrator(self) -> Host:
+    def _integrator(self) -> openmm.CustomIntegrator:
         integrator = self._integrator_ref()
         if integrator is None:
             raise openmm.OpenMMException("The integrator of this Context no longer exists")
         return integrator
 
-    def _check_step(self) -> None:
-        integrator = self._integrator
-        h, groups = integrator.getStepSize()._value, integrator.getIntegrationForceGroups()
-        scheme, fast = integrator.scheme, integrator._fast_groups
-        native_fast_forces.refuse(self.context.getSystem(), groups_of(fast), groups)
-        self._vibrations.check(scheme, h, groups & ~fast)
-        inner = h * longest_inner_step(scheme, integrator._substeps)
-        self._vibrations.check_nested(WITHIN_DRIFTS, inner, h, fast)
-
-    # --- stepping ---
-
-    def run(self, count: int) -> None:
-        """Advance by `count` steps. As with OpenMM's integrators, an error leaves the Context where it happened."""
-        integrator, context = self._integrator, self.context
-        self._check_step()
-        integrator._tell_program()
-        if count and self._is_fresh:
-            self._start_anew()
-        parts, h = integrator._native_steps, integrator.getStepSize()._value
-        if h == 0:
-            # Steps of zero length are only counted: the program would divide by zero.
-            context.setStepCount(context.getStepCount() + count)
-            return
-        evaluations, native_step = integrator.scheme.force_evaluations, openmm.CustomIntegrator.step
-        for _ in range(count):
-            time, steps = context.getTime()._value, context.getStepCount()
-            try:
-                native_step(integrator, parts)
-            finally:
-                # OpenMM has counted native steps. Even after an interrupt the clock must agree with the positions.
-                if context.getStepCount() == steps + parts:
-                    context.setStepCount(steps + 1)
-                    context.setTime(time + h)
-            self.forces.evaluations += evaluations
-
-    def notice(self) -> None:
-        """Respond to positions or velocities that were set from outside."""
-        self._is_fresh = True
-
-    def start_anew(self) -> None:
-        """Make the next step depend on nothing but what the Context holds, so that a restart repeats it bit for bit."""
-        self._is_fresh = True
-
-    def _start_anew(self) -> None:
-        if neighbour_list.is_remembered(self.context):
-            neighbour_list.forget(self.context)
-        self._constraints.satisfy(self.context, self._integrator.getConstraintTolerance())
-        # Count the force that an earlier step would have left.
-        self.forces.evaluations += int(self._integrator.scheme.reuses_force)
-        self._is_fresh = False
-
-    def renew_forces(self) -> None:
-        """Respond to a change of the potential."""
-        self.forces.invalidate()
-
-    def set_groups(self) -> None:
-        """Respond to a change of the force groups that move the atoms, which OpenMM fixes when it reads the program."""
-        self.context.reinitialize(preserveState=True)
-
-    # --- what users ask ---
-
     @property
     def bodies(self) -> RigidBodies:
-        """The rigid bodies of the Context's System.
+        """The rigid and point bodies of the System.
 
         Raises:
             RigidityError: the System has constraints that do not form rigid bodies.
@@ -179,43 +143,236 @@ class NativeEngine:
         if self._plan is None:
             raise RigidityError(self._no_bodies)
         if self._bodies is None:
-            positions = Snapshot(self.context).positions if self._plan.needs_positions else None
-            self._bodies = self._plan.bodies(positions)
+            self._bodies = self._plan.bodies(self.positions() if self._plan.needs_positions else None)
         return self._bodies
 
     @property
+    def clock(self) -> Clock:
+        return Clock(self._context.getTime()._value, self._context.getStepCount())
+
+    @clock.setter
+    def clock(self, clock: Clock) -> None:
+        self._context.setTime(clock.time)
+        self._context.setStepCount(clock.steps)
+
+    def heat(self) -> float:
+        integrator = self._integrator
+        return integrator.getGlobalVariableByName(HEAT) + float(np.sum(integrator.getPerDofVariableByName(WORK)))
+
+    def add_heat(self, energy: float) -> None:
+        integrator = self._integrator
+        integrator.setGlobalVariableByName(HEAT, integrator.getGlobalVariableByName(HEAT) + energy)
+
+    @property
+    def draws(self) -> int:
+        return int(self._integrator.getGlobalVariableByName(DRAWS))
+
+    @draws.setter
+    def draws(self, number: int) -> None:
+        self._integrator.setGlobalVariableByName(DRAWS, number)
+
+    # --- one call of the integrator's step ---
+
+    def begin(self, flow: Flow) -> None:
+        self._flow = flow
+        self._check_step()
+        set_variables(self._integrator, flow.bath, is_guarded=False)
+        state = self._context.getState(parameters=True)
+        environment = state.getPeriodicBoxVectors()._value, dict(state.getParameters())
+        if environment != self._environment:
+            self._environment, self._potential = environment, None
+
+    def _check_step(self) -> None:
+        flow, groups = self._flow, self._integrator.getIntegrationForceGroups()
+        checked = flow.scheme, flow.step, flow.substeps, flow.fast_groups, groups
+        if checked == self._checked:
+            return
+        fast = flow.fast_groups
+        fast_forces.refuse(self._context.getSystem(), groups_of(fast), groups)
+        self._vibrations.check(flow.scheme, flow.step, groups & ~fast)
+        inner = flow.step * longest_inner_step(flow.scheme, flow.substeps)
+        self._vibrations.check_nested(WITHIN_DRIFTS, inner, flow.step, fast)
+        self._checked = checked
+
+    def follow(self, steps: int) -> None:
+        clock, flow = self.clock, self._flow
+        if flow.step == 0:
+            # Steps of zero length are only counted: the program would divide by zero.
+            self.clock = Clock(clock.time, clock.steps + steps)
+            return
+        if steps and self._is_fresh:
+            self._start_anew()
+        self._potential = None
+        for _ in range(steps):
+            clock = self._one_step(clock)
+            act_on_pending()
+
+    def _one_step(self, clock: Clock) -> Clock:
+        """Make one step, which OpenMM counts as several native ones."""
+        parts, after = len(self._program.parts), Clock(clock.time + self._flow.step, clock.steps + 1)
+        try:
+            openmm.CustomIntegrator.step(self._integrator, parts)
+        except openmm.OpenMMException as error:
+            if "nan" in str(error).lower():
+                raise TrajectoryError(str(error)) from error
+            raise
+        finally:
+            # Even after an error the clock must agree with the positions.
+            if self._context.getStepCount() == clock.steps + parts:
+                self.clock = after
+        self.evaluations += self._flow.scheme.force_evaluations
+        return after
+
+    def publish(self) -> None:
+        """Close the program to anyone else; the Context has the state at any time."""
+        if self._is_guarded:
+            self._integrator.setGlobalVariableByName(EXACT_ONLY, 1.0)
+
+    def recover(self) -> None:
+        self.publish()
+
+    def start_anew(self) -> None:
+        self._is_fresh = True
+
+    def atoms_moved(self) -> None:
+        self._is_fresh, self._potential = True, None
+
+    def _start_anew(self) -> None:
+        if neighbour_list.is_remembered(self._context):
+            neighbour_list.forget(self._context)
+        self._constraints.satisfy(self._context, self._integrator.getConstraintTolerance())
+        # Count the force that an earlier step would have left.
+        self.evaluations += int(self._flow.scheme.reuses_force)
+        self._is_fresh = False
+
+    def forces_changed(self) -> None:
+        self._potential = None
+        # After this OpenMM considers no force valid.
+        self._context.setPeriodicBoxVectors(*self._context.getState().getPeriodicBoxVectors())
+
+    def groups_changed(self) -> None:
+        """OpenMM fixes the groups when it reads the program."""
+        self._context.reinitialize(preserveState=True)
+
+    # --- between flows ---
+
+    def potential_energy(self) -> float:
+        if self._is_fresh:
+            self._start_anew()
+        if self._potential is None:
+            groups = self._integrator.getIntegrationForceGroups()
+            state = self._context.getState(energy=True, groups=groups)
+            self._potential = state.getPotentialEnergy()._value
+        return self._potential
+
+    def kinetic_energy(self) -> float:
+        return self._kinetic_energy(Snapshot(self._context).velocities)
+
+    def _kinetic_energy(self, velocities: np.ndarray) -> float:
+        return 0.5 * float(self._masses @ (velocities**2).sum(axis=1))
+
+    def positions(self) -> np.ndarray:
+        return Snapshot(self._context).positions
+
+    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+        """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
+        context, old = self._context, Snapshot(self._context).velocities
+        if self._is_fresh:
+            self._start_anew()
+        potential = self._potential
+        # OpenMM replaces a zero by a seed of its own choice.
+        seed = int(generator(bath.seed, self.draws).integers(1, 2**31 - 1))
+        context.setVelocitiesToTemperature(bath.temperature, seed)
+        kept = math.exp(-bath.friction * time)
+        new = Snapshot(context).velocities
+        if kept:
+            new = kept * old + math.sqrt(1 - kept**2) * new
+            context.setVelocities(new)
+        # Forces and energy at these positions are still valid.
+        self._potential, self._is_fresh = potential, False
+        self.add_heat(self._kinetic_energy(new) - self._kinetic_energy(old))
+        self.draws += 1
+
+    def remember(self) -> _Memory:
+        context = self._context
+        box = context.getState().getPeriodicBoxVectors()
+        heat = self._integrator.getGlobalVariableByName(HEAT)
+        return _Memory(Snapshot(context), box, self._potential, heat, self.draws)
+
+    def go_back(self, memory: _Memory, reverse: bool = False) -> None:
+        context, now = self._context, memory.now
+        if context.getState().getPeriodicBoxVectors() != memory.box:
+            context.setPeriodicBoxVectors(*memory.box)
+        context.setPositions(now.positions)
+        context.setVelocities(-now.velocities if reverse else now.velocities)
+        self._integrator.setGlobalVariableByName(HEAT, memory.heat)
+        self.clock, self.draws, self._potential = Clock(now.time, now.steps), memory.draws, memory.potential
+
+    @property
+    def mass(self) -> float:
+        return float(self._masses.sum())
+
+    @property
+    def removes_momentum(self) -> bool:
+        return self._momentum.removed
+
+    def centre_velocity(self) -> np.ndarray:
+        return self._masses @ Snapshot(self._context).velocities / self._masses.sum()
+
+    def shift_velocities(self, velocity: np.ndarray) -> None:
+        old, kept = Snapshot(self._context).velocities, (self._potential, self._is_fresh)
+        new = np.where(self._masses[:, None] > 0, old + velocity, old)
+        self._context.setVelocities(new)
+        self._potential, self._is_fresh = kept
+        self.add_heat(self._kinetic_energy(new) - self._kinetic_energy(old))
+
+    def prepare_for_volume_moves(self) -> None:
+        context = self._context
+        checks.refuse_constant_pressure(context.getSystem(), self._points)
+        self._centres = MoleculeCentres(self._points, context.getMolecules())
+
+    @property
+    def molecules(self) -> int:
+        assert self._centres is not None
+        return self._centres.count
+
+    def volume(self) -> float:
+        return self._context.getState().getPeriodicBoxVolume()._value
+
+    def scale(self, factor: float) -> None:
+        assert self._centres is not None
+        context = self._context
+        box = context.getState().getPeriodicBoxVectors(asNumpy=True)._value
+        positions = self.positions()
+        context.setPeriodicBoxVectors(*(factor * box))
+        for species, centres in zip(self._points.species, self._by_species(positions), strict=True):
+            positions[species.atoms[:, 0]] += (factor - 1) * centres.T
+        context.setPositions(positions)
+        context.computeVirtualSites()
+
+    def _by_species(self, positions: np.ndarray) -> list[np.ndarray]:
+        """Centres of the molecules of all massive atoms, an array for each species of them."""
+        atoms = np.concatenate([species.atoms[:, 0] for species in self._points.species])
+        assert self._centres is not None
+        centres = self._centres(positions[atoms].T)
+        return [centres[:, part] for part in self._points.parts]
+
+    # --- what users ask ---
+
     def state(self) -> BodyState:
-        """The bodies' phase point at the last call of `adopt`."""
-        if self._state is None:
-            raise openmm.OpenMMException("The Context has no positions yet")
-        return self._state
-
-    def adopt(self) -> None:
-        """Work out the bodies' phase point from the atoms.
-
-        Raises:
-            RigidityError: the System has constraints that do not form rigid bodies, or the positions do not fit the
-                bodies.
-        """
-        self._state = self._state_of(self.bodies)
+        return self._state_of(self.bodies)
 
     def _state_of(self, bodies: RigidBodies) -> BodyState:
-        now = Snapshot(self.context)
+        now = Snapshot(self._context)
         q, A = bodies.fit(now.positions)
         p, L = bodies.momenta(now.velocities, A)
         return BodyState(q, p, A, L, self.heat())
 
-    def heat(self) -> float:
-        """Energy that the bath has given, kJ/mol."""
-        integrator = self._integrator
-        return integrator.getGlobalVariableByName(HEAT) + float(np.sum(integrator.getPerDofVariableByName(WORK)))
-
     def conserves_momentum(self) -> bool:
-        """Whether the total momentum is conserved, see `MomentumConservation`."""
         return self._momentum.holds(self._integrator)
 
     def temperatures(self) -> Temperatures:
-        """Temperatures in K, see `openmm_sier.engines.temperature`; without rigid bodies only the total is known."""
+        """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""
         conserved = self.conserves_momentum()
         if self._plan is not None:
             return temperatures(self.bodies, self._state_of(self.bodies), conserved)
@@ -223,57 +380,12 @@ class NativeEngine:
         dof = self._points.dof - len(self._constraints.pairs) - (3 if conserved else 0)
         return Temperatures(temperature(kinetic, dof), math.nan, math.nan)
 
-
-def _points(system: openmm.System) -> RigidBodies:
-    """The atoms of a System, each a body of its own."""
-    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
-    kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
-    return RigidBodies(
-        [Species(atoms, np.array([mass]), np.zeros((3, 1)), np.zeros(3)) for mass, atoms in kinds], len(masses)
-    )
+    def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
+        by_openmm()
+        self.atoms_moved()
 
 
-def _refuse(integrator: Host, system: openmm.System) -> None:
-    """Refuse what only the exact engine can do.
-
-    Raises:
-        openmm.OpenMMException: the message says what that is, and the remedy.
-    """
-    reason = integrator._only_exact() or _unheld_bodies(integrator._given_bodies, system)
-    if reason is not None:
-        raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
-    for force in system.getForces():
-        if isinstance(force, openmm.AndersenThermostat):
-            raise openmm.OpenMMException(
-                "The native engine divides its step, which AndersenThermostat takes for the whole one: use "
-                "SIERLangevinIntegrator without it, or take engine='exact'"
-            )
-        deforms = isinstance(force, checks.BAROSTATS) and hasattr(force, "getScaleMoleculesAsRigid")
-        if deforms and system.getNumConstraints() and not force.getScaleMoleculesAsRigid():
-            raise openmm.OpenMMException(
-                f"{type(force).__name__} scales every atom apart, which constraints do not bear: create it with "
-                "scaleMoleculesAsRigid=True"
-            )
-
-
-def _unheld_bodies(given: RigidBodies | Sequence[Sequence[int]] | None, system: openmm.System) -> str | None:
-    """Text of a refusal for a named body that constraints do not keep rigid; None if there is no such body."""
-    if given is None:
-        return None
-    rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given
-    held = {tuple(sorted(system.getConstraintParameters(i)[:2])) for i in range(system.getNumConstraints())}
-    for row in rows:
-        massive = sorted(int(i) for i in row if system.getParticleMass(int(i))._value > 0)
-        for pair in combinations(massive, 2):
-            if pair not in held:
-                return (
-                    f"keeps rigid what constraints do, and none joins atoms {pair[0]} and {pair[1]} of a body in "
-                    "`bodies`: constrain every two atoms of it"
-                )
-    return None
-
-
-def _loosen_for_single_precision(integrator: Host, context: openmm.Context) -> None:
+def _loosen_for_single_precision(integrator: openmm.CustomIntegrator, context: openmm.Context) -> None:
     platform = context.getPlatform()
     single = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision") == "single"
     if single and integrator.getConstraintTolerance() < SINGLE_TOLERANCE:

@@ -12,22 +12,24 @@ so that OpenMM's clock is right after every n of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import openmm
 
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines.variables import PREFIX
 
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
 
-#: Names of the integrator's variables begin with this, so that no parameter of a Force has the same name.
-PREFIX = "sier_"
-
 #: Per-atom variables of the program. They hold the displacement to be undone, the velocities to return to, a temporary
-#: value, and the heat that the bath gave to each degree of freedom.
+#: value, and the heat that the bath, and removers of the
+#: motion of the centre of mass, gave to each degree of freedom.
 MOVED, V0, KEPT, WORK = (PREFIX + name for name in ("moved", "v0", "kept", "work"))
 VECTORS = (MOVED, V0, KEPT, WORK)
 
@@ -84,6 +86,9 @@ class Statement(NamedTuple):
     def __str__(self) -> str:
         return f"{self.target} = {self.expression}".replace(PREFIX, "") if self.expression else self.target
 
+
+#: Counts the kinetic energy gained since velocities were kept.
+GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 
 #: A force as a sum of OpenMM's forces, each with its sign, "" or "-".
 Force = tuple[tuple[str, str], ...]
@@ -181,7 +186,11 @@ def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
 
 
 def write(
-    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), inner: Scheme = WITHIN_DRIFTS
+    scheme: Scheme,
+    substeps: int | None = None,
+    fast_groups: Collection[int] = (),
+    inner: Scheme = WITHIN_DRIFTS,
+    updates_context: bool = True,
 ) -> Program:
     """The program of a scheme.
 
@@ -200,6 +209,8 @@ def write(
             `usual_substeps`.
         fast_groups: force groups of the fast forces, from 0 to 31. OpenMM's integration force groups must include them.
         inner: scheme of the drift with fast forces, made of kicks, gradient kicks and drifts. SIER2 is velocity Verlet.
+        updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
+            counted as heat.
 
     Raises:
         ValueError: a scheme has another operator, a group is not a force group, or the scheme needs more than
@@ -210,7 +221,7 @@ def write(
         substeps = usual_substeps(scheme, bool(fast))
     slow_force = (("", "f"), *(("-", name) for name in fast))
     within = _inner_step(inner, tuple(("", name) for name in fast)) if fast else ()
-    lines = [Line("every step", (Statement(UPDATE),))]
+    lines = [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))] if updates_context else []
     for stage in scheme.stages:
         if stage.operator == DRIFT:
             equal = (stage.fraction / substeps,) * substeps
@@ -334,7 +345,7 @@ def _bath(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
         Statement(V0, "v"),
         Statement("v", f"exp(-{FRICTION}*{t})*v + {spread}*gaussian"),
         Statement(CONSTRAIN_V),
-        Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})"),
+        GAINED,
     )
     return [Line("bath", statements)]
 
@@ -374,6 +385,38 @@ def install(program: Program | None, integrator: openmm.CustomIntegrator) -> Non
                 _add_statement(statement, integrator, f"{lengths}; h = {n}*dt")
         integrator.endBlock()
     integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
+
+
+def set_variables(integrator: openmm.CustomIntegrator, bath: OrnsteinUhlenbeck | None, is_guarded: bool) -> None:
+    """Set the program's variables to the values that they must have, whatever was loaded.
+
+    Args:
+        integrator: openmm.CustomIntegrator with a program of `install`.
+        bath: of the scheme.
+        is_guarded: whether the program must refuse to run, since it would do less than what was asked for.
+    """
+    friction, thermal = (0.0, 0.0) if bath is None else (bath.friction, GAS_CONSTANT * bath.temperature)
+    for name, value in ((EXACT_ONLY, float(is_guarded)), (PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
+        if integrator.getGlobalVariableByName(name) != value:
+            integrator.setGlobalVariableByName(name, value)
+
+
+@contextmanager
+def updating_context(integrator: openmm.CustomIntegrator, step: float) -> Iterator[None]:
+    """Make native steps update the Context's state and do nothing else.
+
+    Args:
+        integrator: openmm.CustomIntegrator with a program of `install`.
+        step: the step that Forces such as AndersenThermostat are to see, ps.
+    """
+    native_step = openmm.CustomIntegrator.getStepSize(integrator)
+    try:
+        integrator.setGlobalVariableByName(PART, -1)
+        openmm.CustomIntegrator.setStepSize(integrator, step)
+        yield
+    finally:
+        openmm.CustomIntegrator.setStepSize(integrator, native_step)
+        integrator.setGlobalVariableByName(PART, 0)
 
 
 def _add_guard(integrator: openmm.CustomIntegrator) -> None:

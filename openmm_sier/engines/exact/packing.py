@@ -11,13 +11,6 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 #: Number of per-atom vectors that hold the numbers of all bodies, 18 for a body of two or more atoms and 6 for a point.
 VARIABLES = 3
 
-#: Per-atom variables of the CustomIntegrator in which the bodies' state travels, and the one for the bodies' geometry.
-STATE_VARIABLES = tuple(f"sier_state{i}" for i in range(VARIABLES))
-SITES = "sier_sites"
-
-#: Global variables of the CustomIntegrator.
-HEAT, DRAWS, SEED = "sier_heat", "sier_draws", "sier_seed"
-
 
 def pack(bodies: RigidBodies, state: BodyState) -> np.ndarray:
     """The numbers (q, p, L, A) of all bodies, one after the other.

@@ -1,0 +1,82 @@
+"""What the native engine refuses, since only the exact engine can do it."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.engines.native.program import Program
+from openmm_sier.engines.protocol import Flow
+from openmm_sier.system import checks
+from openmm_sier.system.arguments import Bodies
+
+
+def refuse(flow: Flow, bodies: Bodies, program: Program | str, system: openmm.System) -> Program:
+    """Refuse what only the exact engine can do; returns the program otherwise.
+
+    Args:
+        flow: what is to be followed.
+        bodies: as users give them.
+        program: of the flow, or the reason why there is none.
+        system: openmm.System.
+
+    Raises:
+        openmm.OpenMMException: the message says what that is, and the remedy.
+    """
+    reason = why_not(flow, program) or _unheld_bodies(bodies, system)
+    if reason is not None or isinstance(program, str):
+        raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
+    for force in system.getForces():
+        if isinstance(force, openmm.AndersenThermostat):
+            raise openmm.OpenMMException(
+                "The native engine divides its step, which AndersenThermostat takes for the whole one: use "
+                "SIERLangevinIntegrator without it, or take engine='exact'"
+            )
+        deforms = isinstance(force, checks.BAROSTATS) and hasattr(force, "getScaleMoleculesAsRigid")
+        if deforms and system.getNumConstraints() and not force.getScaleMoleculesAsRigid():
+            raise openmm.OpenMMException(
+                f"{type(force).__name__} scales every atom apart, which constraints do not bear: create it with "
+                "scaleMoleculesAsRigid=True"
+            )
+    return program
+
+
+def why_not(flow: Flow, program: Program | str) -> str | None:
+    """Why a program cannot do what a flow asks for, whatever the System, and the remedy; None if it can."""
+    if isinstance(program, str):
+        return f"does not know this scheme, since {program}: take another scheme"
+    if flow.rotation is not exact:
+        return "has no other free-rotation maps: leave out `rotation`"
+    if flow.bath is not None and flow.bath.rotational_friction != flow.bath.friction:
+        return "has one friction for all motion: leave out `rotationalFriction`"
+    return None
+
+
+def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
+    """Text of a refusal for a named body that constraints do not keep rigid; None if there is no such body."""
+    if given is None:
+        return None
+    rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given
+    held = {tuple(sorted(system.getConstraintParameters(i)[:2])) for i in range(system.getNumConstraints())}
+    for row in rows:
+        massive = sorted(int(i) for i in row if system.getParticleMass(int(i))._value > 0)
+        for pair in combinations(massive, 2):
+            if pair not in held:
+                return (
+                    f"keeps rigid what constraints do, and none joins atoms {pair[0]} and {pair[1]} of a body in "
+                    "`bodies`: constrain every two atoms of it"
+                )
+    return None
+
+
+def points(system: openmm.System) -> RigidBodies:
+    """The massive atoms of a System, each a body of its own."""
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
+    return RigidBodies(
+        [Species(atoms, np.array([mass]), np.zeros((3, 1)), np.zeros(3)) for mass, atoms in kinds], len(masses)
+    )

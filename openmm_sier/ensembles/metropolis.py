@@ -1,0 +1,160 @@
+"""Hybrid Monte Carlo: a step is a trial, a trajectory that is accepted or rejected on its true energy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.metropolis import is_accepted
+from openmm_sier.dynamics.noise import generator
+from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
+from openmm_sier.engines.variables import PREFIX, SEED
+from openmm_sier.ensembles.ensemble import Record
+from openmm_sier.ensembles.volume import is_due, move_volume
+from openmm_sier.system import checks
+
+#: Global variables of all trials: their number, how many were accepted, the energy error of the last one in kT; and the
+#: step in ps at which reversibility was checked, with the error found, nm.
+TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL = (
+    PREFIX + name for name in ("trials", "accepted", "error", "checked_step", "reversal")
+)
+
+#: A trajectory that comes back to its start within this distance, in nm, counts as reversible. An irreversible one,
+#: such as that of a scheme that is not a palindrome, misses by a multiple of this at usual steps. Rounding and forces
+#: in single precision cause a miss of 1e-12 to 1e-6, see docs/hmc.md.
+REVERSIBLE = 1e-4
+
+
+@dataclass(frozen=True)
+class Metropolis:
+    """The canonical ensemble without time-step error, and the one of constant pressure where volume moves are given.
+
+    The ends of trials are samples, see `dynamics.metropolis`. Everything that a step does is undone where it cannot be
+    completed, so that the Context is at a sample at any time.
+
+    Attributes:
+        temperature: K.
+        friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; infinite to draw all anew.
+        steps_per_trial: number of steps of the scheme in a trial.
+        volume_move: between trials; None keeps the volume.
+    """
+
+    temperature: float
+    friction: float
+    steps_per_trial: int
+    volume_move: MonteCarloVolumeMove | None = None
+
+    name: ClassVar[str] = "metropolis"
+    record: ClassVar[tuple[str, ...]] = (TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL)
+    is_random: ClassVar[bool] = True
+    updates_context: ClassVar[bool] = False
+
+    @property
+    def steps(self) -> int:
+        return self.steps_per_trial
+
+    @property
+    def needs_package(self) -> bool:
+        """OpenMM alone would accept every trial."""
+        return True
+
+    def executed(self, scheme: Scheme) -> Scheme:
+        return scheme
+
+    def bath(self, seed: int) -> None:
+        """There is none within trajectories."""
+
+    def check(self, system: openmm.System, engine: Engine) -> None:
+        for force in system.getForces():
+            if isinstance(force, (*checks.BAROSTATS, openmm.AndersenThermostat)):
+                remedy = "leave it out" if isinstance(force, openmm.AndersenThermostat) else "give `pressure` instead"
+                raise openmm.OpenMMException(
+                    f"A {type(force).__name__} acts within trajectories, which hybrid Monte Carlo does not allow: "
+                    f"{remedy}"
+                )
+        if self.volume_move is not None:
+            engine.prepare_for_volume_moves()
+
+    def advance(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
+        for _ in range(steps):
+            sample = engine.remember()
+            try:
+                if self.volume_move is not None and is_due(self.volume_move, engine.clock.steps):
+                    move_volume(engine, self.volume_move, self.temperature, int(record[SEED]))
+                self._trial(engine, flow, record)
+            except BaseException:
+                engine.go_back(sample)
+                raise
+
+    def _trial(self, engine: Engine, flow: Flow, record: Record) -> None:
+        time, steps = engine.clock
+        self._draw_momenta(engine, self.steps_per_trial * flow.step, int(record[SEED]))
+        decision = engine.draws
+        engine.draws += 1
+        start, energy = engine.remember(), _energy(engine)
+        if not math.isfinite(energy):
+            raise openmm.OpenMMException(
+                f"In step {steps + 1} no trajectory can begin where the energy is {energy}. Do atoms overlap?"
+            )
+        self._check_reversal(engine, flow, record)
+        try:
+            engine.follow(self.steps_per_trial)
+            error = (_energy(engine) - energy) / (GAS_CONSTANT * self.temperature)
+        except TrajectoryError:
+            error = math.inf
+        error = math.inf if math.isnan(error) else error
+        accepted = is_accepted(error, int(record[SEED]), decision)
+        if not accepted:
+            engine.go_back(start, reverse=True)
+        if engine.removes_momentum:
+            engine.shift_velocities(-engine.centre_velocity())
+        engine.clock = Clock(time + self.steps_per_trial * flow.step, steps + 1)
+        record[TRIALS], record[ACCEPTED], record[ERROR] = record[TRIALS] + 1, record[ACCEPTED] + accepted, error
+
+    def _draw_momenta(self, engine: Engine, time: float, seed: int) -> None:
+        # Infinite friction has no meaning for steps of zero length, in which nothing moves.
+        if not time:
+            return
+        if engine.removes_momentum and math.isfinite(self.friction):
+            # The centre of mass was stopped after the last trial. Its momentum is drawn anew, the rest in part.
+            spread = math.sqrt(GAS_CONSTANT * self.temperature / engine.mass)
+            engine.shift_velocities(spread * generator(seed, engine.draws, stream=3).standard_normal(3))
+        engine.draw_momenta(OrnsteinUhlenbeck(self.temperature, self.friction, self.friction, seed), time)
+
+    def _check_reversal(self, engine: Engine, flow: Flow, record: Record) -> None:
+        """Follow a trajectory there and back, once for each step size.
+
+        Raises:
+            openmm.OpenMMException: it does not come back.
+        """
+        if record[CHECKED_STEP] == flow.step:
+            return
+        start, before, error = engine.remember(), engine.positions(), math.inf
+        try:
+            for _ in range(2):
+                engine.follow(self.steps_per_trial)
+                engine.go_back(engine.remember(), reverse=True)
+            error = float(np.linalg.norm(engine.positions() - before, axis=1).max(initial=0.0))
+        except TrajectoryError:
+            pass
+        finally:
+            engine.go_back(start)
+        if not error <= REVERSIBLE:
+            raise openmm.OpenMMException(
+                f"A trajectory of {self.steps_per_trial} steps that was followed back missed its start by {error:.1e} "
+                f"nm, more than {REVERSIBLE:.0e} nm, so that samples would not be exact: take shorter trajectories or "
+                "steps"
+            )
+        record[REVERSAL], record[CHECKED_STEP] = error, flow.step
+
+
+def _energy(engine: Engine) -> float:
+    return engine.potential_energy() + engine.kinetic_energy()
