@@ -1,21 +1,24 @@
-"""Models of which hybrid Monte Carlo's averages are known, and chains of trials of them."""
+"""Models of which hybrid Monte Carlo's averages are known, an engine that moves them, and chains of trials."""
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics import metropolis, operators
+from openmm_sier.dynamics import operators
+from openmm_sier.dynamics.barostat import MoleculeCentres, MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, Species
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.metropolis import HybridMonteCarlo
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
+from openmm_sier.engines.variables import SEED
+from openmm_sier.ensembles.metropolis import ACCEPTED, ERROR, TRIALS, Metropolis
 
 TEMPERATURE = 300.0
 KT = GAS_CONSTANT * TEMPERATURE
@@ -79,7 +82,92 @@ class Dipoles(Wells):
         return self.directions(state.A)[2]
 
 
-@dataclass(frozen=True)
+class ModelEngine:
+    """An engine without OpenMM: what ensembles need, for a model in a cubic box."""
+
+    def __init__(self, model, rotation=exact, removes_momentum=False, volume=1.0, molecules=None):
+        self.model, self.bodies = model, model.bodies
+        self.removes_momentum, self.mass = removes_momentum, float(model.bodies.masses.sum())
+        self.reached, self.clock, self._volume = model.start(), Clock(0.0, 0), volume
+        forces = operators.CachedForces(model.forces)
+        self._operators = operators.body_operators(model.bodies, forces, rotation)
+        atoms = [[i] for i in range(model.bodies.n_particles)]
+        self._centres = MoleculeCentres(model.bodies, molecules or atoms)
+        self.molecules = self._centres.count
+
+    @property
+    def draws(self):
+        return self.reached.draws
+
+    @draws.setter
+    def draws(self, number):
+        self.reached = replace(self.reached, draws=number)
+
+    def begin(self, flow):
+        self._flow = flow
+
+    def follow(self, steps):
+        step = operators.stepper(self._flow.scheme, self._operators, self._flow.step)
+        try:
+            for _ in range(steps):
+                self.reached = step(self.reached)
+                self.clock = Clock(self.clock.time + self._flow.step, self.clock.steps + 1)
+        except NotFiniteError as error:
+            raise TrajectoryError(str(error)) from error
+
+    def potential_energy(self):
+        return self.model.potential(self.reached)
+
+    def kinetic_energy(self):
+        return sum(self.bodies.kinetic_energies(self.reached))
+
+    def positions(self):
+        return self.bodies.place(self.reached.q, self.reached.A, np.zeros((self.bodies.n_particles, 3)))
+
+    def draw_momenta(self, bath, time):
+        self.reached = bath.operator(self.bodies)(self.reached, time)
+
+    def remember(self):
+        return self.reached, self.clock, self._volume
+
+    def go_back(self, memory, reverse=False):
+        state, self.clock, self._volume = memory
+        self.reached = replace(state, p=-state.p, L=-state.L) if reverse else state
+
+    def centre_velocity(self):
+        return self.reached.p.sum(axis=1) / self.mass
+
+    def shift_velocities(self, velocity):
+        before = self.kinetic_energy()
+        self.reached = replace(self.reached, p=self.reached.p + self.bodies.masses * velocity[:, None])
+        self.add_heat(self.kinetic_energy() - before)
+
+    def volume(self):
+        return self._volume
+
+    def scale(self, factor):
+        self._volume *= factor**3
+        q = self.reached.q
+        self.reached = replace(self.reached, q=q + (factor - 1) * self._centres(q))
+
+    def heat(self):
+        return self.reached.heat
+
+    def add_heat(self, energy):
+        self.reached = replace(self.reached, heat=self.reached.heat + energy)
+
+
+class Sample(NamedTuple):
+    """The end of a trial, with what was counted so far."""
+
+    state: BodyState
+    trials: int
+    accepted: int
+    error: float
+    volume: float
+
+
+@dataclass
 class Chain:
     """A chain of trials: how they are made, and the numbers of steps that they have by turns.
 
@@ -95,38 +183,28 @@ class Chain:
     at_rest: bool = False
     rotation: operators.Rotation = exact
     seed: int = 17
+    volume_move: MonteCarloVolumeMove | None = None
+    molecules: list | None = None
+    record: dict = field(init=False)
+    engine: ModelEngine = field(init=False)
+
+    def __post_init__(self):
+        self.record = defaultdict(float, {SEED: self.seed})
+        volume = float(len(self.molecules)) if self.molecules else 1.0
+        self.engine = ModelEngine(self.model, self.rotation, self.at_rest, volume, self.molecules)
 
     @property
-    def operations(self):
-        found = operators.body_operators(self.model.bodies, operators.CachedForces(self.model.forces), self.rotation)
-        return metropolis.at_rest(self.model.bodies, found) if self.at_rest else found
+    def flow(self):
+        return Flow(self.scheme, self.h, self.rotation, updates_context=False)
 
-    @property
-    def advance(self):
-        return operators.stepper(self.scheme, self.operations, self.h)
+    def ensemble(self, steps):
+        return Metropolis(TEMPERATURE, self.friction, steps, self.volume_move)
 
-    @property
-    def step(self):
-        bath, bodies = self.bath, self.model.bodies
-        refresh = metropolis.refreshment(bath.operator(bodies), bodies, self.at_rest)
-        sampler = HybridMonteCarlo(bath, refresh, functools.partial(next, itertools.cycle(self.steps)))
-        return sampler.stepper(bodies, self.advance, self.model.potential, self.h)
-
-    @property
-    def bath(self):
-        return OrnsteinUhlenbeck(TEMPERATURE, self.friction, self.friction, self.seed)
-
-    def samples(self, trials, start=None):
-        """The states after each of so many trials."""
-        step, state = self.step, start or self.model.start()
-        for _ in range(trials):
-            state = whole_trial(step, state)
-            yield state
-
-
-def whole_trial(step, state):
-    """The sample at the end of a trial."""
-    state = step(state)
-    while state.trial is not None:
-        state = step(state)
-    return state
+    def samples(self, trials):
+        """The samples after each of so many trials."""
+        engine, record = self.engine, self.record
+        engine.begin(self.flow)
+        for steps in itertools.islice(itertools.cycle(self.steps), trials):
+            self.ensemble(steps).advance(engine, self.flow, record, 1)
+            counts = int(record[TRIALS]), int(record[ACCEPTED]), record[ERROR]
+            yield Sample(engine.reached, *counts, engine.volume())
