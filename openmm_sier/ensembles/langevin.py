@@ -23,19 +23,24 @@ class Langevin:
     Attributes:
         temperature: K.
         friction: of translation, 1/ps.
-        rotational_friction: 1/ps.
+        rotational_friction: 1/ps; None: that of translation, also after that was changed.
         volume_move: None keeps the volume.
     """
 
     temperature: float
     friction: float
-    rotational_friction: float
+    rotational_friction: float | None = None
     volume_move: MonteCarloVolumeMove | None = None
 
     name: ClassVar[str] = "langevin"
     record: ClassVar[tuple[str, ...]] = ()
     is_random: ClassVar[bool] = True
     updates_context: ClassVar[bool] = True
+
+    @property
+    def turning(self) -> float:
+        """Friction of rotation, 1/ps."""
+        return self.friction if self.rotational_friction is None else self.rotational_friction
 
     @property
     def steps(self) -> int:
@@ -47,10 +52,10 @@ class Langevin:
 
     def executed(self, scheme: Scheme) -> Scheme:
         """Without its bath if there is no friction, so that the trajectory is that of the scheme alone."""
-        return scheme.without(BATH) if self.friction == self.rotational_friction == 0 else scheme
+        return scheme.without(BATH) if self.friction == self.turning == 0 else scheme
 
     def bath(self, seed: int) -> OrnsteinUhlenbeck:
-        return OrnsteinUhlenbeck(self.temperature, self.friction, self.rotational_friction, seed)
+        return OrnsteinUhlenbeck(self.temperature, self.friction, self.turning, seed)
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         if self.volume_move is not None:
@@ -63,8 +68,21 @@ class Langevin:
         while steps:
             done = engine.clock.steps
             if is_due(self.volume_move, done):
-                move_volume(engine, self.volume_move, self.temperature, seed)
-            flow_steps = min(steps, interval - (done + 1) % interval)
-            engine.follow(flow_steps)
-            steps -= flow_steps
+                count = 1
+                self._step_at_new_volume(engine, self.volume_move, seed)
+            else:
+                count = min(steps, interval - 1 - done % interval)
+                engine.follow(count)
+            steps -= count
         return None
+
+    def _step_at_new_volume(self, engine: Engine, volume_move: MonteCarloVolumeMove, seed: int) -> None:
+        """Try a move and make the step after it: both or neither."""
+        before, steps = engine.remember(), engine.clock.steps
+        try:
+            move_volume(engine, volume_move, self.temperature, seed)
+            engine.follow(1)
+        except BaseException:
+            if engine.clock.steps == steps:
+                engine.go_back(before)
+            raise

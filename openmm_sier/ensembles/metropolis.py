@@ -137,16 +137,7 @@ class Metropolis:
         """
         if record[CHECKED_STEP] == flow.step:
             return
-        start, before, error = engine.remember(), engine.positions(), math.inf
-        try:
-            for _ in range(2):
-                engine.follow(self.steps_per_trial)
-                engine.go_back(engine.remember(), reverse=True)
-            error = float(np.linalg.norm(engine.positions() - before, axis=1).max(initial=0.0))
-        except TrajectoryError:
-            pass
-        finally:
-            engine.go_back(start)
+        error = reversal_error(engine, self.steps_per_trial)
         if not error <= REVERSIBLE:
             raise openmm.OpenMMException(
                 f"A trajectory of {self.steps_per_trial} steps that was followed back missed its start by {error:.1e} "
@@ -154,6 +145,24 @@ class Metropolis:
                 "steps"
             )
         record[REVERSAL], record[CHECKED_STEP] = error, flow.step
+
+
+def reversal_error(engine: Engine, steps: int) -> float:
+    """Distance by which a trajectory that is followed there and back misses its start; the engine is back there then.
+
+    Returns:
+        The largest distance of an atom from its place at the start, nm; infinite if it could not be followed.
+    """
+    start, before = engine.remember(), engine.positions()
+    try:
+        for _ in range(2):
+            engine.follow(steps)
+            engine.go_back(engine.remember(), reverse=True)
+        return float(np.linalg.norm(engine.positions() - before, axis=1).max(initial=0.0))
+    except TrajectoryError:
+        return math.inf
+    finally:
+        engine.go_back(start)
 
 
 def _energy(engine: Engine) -> float:

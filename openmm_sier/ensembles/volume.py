@@ -30,10 +30,9 @@ def move_volume(engine: Engine, move: MonteCarloVolumeMove, temperature: float, 
     except BaseException as error:
         engine.go_back(sample)
         if isinstance(error, openmm.OpenMMException) and not isinstance(error, TrajectoryError):
-            edge = (proposal.factor**3 * volume) ** (1 / 3)
             raise openmm.OpenMMException(
-                f"Step {engine.clock.steps + 1} could not try a box of {edge**3:.4f} nm^3: {error}. A larger box or a "
-                "shorter cut-off would help. The Context is left at the last completed step."
+                f"Step {engine.clock.steps + 1} could not try a volume of {proposal.factor**3 * volume:.4f} nm^3: "
+                f"{error} A larger box or a shorter cut-off would help. The Context is left at the last completed step"
             ) from error
         raise
     if proposal.is_accepted(gain, volume, GAS_CONSTANT * temperature):

@@ -66,22 +66,20 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
         """
         scheme = scheme.with_bath() if isinstance(scheme, Scheme) else scheme
         friction = checked_friction("frictionCoeff", frictionCoeff)
-        turning = friction if rotationalFriction is None else checked_friction("rotationalFriction", rotationalFriction)
+        turning = None if rotationalFriction is None else checked_friction("rotationalFriction", rotationalFriction)
         ensemble = Langevin(
             self._checked_temperature(temperature), friction, turning, volume_move(pressure, barostatInterval)
         )
         super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
 
     def setFriction(self, coeff: Any) -> None:
-        """Set the friction, a quantity or a number in 1/ps, of the rotation too if it had the same."""
-        before, friction = self._ensemble, checked_friction("coeff", coeff)
-        turning = friction if before.rotational_friction == before.friction else before.rotational_friction
-        self._change_ensemble(friction=friction, rotational_friction=turning)
+        """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
+        self._change_ensemble(friction=checked_friction("coeff", coeff))
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Friction of the rotation, a quantity in 1/ps."""
-        return self._ensemble.rotational_friction / unit.picosecond
+        return self._ensemble.turning / unit.picosecond
 
     def setRotationalFriction(self, coeff: Any) -> None:
-        """Set the friction of the rotation, a quantity or a number in 1/ps."""
+        """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""
         self._change_ensemble(rotational_friction=checked_friction("coeff", coeff))

@@ -43,6 +43,9 @@ ENGINES = ("auto", "exact", "native")
 #: Bytes of text in each value: a double holds whole numbers of six bytes exactly.
 WIDTH = 6
 
+#: JSON has no infinity.
+INFINITE = "infinite"
+
 ENSEMBLES: dict[str, type[Any]] = {cls.name: cls for cls in (ConstantEnergy, Langevin, Metropolis)}
 
 #: Free-rotation maps by name: those of this package, and any with which an integrator was made in this process.
@@ -85,10 +88,14 @@ class Settings:
 
 def store(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
     """Store settings in an openmm.CustomIntegrator, in place of those stored before."""
+    store_text(integrator, json.dumps(as_json(settings), separators=(",", ":")))
+
+
+def store_text(integrator: openmm.CustomIntegrator, text: str) -> None:
+    """Store the text of settings, see `store`."""
     # A function needs at least two values.
-    text = json.dumps(as_json(settings), separators=(",", ":")).encode().ljust(2 * WIDTH)
-    values = [float(int.from_bytes(text[i : i + WIDTH], "big")) for i in range(0, len(text), WIDTH)]
-    # Characters of a last, shorter value stand at its lower end.
+    characters = text.encode().ljust(2 * WIDTH)
+    values = [float(int.from_bytes(characters[i : i + WIDTH], "big")) for i in range(0, len(characters), WIDTH)]
     found = _find(integrator)
     if found is None:
         integrator.addTabulatedFunction(NAME, openmm.Discrete1DFunction(values))
@@ -197,13 +204,17 @@ def _scheme(value: Any) -> Scheme:
 
 
 def name_of_rotation(function: Rotation) -> str:
-    """The name by which a free-rotation map is stored; it can be read back in this process from now on."""
+    """The name by which a free-rotation map is stored; it can be read back in this process from now on.
+
+    Functions without a name of their own, such as lambdas, cannot be read back, but do not look alike.
+    """
     known = next((name for name, each in ROTATIONS.items() if each is function), None)
-    if known is None:
-        # Functions without a name of their own must not look alike.
-        known = f"{function!r}" if "<" in getattr(function, "__qualname__", "<") else place_of(function)
-        ROTATIONS[known] = function
-    return known
+    if known is not None:
+        return known
+    if "<" in getattr(function, "__qualname__", "<"):
+        return repr(function)
+    ROTATIONS[place_of(function)] = function
+    return place_of(function)
 
 
 def _rotation(value: Any) -> Rotation:
@@ -211,7 +222,7 @@ def _rotation(value: Any) -> Rotation:
     if name not in ROTATIONS:
         raise SettingsError(
             f"The free-rotation map {name} of a stored SIER integrator is not known here: make an integrator with it "
-            "first, or take one of " + ", ".join(ROTATIONS)
+            f"first if it has a name; known are {', '.join(ROTATIONS)}"
         )
     return ROTATIONS[name]
 
@@ -220,8 +231,7 @@ def _ensemble_as_json(ensemble: Ensemble) -> dict[str, Any]:
     values = {name: value for name, value in vars(ensemble).items() if name != "volume_move"}
     if (move := getattr(ensemble, "volume_move", None)) is not None:
         values |= {"pressure": move.pressure, "interval": move.interval}
-    # JSON has no infinity.
-    return {"name": ensemble.name} | {k: None if v == math.inf else v for k, v in values.items()}
+    return {"name": ensemble.name} | {k: INFINITE if v == math.inf else v for k, v in values.items()}
 
 
 def _ensemble(value: Any) -> Ensemble:
@@ -242,8 +252,12 @@ def _ensemble(value: Any) -> Ensemble:
     for name, number in given.items():
         if name == "steps_per_trial":
             values[name] = _whole(f"ensemble.{name}", number, 1)
+        elif number is None and name == "rotational_friction":
+            values[name] = None
+        elif number == INFINITE and cls is Metropolis and name == "friction":
+            values[name] = math.inf
         else:
-            values[name] = math.inf if number is None else _number(f"ensemble.{name}", number, 0.0)
+            values[name] = _number(f"ensemble.{name}", number, 0.0)
     return cls(**values)
 
 
@@ -349,7 +363,8 @@ def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
 
 
 def _number(name: str, value: Any, least: float = -math.inf) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < least:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < sys.float_info.max
+    if not is_number or value < least:
         raise SettingsError(_wrong(name, "a finite number" + f" from {least:g}" * math.isfinite(least), value))
     return float(value)
 

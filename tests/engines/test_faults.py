@@ -500,7 +500,7 @@ def test_compound_integrator_is_refused(cluster):
 def described(integrator):
     parts = [type(integrator), integrator.getStepSize(), integrator.scheme, integrator.rotation]
     parts += [integrator.getIntegrationForceGroups(), integrator.getConstraintTolerance()]
-    parts += [integrator.getRandomNumberSeed(), integrator._given_bodies]
+    parts += [integrator.getRandomNumberSeed(), integrator._settings.bodies]
     if isinstance(integrator, SIERLangevinIntegrator):
         parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
     return parts

@@ -233,7 +233,6 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     [
         ({"rotation": mrdl}, "other free-rotation maps: leave out `rotation`"),
         ({"bodies": [[0, 1, 2], [3, 4]]}, "none joins atoms 3 and 4 .* constrain every two atoms"),
-        ({"pressure": 1 * unit.bar}, "add an openmm.MonteCarloBarostat"),
         ({"rotationalFriction": 5}, "leave out `rotationalFriction`"),
     ],
 )
@@ -244,7 +243,7 @@ def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings,
         system.addParticle(mass)
     for i in range(waters.getNumConstraints()):
         system.addConstraint(*waters.getConstraintParameters(i))
-    langevin = "pressure" in settings or "rotationalFriction" in settings
+    langevin = "rotationalFriction" in settings
     arguments = (300, 1, 0.002) if langevin else (0.002,)
     integrator = (SIERLangevinIntegrator if langevin else SIERIntegrator)(*arguments, **settings, engine="native")
     xml = openmm.XmlSerializer.serialize(integrator)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import copy
 import importlib
 import itertools
+import json
+import math
 import pickle
+import sys
 
 import numpy as np
 import openmm
@@ -27,6 +30,7 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics import rotation
+from openmm_sier.integrators import settings
 from tests.support.waters import array, cluster_system, context_at, platform, relaxed
 
 serialize, deserialize = openmm.XmlSerializer.serialize, openmm.XmlSerializer.deserialize
@@ -94,7 +98,7 @@ def described(integrator) -> list:
     parts.append(integrator.getRandomNumberSeed())
     if isinstance(integrator, SIERLangevinIntegrator):
         parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
-        parts += [integrator.getPressure(), integrator.getBarostatInterval(), integrator._same_friction]
+        parts += [integrator.getPressure(), integrator.getBarostatInterval(), integrator._ensemble.rotational_friction]
     if isinstance(integrator, SIERHMCIntegrator):
         parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getStepsPerTrial()]
         parts += [integrator.getPressure(), integrator.getBarostatInterval()]
@@ -154,13 +158,13 @@ def integrator_has_pressure(integrator) -> bool:
 
 def test_settled_bodies_come_back_to_the_bit(cluster):
     bodies = RigidBodies.from_system(cluster[1], cluster[0])
-    back = deserialize(serialize(SIER2Integrator(0.001, bodies)))._given_bodies
+    back = deserialize(serialize(SIER2Integrator(0.001, bodies)))._settings.bodies
     assert back.n_particles == bodies.n_particles
     for one, two in zip(back.species, bodies.species, strict=True):
         for name in ("atoms", "masses", "sites", "moments"):
             assert np.array_equal(getattr(one, name), getattr(two, name))
     # Copies in one process also know the names of residues, for messages.
-    assert copy.deepcopy(SIER2Integrator(0.001, bodies))._given_bodies is bodies
+    assert copy.deepcopy(SIER2Integrator(0.001, bodies))._settings.bodies is bodies
 
 
 def test_bodies_without_a_system_are_stored_like_those_of_one(cluster):
@@ -263,7 +267,7 @@ def test_rotation_without_a_name():
     """XML cannot carry it and says so; copies within the process can."""
     integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: rotation.mrdl(A, L, moments, h))
     assert copy.deepcopy(integrator).rotation is integrator.rotation
-    with pytest.raises(openmm.OpenMMException, match=r"free-rotation map .*lambda.* cannot be imported"):
+    with pytest.raises(openmm.OpenMMException, match=r"free-rotation map .*lambda.* is not known here"):
         deserialize(serialize(integrator))
     other = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: (A, L))
     assert serialize(other) != serialize(integrator)
@@ -283,10 +287,70 @@ def test_classes_of_users():
     assert pickle.loads(pickle.dumps(integrator)).colour == "blue"
 
 
-def test_xml_of_another_version():
-    xml = serialize(SIER2Integrator(0.001)).replace("sier stages", "sier steps")
-    with pytest.raises(openmm.OpenMMException, match="without its stages, by another version of openmm_sier"):
+def test_xml_of_another_version(monkeypatch):
+    integrator = SIER2Integrator(0.001)
+    with pytest.raises(openmm.OpenMMException, match="stored by another version of openmm_sier, without its settings"):
+        deserialize(serialize(integrator).replace("sier settings", "sier stages"))
+    monkeypatch.setattr(settings, "LAYOUT", 7)
+    xml = serialize(SIER2Integrator(0.001))
+    monkeypatch.undo()
+    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 1 is read"):
         deserialize(xml)
+
+
+#: Each a field of the settings, and values that it must not have.
+WRONG = {
+    "layout": [None, 2, "1"],
+    "kind": [None, 3, "os:path", "venv.__main__:EnvBuilder", "openmm:VerletIntegrator", "nowhere", ":", "a:b.c.d"],
+    "scheme": [None, [], {}, {"name": "x", "source": "", "stages": []}, {"name": 1, "source": "", "stages": 5}],
+    "step": [None, "1", -1.0, math.nan, math.inf, True, 10**400],
+    "engine": [None, "cuda", 1, ["auto"]],
+    "substeps": [0, -1, 1.5, "3", True],
+    "fast_groups": [None, -1, 2**32, 1.0],
+    "bodies": [3, "x", [3], [[-1]], [[0.5]], {}, {"particles": 3, "species": [{}]}],
+    "rotation": [None, 3, "os:_exit", "exact()", "venv.__main__:main"],
+    "ensemble": [
+        None,
+        {},
+        {"name": "warm"},
+        {"name": "langevin", "temperature": "hot", "friction": 1.0, "rotational_friction": None},
+        {"name": "langevin", "temperature": 300.0, "friction": -1.0, "rotational_friction": None},
+        {"name": "langevin", "temperature": 300.0, "friction": None, "rotational_friction": None},
+        {"name": "constant energy", "pressure": 1.0, "interval": 1},
+        {"name": "metropolis", "temperature": 300.0, "friction": "infinite", "steps_per_trial": 0},
+        {"name": "metropolis", "temperature": 300.0, "friction": "infinite", "steps_per_trial": 2, "interval": 3},
+    ],
+}
+
+
+@pytest.mark.parametrize("field", WRONG)
+def test_wrong_values_in_xml_are_refused_by_field_and_import_nothing(field):
+    for value in WRONG[field]:
+        plain = openmm.CustomIntegrator(0.001)
+        values = settings.as_json(SIER2Integrator(0.001)._settings) | {field: value}
+        settings.store_text(plain, json.dumps(values))
+        imported = set(sys.modules)
+        with pytest.raises(openmm.OpenMMException) as refused:
+            deserialize(serialize(plain))
+        text = str(refused.value)
+        assert "\n" not in text
+        named = {"kind": "class", "rotation": "free-rotation map", "layout": "layout"}
+        assert field in text or named.get(field, field) in text
+        assert set(sys.modules) == imported
+
+
+def test_damaged_settings_are_refused():
+    plain = openmm.CustomIntegrator(0.001)
+    for text in ("", "{", "[]", "null", '{"layout": 1}', "\u00e9" * 20):
+        settings.store_text(plain, text)
+        with pytest.raises(
+            openmm.OpenMMException, match=r"stored in this SIER integrator|stored SIER integrator|another"
+        ):
+            deserialize(serialize(plain))
+    for values in ([-1.0, 0.0], [1e300, 1.0], [math.nan, 2.0], [0.5, 0.5]):
+        plain.getTabulatedFunction(0).setFunctionParameters(values)
+        with pytest.raises(openmm.OpenMMException):
+            deserialize(serialize(plain))
 
 
 @pytest.mark.parametrize("bodies", [3, "0 1 2", [[0, 1.5]], [0, 1, 2]])
