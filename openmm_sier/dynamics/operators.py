@@ -15,7 +15,7 @@ from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.top import top
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.rotation.rotor import EXACT
+from openmm_sier.dynamics.rotation.exact import EXACT
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
 #: (state, time) -> state; a gradient kick also takes its displacement per acceleration.

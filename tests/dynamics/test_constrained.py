@@ -22,7 +22,7 @@ from openmm_sier.dynamics.constrained import (
     nested_drift,
     point_operators,
 )
-from openmm_sier.dynamics.geodesic import KAHAN_LI, RATTLE
+from openmm_sier.dynamics.constraints.geodesic import KAHAN_LI, RATTLE
 from openmm_sier.dynamics.operators import CachedForces, drift, stepper
 from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, SIER4P, Stage
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck

@@ -10,8 +10,8 @@ import numpy as np
 from openmm_sier.dynamics.backend.formulas import body_frame, combine, cross, plus
 from openmm_sier.dynamics.rotation.arguments import blocks, checked, demand_finite
 from openmm_sier.dynamics.rotation.elliptic import SERIES_LIMIT, sn_coefficients, sn_increment
-from openmm_sier.dynamics.rotation.exact import LARGEST_SQUARE, LEAST_SQUARE, euler_rates, euler_solution
-from openmm_sier.dynamics.rotation.rotor import exact
+from openmm_sier.dynamics.rotation.exact import exact
+from openmm_sier.dynamics.rotation.short_steps import LARGEST_SQUARE, LEAST_SQUARE, euler_rates, euler_solution
 
 #: Where the two-point Gauss rule on (0, 1) has its first node; the second lies as far from the end.
 GAUSS_NODE = 0.5 - math.sqrt(3) / 6

@@ -11,9 +11,9 @@ import pytest
 from openmm_sier import BodyState
 from openmm_sier.dynamics.bodies import RigidBodies, Species
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.constraint_graph import eliminate
 from openmm_sier.dynamics.constraints import ConstraintError, Constraints
-from openmm_sier.dynamics.geodesic import KAHAN_LI, RATTLE, SUZUKI, TRIPLE_JUMP, Composition
+from openmm_sier.dynamics.constraints.geodesic import KAHAN_LI, RATTLE, SUZUKI, TRIPLE_JUMP, Composition
+from openmm_sier.dynamics.constraints.graph import eliminate
 from openmm_sier.dynamics.operators import drift
 from tests.support.flexible import Points, cage, ring, rotor
 

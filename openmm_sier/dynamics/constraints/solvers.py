@@ -14,7 +14,7 @@ import numpy as np
 from openmm_sier.dynamics.backend import constraint_loops, star_loops
 from openmm_sier.dynamics.backend.graph_arrays import GraphArrays
 from openmm_sier.dynamics.backend.graph_loops import GRAPH_CLOSE
-from openmm_sier.dynamics.constraint_graph import Graphs, Stars
+from openmm_sier.dynamics.constraints.graph import Graphs, Stars
 
 
 class NumbaSolver:

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics.backend import constraint_loops, graph_loops
-from openmm_sier.dynamics.constraint_graph import components, gather_graphs, gather_stars, star_centre
-from openmm_sier.dynamics.constraint_solvers import NumbaSolver, NumpySolver
+from openmm_sier.dynamics.constraints.graph import components, gather_graphs, gather_stars, star_centre
+from openmm_sier.dynamics.constraints.solvers import NumbaSolver, NumpySolver
 
 #: Lengths given twice for a pair may differ by this much, nm.
 SAME_LENGTH = 1e-6
@@ -227,7 +227,7 @@ class Constraints:
         Args:
             q, p: (3, n); q satisfies the constraints and p is tangent to them.
             t: ps, of either sign.
-            fractions: of t for each RATTLE step, with the sum 1; see `openmm_sier.dynamics.geodesic`.
+            fractions: of t for each RATTLE step, with the sum 1; see `openmm_sier.dynamics.constraints.geodesic`.
 
         Returns:
             (q, p), new arrays.
