@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from openmm_sier.dynamics.backend import numba_loops
+from openmm_sier.dynamics.backend import graph_loops, numba_loops, star_loops
+from openmm_sier.dynamics.backend.constraint_tables import Graphs, Stars
 from openmm_sier.dynamics.backend.numba_compile import compiled
 from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend, Rotor
 from openmm_sier.dynamics.backend.sites import Sites
@@ -21,6 +22,16 @@ def _loop(name: str, rotor: Rotor | None = None) -> Callable[..., Any]:
     """A loop of `numba_loops`, compiled; one that rotates calls the formulas of a rotor."""
     replaced = {} if rotor is None else {numba_loops.rotate_body: rotor.of_body}
     return shared(compiled(getattr(numba_loops, name), replaced))
+
+
+@cache
+def _star_loop(name: str, leaves: int) -> Callable[..., Any]:
+    return compiled(getattr(star_loops, name), star_loops.compiled_for(leaves))
+
+
+@cache
+def _graph_loop(name: str) -> Callable[..., Any]:
+    return compiled(getattr(graph_loops, name), {})
 
 
 def _all(vectors: np.ndarray) -> slice:
@@ -134,3 +145,39 @@ class NumbaBackend(NumpyBackend):
         for s, weight in zip(kinds, weights, strict=True):
             broken += loop(s.part, s.part.start, vectors, A, s.places, weight, s.atoms, total, moment)
         return total, moment, not broken
+
+    def project_stars(self, stars: Stars, q: np.ndarray, p: np.ndarray, new_p: np.ndarray) -> None:
+        _star_loop("project_stars", len(stars.leaves))(q, p, *stars, new_p)
+
+    def displace_stars(self, stars: Stars, q: np.ndarray, force: np.ndarray, shift: float, new_q: np.ndarray) -> int:
+        return _star_loop("displace_stars", len(stars.leaves))(q, force, shift, *stars, new_q)
+
+    def drift_stars(
+        self,
+        stars: Stars,
+        q: np.ndarray,
+        p: np.ndarray,
+        times: np.ndarray,
+        total: float,
+        new_q: np.ndarray,
+        new_p: np.ndarray,
+    ) -> int:
+        return _star_loop("drift_stars", len(stars.leaves))(q, p, times, total, *stars, new_q, new_p)
+
+    def project_graphs(self, graphs: Graphs, q: np.ndarray, p: np.ndarray, new_p: np.ndarray) -> None:
+        _graph_loop("project_graphs")(q, p, *graphs.compiled_arguments, new_p)
+
+    def displace_graphs(self, graphs: Graphs, q: np.ndarray, force: np.ndarray, shift: float, new_q: np.ndarray) -> int:
+        return _graph_loop("displace_graphs")(q, force, shift, *graphs.compiled_arguments, new_q)
+
+    def drift_graphs(
+        self,
+        graphs: Graphs,
+        q: np.ndarray,
+        p: np.ndarray,
+        times: np.ndarray,
+        total: float,
+        new_q: np.ndarray,
+        new_p: np.ndarray,
+    ) -> int:
+        return _graph_loop("drift_graphs")(q, p, times, *graphs.compiled_arguments, new_q, new_p)

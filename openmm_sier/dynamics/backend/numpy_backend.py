@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from openmm_sier.dynamics.backend import graph_arrays, star_loops
+from openmm_sier.dynamics.backend.constraint_tables import Graphs, Stars
 from openmm_sier.dynamics.backend.formulas import (
     LINE,
     angular_velocity,
@@ -207,6 +209,79 @@ class NumpyBackend:
                     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
                         np.subtract(outer[y, z], outer[z, y], out=moment[x, block])
         return total, moment, _finite(total) and _finite(moment)
+
+    # --- constraints ---
+
+    def project_stars(self, stars: Stars, q: np.ndarray, p: np.ndarray, new_p: np.ndarray) -> None:
+        """Write the momenta, or forces, (3, n), of stars without what acts along their bonds."""
+        star_loops.project_star(q, p, stars, star_loops.scratch_of_all(*stars.leaves.shape), new_p)
+
+    def displace_stars(self, stars: Stars, q: np.ndarray, force: np.ndarray, shift: float, new_q: np.ndarray) -> int:
+        """Write positions (3, n) moved by shift M^-1 force and put back along the bonds at q.
+
+        Returns:
+            The first star that has none, or -1.
+        """
+        scratch = star_loops.scratch_of_all(*stars.leaves.shape)
+        with np.errstate(all="ignore"):
+            if star_loops.displace_star(q, force, shift, stars, scratch, new_q):
+                return -1
+            return star_loops.displace_stars(q, force, shift, *stars, new_q)
+
+    def drift_stars(
+        self,
+        stars: Stars,
+        q: np.ndarray,
+        p: np.ndarray,
+        times: np.ndarray,
+        total: float,
+        new_q: np.ndarray,
+        new_p: np.ndarray,
+    ) -> int:
+        """Write positions and momenta (3, n) after RATTLE steps of some times with a sum that is not 0.
+
+        Returns:
+            The first star without a solution, or -1.
+        """
+        scratch = star_loops.scratch_of_all(*stars.leaves.shape)
+        with np.errstate(all="ignore"):
+            if star_loops.drift_star(q, p, times, total, stars, scratch, new_q, new_p):
+                return -1
+            return star_loops.drift_stars(q, p, times, total, *stars, new_q, new_p)
+
+    def project_graphs(self, graphs: Graphs, q: np.ndarray, p: np.ndarray, new_p: np.ndarray) -> None:
+        """As `project_stars`, for all other components of the constraints."""
+        x, v = graph_arrays.taken(graphs, q, p)
+        graph_arrays.put_momenta(graphs, p, graph_arrays.project(graphs, x, v), new_p)
+
+    def displace_graphs(self, graphs: Graphs, q: np.ndarray, force: np.ndarray, shift: float, new_q: np.ndarray) -> int:
+        """As `displace_stars`, for all other components."""
+        x, v = graph_arrays.taken(graphs, q, force)
+        with np.errstate(all="ignore"):
+            x, _, failed = graph_arrays.constrain(graphs, x, shift * v, 1.0)
+        graph_arrays.put_positions(graphs, q, x, new_q)
+        return failed
+
+    def drift_graphs(
+        self,
+        graphs: Graphs,
+        q: np.ndarray,
+        p: np.ndarray,
+        times: np.ndarray,
+        total: float,
+        new_q: np.ndarray,
+        new_p: np.ndarray,
+    ) -> int:
+        """As `drift_stars`, for all other components."""
+        x, v = graph_arrays.taken(graphs, q, p)
+        with np.errstate(all="ignore"):
+            for d in times:
+                x, v, failed = graph_arrays.constrain(graphs, x, v, d)
+                if failed >= 0:
+                    return failed
+        graph_arrays.put_positions(graphs, q, x, new_q)
+        graph_arrays.put_momenta(graphs, p, graph_arrays.project(graphs, x, v), new_p)
+        return -1
 
 
 def _rotated(
