@@ -357,7 +357,7 @@ class RigidBodies:
         return self._sum_over_sites(velocities, A, [s.masses for s in self.species])
 
     def forces_and_torques(self, forces: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Net force and torque about the centre of mass (van Zon and Schofield, Eq. forcestorques).
+        """Net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
 
         Args:
             forces: on the particles, (N, 3), kJ/mol/nm. Those on virtual sites must already be passed on to massive

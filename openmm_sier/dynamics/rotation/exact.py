@@ -30,7 +30,7 @@ def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[
     Raises:
         ValueError: shapes do not fit, moments are impossible, or a value is not finite.
 
-    Source: van Zon and Schofield (2007), Eqs. 5b (U1) and 9 (Pmatrix); see `openmm_sier.dynamics.rotation.short_steps`.
+    Source: van Zon and Schofield (2007), Eqs. 5 (U1) and 9 (Pmatrix); see `openmm_sier.dynamics.rotation.short_steps`.
 
     A quarter turn about the third axis, and back:
 

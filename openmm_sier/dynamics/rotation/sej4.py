@@ -67,8 +67,8 @@ def _gauss_velocities(
     far = ~((square >= LEAST_SQUARE) & (square <= LARGEST_SQUARE))
     norm = np.sqrt(np.where(far, 1.0, square))
     u, k = body_L / norm, norm * h
-    _, _, _, p, q = euler_rates(rates, u, k)
-    far |= ~(np.maximum(p, q) <= _SERIES_REACH * 4**_MOST_HALVINGS)
+    motion = euler_rates(rates, u, k)
+    far |= ~(np.maximum(motion.p, motion.q) <= _SERIES_REACH * 4**_MOST_HALVINGS)
     velocities = _velocities_by_series(rates, u, norm, np.where(far, 0.0, k))
     if far.any():
         for near, value in zip(velocities, _velocities_by_attitude(rates, rows, L, h, far), strict=True):
@@ -80,7 +80,7 @@ def _velocities_by_series(
     rates: np.ndarray, u: np.ndarray, norm: np.ndarray, k: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     motion = euler_rates(rates, u, k)
-    _, _, _, p, q = motion
+    p, q = motion.p, motion.q
     phase = np.maximum(p, q).max(initial=0.0)
     pieces = 1
     while phase > _SERIES_REACH * pieces**2:

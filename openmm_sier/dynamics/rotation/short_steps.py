@@ -1,6 +1,6 @@
-"""Exact free rotation: A* = P(h) A and L* = L (van Zon and Schofield 2007, Eq. 5b, U1).
+"""Exact free rotation: A* = P(h) A and L* = L (van Zon and Schofield 2007, Eq. 5 (U1)).
 
-Rows of A are the principal axes in the lab frame, L~ = A L. The paper writes (Eq. 9, Pmatrix)
+Rows of A are the principal axes in the lab frame, L~ = A L. The paper writes (Eq. 9 (Pmatrix))
 
     P(h) = R1(L~*) R2(psi) R1(L~)^T,
 
@@ -17,6 +17,8 @@ All functions take scalars or arrays: NumPy executes them on arrays of bodies, N
 tests/dynamics/rotation/test_paper_formulas.py has the paper's own form, which agrees.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import plus
@@ -24,6 +26,38 @@ from openmm_sier.dynamics.rotation.elliptic import LONGEST, sn_increment
 
 #: Squares of angular momenta outside this range are left to `long_steps`, which rescales them.
 LEAST_SQUARE, LARGEST_SQUARE = 1e-240, 1e240
+
+
+class EulerRates(NamedTuple):
+    """Rates of Euler's equations over a step, du/dt = (-alpha y z, beta x z, -gamma x y), and p and q of S."""
+
+    alpha: Any
+    beta: Any
+    gamma: Any
+    p: Any
+    q: Any
+
+
+class MiddleTerms(NamedTuple):
+    """What `rate_excess` needs of the direction m of L~ in the middle of the step; e = 2E/L^2.
+
+    Attributes:
+        energy: e.
+        squares: (X, Y, Z), those of the components of m.
+        excess: ((a - e) X, (b - e) Y, (c - e) Z).
+        odd: (alpha, gamma).
+        odd_excess: ((a - e) alpha, (c - e) gamma).
+        twist: alpha gamma Y, with which G = 1 - twist S^2.
+        product: X Y Z.
+    """
+
+    energy: Any
+    squares: tuple
+    excess: tuple
+    odd: tuple
+    odd_excess: tuple
+    twist: Any
+    product: Any
 
 
 def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
@@ -42,7 +76,7 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
     u = x * inverse, y * inverse, z * inverse
     k = norm * h
     motion = euler_rates(rates, u, k)
-    _, _, _, p, q = motion
+    p, q = motion.p, motion.q
     coefficients, times, weights = series(p, q)
 
     end = sn_increment(coefficients, p, q, times[0])
@@ -50,10 +84,10 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
     m = plus(even, odd)
     even, odd = euler_solution(motion, m, end)
 
-    # Eq. 10 (integral). The paper sums derivatives at the ends (Eq. 11, psiapprox), to order 2n; the Gauss-Lobatto sum
+    # Eq. 10 (integral). The paper sums derivatives at the ends, to order 2n (Eq. 11 (psiapprox)); the Gauss-Lobatto sum
     # of values here has converged to rounding. Either is even in time.
     middle = middle_terms(rates, motion, m)
-    rate = middle[0] + weights[0] * rate_excess(middle, end)
+    rate = middle.energy + weights[0] * rate_excess(middle, end)
     for node in range(1, len(times)):
         rate += weights[node] * rate_excess(middle, sn_increment(coefficients, p, q, times[node]))
     half_theta = 0.5 * k * rate
@@ -65,17 +99,14 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
 
 
 def euler_rates(rates, u, k):
-    """Rates of Euler's equations over a step, du/dt = (-alpha y z, beta x z, -gamma x y), and p and q of S.
-
-    Here k = |L| h, the time is in steps, and p and q are sums of terms of one sign.
-    """
+    """The rates for a direction u of L~, with k = |L| h and time in steps; p and q are sums of terms of one sign."""
     a, b, c = rates
     x, y, z = u
     alpha, beta, gamma = k * (b - c), k * (a - c), k * (a - b)
     y2 = y * y
     p = (beta * (x * x) + alpha * y2) * gamma
     q = (gamma * y2 + beta * (z * z)) * alpha
-    return alpha, beta, gamma, p, q
+    return EulerRates(alpha, beta, gamma, p, q)
 
 
 def euler_solution(motion, u, increments):
@@ -86,7 +117,7 @@ def euler_solution(motion, u, increments):
 
         x* = (x D - S C alpha y z)/G,   y* = (y C D + S beta x z)/G,   z* = (z C - S D gamma x y)/G.
     """
-    alpha, beta, gamma, _, _ = motion
+    alpha, beta, gamma = motion.alpha, motion.beta, motion.gamma
     x, y, z = u
     S, S2, C, D = increments
     f = 1 / (1 - (alpha * gamma) * (y * y * S2))
@@ -98,29 +129,43 @@ def euler_solution(motion, u, increments):
 
 
 def middle_terms(rates, motion, m):
-    """What `rate_excess` needs of L~ in the middle of the step, with 2E/L^2 at the first place."""
+    """The terms for the direction m of L~ in the middle of the step."""
     a, b, c = rates
-    alpha, _, gamma, _, _ = motion
+    alpha, gamma = motion.alpha, motion.gamma
     X, Y, Z = m[0] * m[0], m[1] * m[1], m[2] * m[2]
-    leading = a * X + b * Y + c * Z
-    above, below = a - leading, c - leading
-    weighted = (above * X, (b - leading) * Y, below * Z)
-    return leading, (X, Y, Z), weighted, (alpha, gamma, above * alpha, below * gamma), (alpha * gamma) * Y, X * (Y * Z)
+    energy = a * X + b * Y + c * Z
+    above, below = a - energy, c - energy
+    excess = (above * X, (b - energy) * Y, below * Z)
+    odd_excess = (above * alpha, below * gamma)
+    return MiddleTerms(energy, (X, Y, Z), excess, (alpha, gamma), odd_excess, (alpha * gamma) * Y, X * (Y * Z))
 
 
 def rate_excess(middle, increments):
-    """Mean over the times +-t of g/|L| - 2E/L^2.
+    """Mean over the times +-t of g/|L| - e, e = 2E/L^2.
 
-    Numerator and denominator of g share the factor 1/G of `euler_solution` and split into parts even and odd in t.
+    With w = omega/|L| = (a v_x, b v_y, c v_z) the energy is w . v = e, the same at all times, and
+
+        g/|L| - e = w . (m + v) / (1 + m . v) - e = (w . m - e m . v) / (1 + m . v) = N/D,
+
+    N = sum_i (a_i - e) m_i G v_i, D = G + sum_i m_i G v_i, with the common denominator G of `euler_solution`. In those
+    sums G v_i has the even parts m_x D, m_y C D, m_z C and the odd ones of `euler_solution`. Since beta = alpha + gamma
+    and (b - e) beta = (a - e) alpha + (c - e) gamma, the odd parts of N and D are S x y z times
+
+        N1 = (a - e) alpha (1 - C) + (c - e) gamma (1 - D),   D1 = alpha (1 - C) + gamma (1 - D).
+
+    The mean of (N0 + o N1)/(D0 + o D1) over o = +-S x y z is (N0 D0 - o^2 N1 D1)/(D0^2 - o^2 D1^2).
     """
-    _, (X, Y, Z), (aX, bY, cZ), (alpha, gamma, a_alpha, c_gamma), twist, product = middle
+    X, Y, Z = middle.squares
+    aX, bY, cZ = middle.excess
+    alpha, gamma = middle.odd
+    a_alpha, c_gamma = middle.odd_excess
     _, S2, C, D = increments
     CD = C * D
     numerator = aX * D + bY * CD + cZ * C
-    denominator = (1 - twist * S2) + (X * D + Y * CD + Z * C)
+    denominator = (1 - middle.twist * S2) + (X * D + Y * CD + Z * C)
     less_C, less_D = 1 - C, 1 - D
     odd = alpha * less_C + gamma * less_D  # of the denominator, over S x y z
-    odd_product = S2 * product * odd
+    odd_product = S2 * middle.product * odd
     return (numerator * denominator - odd_product * (a_alpha * less_C + c_gamma * less_D)) / (
         denominator * denominator - odd_product * odd
     )
