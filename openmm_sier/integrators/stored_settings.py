@@ -17,8 +17,8 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics import bodies as dynamics
-from openmm_sier.dynamics.bodies import Species
 from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.stages import Stage
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.find_bodies import RigidBodies

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, Species
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
+from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 TEMPERATURE, PRESSURE = 300.0, 100 * BAR

@@ -6,9 +6,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from openmm_sier import BodyState
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import Constraints
+from openmm_sier.dynamics.species import Species
 
 BOND = 0.109
 CARBON, HYDROGEN = 12.0, 1.0

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from openmm_sier.dynamics import metropolis, operators
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, Species
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.metropolis import HybridMonteCarlo
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 TEMPERATURE = 300.0

@@ -10,8 +10,9 @@ from itertools import combinations
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError, Species
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
+from openmm_sier.dynamics.species import Species
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.constraint_errors import Constraints
 from openmm_sier.engines.host import Host

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from openmm_sier import BodyState
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import ConstraintError, Constraints
 from openmm_sier.dynamics.constraints.geodesic import KAHAN_LI, RATTLE, SUZUKI, TRIPLE_JUMP, Composition
 from openmm_sier.dynamics.constraints.graph import eliminate
 from openmm_sier.dynamics.operators import drift
+from openmm_sier.dynamics.species import Species
 from tests.support.flexible import cage, many, mixture, ring, rotor
 
 
