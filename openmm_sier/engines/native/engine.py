@@ -14,7 +14,7 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines import neighbour_list
-from openmm_sier.engines.constraint_errors import Constraints
+from openmm_sier.engines.constraint_errors import SystemConstraints
 from openmm_sier.engines.host import Host
 from openmm_sier.engines.native import fast_forces as native_fast_forces
 from openmm_sier.engines.native.program import WORK, longest_inner_step
@@ -79,7 +79,7 @@ class NativeEngine:
         self._integrator_ref = weakref.ref(integrator)
         system = context.getSystem()
         _refuse(integrator, system)
-        self._constraints = Constraints(system)
+        self._constraints = SystemConstraints(system)
         self._points = _points(system)
         self._bodies: RigidBodies | None = None
         try:
