@@ -10,6 +10,7 @@ Positions x, relative to the first atom of each component, and velocities v are 
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from openmm_sier.dynamics.backend.constraint_tables import Graphs
 from openmm_sier.dynamics.backend.graph_loops import GRAPH_CLOSE
@@ -22,17 +23,17 @@ REDUCTION = 1e-3
 LINEAR, NONLINEAR = 400, 30
 
 
-def taken(graphs: Graphs, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def taken(graphs: Graphs, q: ndarray, p: ndarray) -> tuple[ndarray, ndarray]:
     """Positions and velocities of the graphs' atoms from columns of positions and momenta, (3, n)."""
     return q[:, graphs.atoms] - q[:, graphs.first_atoms], p[:, graphs.atoms] * graphs.inverse_masses
 
 
-def put_positions(graphs: Graphs, q: np.ndarray, x: np.ndarray, new_q: np.ndarray) -> None:
+def put_positions(graphs: Graphs, q: ndarray, x: ndarray, new_q: ndarray) -> None:
     """Write positions as columns of new_q."""
     new_q[:, graphs.atoms] = q[:, graphs.first_atoms] + x
 
 
-def put_momenta(graphs: Graphs, p: np.ndarray, v: np.ndarray, new_p: np.ndarray) -> None:
+def put_momenta(graphs: Graphs, p: ndarray, v: ndarray, new_p: ndarray) -> None:
     """Write momenta as columns of new_p; the first atom takes the remainder, which conserves the total to rounding."""
     new = v / graphs.inverse_masses
     low = graphs.starts[:, 0]
@@ -40,7 +41,7 @@ def put_momenta(graphs: Graphs, p: np.ndarray, v: np.ndarray, new_p: np.ndarray)
     new_p[:, graphs.atoms] = new
 
 
-def constrain(graphs: Graphs, x: np.ndarray, v: np.ndarray, d: float) -> tuple[np.ndarray, np.ndarray, int]:
+def constrain(graphs: Graphs, x: ndarray, v: ndarray, d: float) -> tuple[ndarray, ndarray, int]:
     """Velocities with which x + d v satisfies the constraints, changed along their gradients at x.
 
     Returns:
@@ -64,7 +65,7 @@ def constrain(graphs: Graphs, x: np.ndarray, v: np.ndarray, d: float) -> tuple[n
     return reached, v, int(np.searchsorted(graphs.starts[:, 3], residuals.argmax(), side="right"))
 
 
-def project(graphs: Graphs, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+def project(graphs: Graphs, x: ndarray, v: ndarray) -> ndarray:
     """Velocities without what changes the lengths of the constraints; the second pass removes rounding."""
     bonds = _bonds(graphs, x)
     for _ in range(2):
@@ -73,19 +74,19 @@ def project(graphs: Graphs, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     return v
 
 
-def _bonds(graphs: Graphs, x: np.ndarray) -> np.ndarray:
+def _bonds(graphs: Graphs, x: ndarray) -> ndarray:
     i, j = graphs.columns_of_ends
     return x[:, i] - x[:, j]
 
 
-def _least_change(graphs: Graphs, bonds: np.ndarray, wanted: np.ndarray, reduction: float) -> np.ndarray:
+def _least_change(graphs: Graphs, bonds: ndarray, wanted: ndarray, reduction: float) -> ndarray:
     """Least velocities (3, atoms), in the metric of the masses, that change half the squared lengths as wanted."""
     i, j = graphs.columns_of_ends
     roots = np.sqrt(graphs.inverse_masses)
     scale = 1 / np.sqrt(np.einsum("ae,ae->e", bonds, bonds) * (graphs.inverse_masses[i] + graphs.inverse_masses[j]))
     rows = scale * bonds
 
-    def transposed(values: np.ndarray) -> np.ndarray:
+    def transposed(values: ndarray) -> ndarray:
         sums = [np.bincount(i, row, len(roots)) - np.bincount(j, row, len(roots)) for row in rows * values]
         return roots * np.array(sums)
 
