@@ -11,7 +11,7 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.cli.console import note, table
-from openmm_sier.dynamics.bodies import Species
+from openmm_sier.dynamics.species import Species
 from openmm_sier.measure.forcefields import Box, read_box
 from openmm_sier.observe.conservation import density
 from openmm_sier.system.find_bodies import RigidBodies

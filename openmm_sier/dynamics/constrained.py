@@ -38,7 +38,7 @@ from openmm_sier.dynamics import backend, operators
 from openmm_sier.dynamics.backend.formulas import cross
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
-from openmm_sier.dynamics.geodesic import SUZUKI, TRIPLE_JUMP, Composition
+from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP, Composition
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme

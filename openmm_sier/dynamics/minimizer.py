@@ -26,8 +26,8 @@ Forces = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Point:
-    """One iteration.
+class Iterate:
+    """The bodies after some iterations.
 
     Attributes:
         q: centres, (3, n), nm.
@@ -40,7 +40,7 @@ class Point:
     rms: float
 
 
-def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -> Iterator[Point]:
+def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -> Iterator[Iterate]:
     """Yield bodies on their way to a minimum of the potential energy, beginning with the start, without end.
 
     FIRE: unit masses move under the forces; the motion is turned towards the force, and stopped whenever it goes
@@ -65,7 +65,7 @@ def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -
         F, tau = forces(q, A)
         f = np.concatenate([held.project(q, F), tau * inverse])
         length = np.sqrt((f**2).sum())
-        yield Point(q, A, float(length / np.sqrt(freedoms)))
+        yield Iterate(q, A, float(length / np.sqrt(freedoms)))
         if length == 0:
             continue
         step = step or float(np.sqrt(FIRST_DISPLACEMENT / np.abs(f).max()))

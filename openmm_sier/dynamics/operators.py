@@ -15,7 +15,7 @@ from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.top import top
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.rotation.rotor import EXACT
+from openmm_sier.dynamics.rotation.exact import EXACT
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
 #: (state, time) -> state; a gradient kick also takes its displacement per acceleration.
@@ -77,7 +77,7 @@ def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation
 
 
 def kick(forces: CachedForces) -> Operator:
-    """Momenta change by forces at fixed positions (van Zon and Schofield 2007, Eq. 6, U2)."""
+    """Momenta change by forces at fixed positions (van Zon and Schofield 2007, Eq. 6 (U2))."""
 
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
@@ -111,7 +111,7 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
 
 
 def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
-    """Free motion of the bodies (van Zon and Schofield 2007, Eq. 5, U1) with any free-rotation map.
+    """Free motion of the bodies (van Zon and Schofield 2007, Eq. 5 (U1)) with any free-rotation map.
 
     The operator raises ValueError for a state with another number of bodies.
     """

@@ -181,7 +181,7 @@ def alternating(name: str, first: str, second: str, half: tuple[float, ...], sou
     return Scheme(name, (*wings, Stage(operators[-1], middle), *reversed(wings)), source)
 
 
-SIER2 = alternating("SIER2", KICK, DRIFT, (0.5,), "van Zon and Schofield (2007), Eq. Verlet")
+SIER2 = alternating("SIER2", KICK, DRIFT, (0.5,), "van Zon and Schofield (2007), Eq. 7 (Verlet)")
 
 _H1, _H2, _H3 = 0.1720865590295143, 0.5915620307551568, -0.1616217622107222
 
@@ -191,7 +191,7 @@ SIER4 = alternating(
     KICK,
     DRIFT,
     (_H1, _H2, _H3, 0.5 - _H2),
-    "van Zon and Schofield (2007), Eq. EFRL; Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
+    "van Zon and Schofield (2007), Eq. 8 (EFRL); Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
 )
 
 #: The best scheme per force evaluation in liquid water of those without a gradient, which are symplectic to rounding.

@@ -25,9 +25,9 @@ import openmm
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import RigidBodies as DynamicsBodies
-from openmm_sier.dynamics.bodies import Species
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.stages import Stage
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.ensembles.langevin import Langevin

@@ -13,7 +13,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies, molecule_of_atoms
 from openmm_sier.dynamics.constants import BAR
-from openmm_sier.dynamics.constraint_graph import components
+from openmm_sier.dynamics.constraints.graph import components
 from openmm_sier.engines import neighbour_list
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.body_states import wrapped

@@ -12,7 +12,8 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics import bodies as dynamics
-from openmm_sier.dynamics.bodies import RigidityError, Species
+from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.geometries import EMBEDDING_TOLERANCE, Cluster, Kind, KindCollector, Sharing

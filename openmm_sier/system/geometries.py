@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import LINEAR_MOMENT, RigidityError, Species
+from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.dynamics.species import LINEAR_MOMENT, Species
 
 #: Largest error in nm of a constraint in the geometry that all constraints of a cluster define.
 EMBEDDING_TOLERANCE = 1e-4

@@ -10,7 +10,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
-from openmm_sier.dynamics.constraint_graph import components
+from openmm_sier.dynamics.constraints.graph import components
 
 #: How many atoms the terms of a Force join, and the methods that give the number of terms and their parameters.
 _TERMS: dict[type, tuple[int, Callable, Callable]] = {

@@ -10,7 +10,6 @@ import pytest
 
 from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, Scheme
 from openmm_sier.dynamics import constrained
-from openmm_sier.dynamics.bodies import Species
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import (
     FastForces,
@@ -22,9 +21,10 @@ from openmm_sier.dynamics.constrained import (
     nested_drift,
     point_operators,
 )
-from openmm_sier.dynamics.geodesic import KAHAN_LI, RATTLE
+from openmm_sier.dynamics.constraints.geodesic import KAHAN_LI, RATTLE
 from openmm_sier.dynamics.operators import CachedForces, drift, stepper
 from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, KICK, SIER4G, SIER4P, Stage
+from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.flexible import Points, cage, chains, ring, rotor
 

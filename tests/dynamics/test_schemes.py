@@ -171,6 +171,10 @@ def test_schemes_are_frozen_values():
         (((KICK, 1.0), (DRIFT, 1.1)), r"'drift' must sum to 1, they sum to 1\.1"),
         (((KICK, float("nan")), (DRIFT, 1.0)), "'kick' must sum to 1, they sum to nan"),
         (((KICK, float("inf")), (DRIFT, 1.0)), "'kick' must sum to 1, they sum to inf"),
+        (
+            ((KICK, 0.5, 0.1), (DRIFT, 1.0), (KICK, 0.5, 0.1)),
+            "only a 'gradient kick' has a shift, got one for 'kick'",
+        ),
         # Rounding of nine coefficients is 1e-15; this is a wrong digit.
         (((KICK, 0.5), (DRIFT, 1.0), (KICK, 0.5 + 1e-12)), "'kick' must sum to 1"),
     ],

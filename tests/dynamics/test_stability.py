@@ -9,8 +9,9 @@ import pytest
 
 from openmm_sier import SIER2, SIER4G, Scheme
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, Species
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.stability import INEQUALITY
 
 every_scheme = pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE.keys())

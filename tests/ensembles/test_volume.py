@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, Species
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
+from openmm_sier.dynamics.species import Species
 from openmm_sier.ensembles.volume import move_volume
 from tests.support.trials import ModelEngine
 

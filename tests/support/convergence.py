@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_sier.dynamics.operators import CachedForces, drift, gradient_kick, kick, stepper
-from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK
+from openmm_sier.dynamics.operators import CachedForces, body_operators, stepper
 from tests.support.phase_space import distance
 
 
 def operators_of(cluster):
     forces = CachedForces(cluster.forces)
-    return forces, {
-        KICK: kick(forces),
-        GRADIENT_KICK: gradient_kick(cluster.bodies, forces),
-        DRIFT: drift(cluster.bodies),
-    }
+    return forces, body_operators(cluster.bodies, forces)
 
 
 def run(cluster, scheme, state, h, steps):

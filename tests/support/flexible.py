@@ -6,9 +6,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from openmm_sier import BodyState
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import Constraints
+from openmm_sier.dynamics.species import Species
 
 BOND = 0.109
 CARBON, HYDROGEN = 12.0, 1.0
@@ -48,8 +49,8 @@ class Points:
         self.field = self.FIELD * field
         self.waves = self.WAVES * np.random.default_rng(8).normal(size=(3, n)) / np.sqrt(3)
 
-    def constraints(self, compiled=None):
-        return Constraints(self.pairs, self.lengths, self.masses, compiled=compiled)
+    def constraints(self):
+        return Constraints(self.pairs, self.lengths, self.masses)
 
     @property
     def bodies(self):
@@ -177,3 +178,24 @@ def chains(constrained=True, **options):
                 springs.append((at - 3, at, 0.15, 2.6e5))
         springs.append((first, first + 6, 0.26, 5e4))
     return Points(x, masses, pairs, lengths, springs, molecules=molecules, **options)
+
+
+def many(*kinds, apart=0.7):
+    """Molecules of several kinds in one system, out of order among two free points."""
+    x, masses, pairs, lengths = [np.zeros(3)], [20.0], [], []
+    for number, kind in enumerate(kinds):
+        first = len(x)
+        x += list(kind.x.T + apart * np.array([number % 3, number // 3, 0.1 * number]))
+        masses += list(kind.masses)
+        pairs += [(i + first, j + first) for i, j in kind.pairs]
+        lengths += list(kind.lengths)
+    x.append(np.ones(3))
+    masses.append(30.0)
+    place = np.random.default_rng(5).permutation(len(x))
+    order = np.argsort(place)
+    return Points(np.array(x)[order], np.array(masses)[order], place[np.array(pairs)], lengths)
+
+
+def mixture():
+    """Stars of every size and graphs, out of order."""
+    return many(rotor(1), rotor(2), rotor(3), ring(), rotor(3), cage(), rotor(4), ring(5), rotor(1), rotor(2))

@@ -12,10 +12,11 @@ import numpy as np
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import MoleculeCentres, MonteCarloVolumeMove
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, Species
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
 from openmm_sier.engines.variables import SEED
 from openmm_sier.ensembles.metropolis import ACCEPTED, ERROR, TRIALS, Metropolis

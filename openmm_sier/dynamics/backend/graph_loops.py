@@ -239,19 +239,3 @@ def project_graphs(q, p, atoms, starts, graph, new_p):
         take(part[0], part[1], atoms, q, p, inverse_masses, x, v)
         project_graph(part, graph, x, v, scratch)
         put_momenta(part[0], part[1], atoms, p, v, inverse_masses, new_p)
-
-
-#: The functions to compile, each after those that it calls.
-HELPERS = (
-    bonds,
-    factor,
-    substitute,
-    push,
-    constrain_graph,
-    project_graph,
-    take,
-    put_positions,
-    put_momenta,
-    room,
-)
-LOOPS = (drift_graphs, displace_graphs, project_graphs)

@@ -14,8 +14,8 @@ from typing import Any
 #: Sums and products may be contracted, but not reordered, so that NumPy and Numba agree to rounding.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
-#: Formulas already given to Numba.
-_formulas: dict[FunctionType, Any] = {}
+#: Functions already given to Numba, by name and whether they are inlined.
+_given: dict[tuple[str, bool], Any] = {}
 
 
 def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., Any]:
@@ -31,26 +31,20 @@ def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., A
     """
     import numba
 
-    helpers: dict[FunctionType, Any] = {}
-
     def link(function: FunctionType) -> FunctionType:
         """The function, calling compiled functions."""
         namespace = dict(_globals_of(function, replaced))
         for name, value in namespace.items():
             if isinstance(value, FunctionType):
-                formula = value.__module__ != loop.__module__
-                linked = _formulas if formula else helpers
-                if value not in linked:
-                    linked[value] = numba.njit(link(value), forceinline=formula, **OPTIONS)
-                namespace[name] = linked[value]
+                key = _name(value, replaced), value.__module__ != loop.__module__
+                if key not in _given:
+                    _given[key] = numba.njit(link(value), forceinline=key[1], **OPTIONS)
+                namespace[name] = _given[key]
         clone = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__)
-        clone.__module__, clone.__qualname__ = function.__module__, function.__qualname__
+        clone.__module__, clone.__qualname__ = function.__module__, _name(function, replaced)
         return clone
 
     clone = link(loop)
-    # The cache on disk watches only the loop's own file, so that its name carries a digest of all else that it depends
-    # on.
-    clone.__qualname__ = f"{loop.__name__}_{_digest(loop, replaced)}"
     try:
         return numba.njit(clone, cache=True, **OPTIONS)
     except RuntimeError:
@@ -65,18 +59,21 @@ def _globals_of(function: FunctionType, replaced: Mapping[Any, Any]) -> Iterator
             yield name, replaced.get(value, value) if isinstance(value, FunctionType) else value
 
 
-def _digest(loop: FunctionType, replaced: Mapping[Any, Any]) -> str:
-    """A name for the code and constants of a loop and of all that it calls."""
-    seen: dict[FunctionType, None] = {loop: None}
+def _name(function: FunctionType, replaced: Mapping[Any, Any]) -> str:
+    """The function's name with a digest of its code and constants and of all that it calls.
+
+    The cache on disk watches only a loop's own file, and code in it is linked by names.
+    """
+    seen: dict[FunctionType, None] = {function: None}
     parts = [Path(__file__).read_bytes()]
-    for function in (pending := list(seen)):
-        code = function.__code__
-        parts.append(repr((code.co_code, code.co_consts, code.co_names)).encode())
-        for name, value in _globals_of(function, replaced):
+    for called in (pending := list(seen)):
+        code = called.__code__
+        parts.append(repr((called.__module__, code.co_code, code.co_consts, code.co_names)).encode())
+        for name, value in _globals_of(called, replaced):
             if isinstance(value, FunctionType):
                 if value not in seen:
                     seen[value] = None
                     pending.append(value)
             elif not isinstance(value, ModuleType):
-                parts.append(f"{name} = {value!r}".encode())
-    return hashlib.sha256(b"".join(parts)).hexdigest()[:12]
+                parts.append(f"{name} = {getattr(value, '_fields', value)!r}".encode())
+    return f"{function.__name__}_{hashlib.sha256(b''.join(parts)).hexdigest()[:12]}"

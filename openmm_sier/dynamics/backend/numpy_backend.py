@@ -11,7 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
+from openmm_sier.dynamics.backend import graph_arrays, star_loops
+from openmm_sier.dynamics.backend.constraint_tables import Graphs, Stars
 from openmm_sier.dynamics.backend.formulas import (
     LINE,
     angular_velocity,
@@ -61,7 +64,7 @@ class NumpyBackend:
 
     # --- free motion ---
 
-    def rotate(self, rotor: Rotor, top: Top, A: np.ndarray, L: np.ndarray, h: float) -> np.ndarray:
+    def rotate(self, rotor: Rotor, top: Top, A: ndarray, L: ndarray, h: float) -> ndarray:
         """Attitudes after a free rotation.
 
         Raises:
@@ -75,13 +78,13 @@ class NumpyBackend:
         self,
         rotor: Rotor,
         kinds: Sequence[tuple[Top, slice]],
-        q: np.ndarray,
-        p: np.ndarray,
-        A: np.ndarray,
-        L: np.ndarray,
+        q: ndarray,
+        p: ndarray,
+        A: ndarray,
+        L: ndarray,
         h: float,
-        inverse_masses: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        inverse_masses: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         """Centres and attitudes after free motion; `kinds` says which bodies have which moments.
 
         Raises:
@@ -93,7 +96,7 @@ class NumpyBackend:
         return q + (h * inverse_masses) * p, new
 
     def _rotate(
-        self, rotor: Rotor, top: Top, A: np.ndarray, L: np.ndarray, h: float, new: np.ndarray, numbers: Sequence[int]
+        self, rotor: Rotor, top: Top, A: ndarray, L: ndarray, h: float, new: ndarray, numbers: Sequence[int]
     ) -> None:
         """Write new attitudes; the numbers of the bodies are for messages."""
         if not top.turns:
@@ -107,36 +110,32 @@ class NumpyBackend:
 
     # --- kicks ---
 
-    def kick(
-        self, p: np.ndarray, L: np.ndarray, F: np.ndarray, tau: np.ndarray, h: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def kick(self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float) -> tuple[ndarray, ndarray]:
         """Momenta and angular momenta after forces and torques have acted for a time."""
         return p + h * F, L + h * tau
 
     def kick_from(
-        self, p: np.ndarray, L: np.ndarray, F: np.ndarray, tau: np.ndarray, arm: np.ndarray, h: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, arm: ndarray, h: float
+    ) -> tuple[ndarray, ndarray]:
         """The same by forces that act at a distance `arm`, (3, n), from the centres."""
         return p + h * F, L + h * (tau + np.stack(cross(arm, F)))
 
     def displace(
         self,
-        q: np.ndarray,
-        A: np.ndarray,
-        F: np.ndarray,
-        tau: np.ndarray,
+        q: ndarray,
+        A: ndarray,
+        F: ndarray,
+        tau: ndarray,
         shift: float,
-        inverse_masses: np.ndarray,
-        inverse_moments: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        inverse_masses: ndarray,
+        inverse_moments: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         """Centres and attitudes of bodies displaced by `shift` times their accelerations."""
         x, y, z = A
         rows = displacing_rotation(x, y, z, tau, inverse_moments, shift)
         return q + (shift * inverse_masses) * F, np.stack([combine(row, x, y, z) for row in rows])
 
-    def turn_groups(
-        self, edges: np.ndarray, part: np.ndarray, m: np.ndarray, q: np.ndarray, torques: np.ndarray, F: np.ndarray
-    ) -> None:
+    def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
         """Add to forces, (3, n), those that turn groups of points rigidly and exert the torques of their members.
 
         Args:
@@ -158,7 +157,7 @@ class NumpyBackend:
 
     # --- atoms ---
 
-    def place(self, kinds: Sequence[Sites], q: np.ndarray, A: np.ndarray, positions: np.ndarray) -> bool:
+    def place(self, kinds: Sequence[Sites], q: ndarray, A: ndarray, positions: ndarray) -> bool:
         """Write the positions (N, 3) of atoms; returns whether they are finite."""
         for sites in kinds:
             for block, columns in _blocks(sites):
@@ -169,12 +168,12 @@ class NumpyBackend:
     def move(
         self,
         kinds: Sequence[Sites],
-        p: np.ndarray,
-        A: np.ndarray,
-        L: np.ndarray,
-        inverse_masses: np.ndarray,
-        inverse_moments: np.ndarray,
-        velocities: np.ndarray,
+        p: ndarray,
+        A: ndarray,
+        L: ndarray,
+        inverse_masses: ndarray,
+        inverse_moments: ndarray,
+        velocities: ndarray,
     ) -> None:
         """Write the velocities (N, 3) of atoms."""
         v, omega = p * inverse_masses, angular_velocity(A, L, inverse_moments)
@@ -184,8 +183,8 @@ class NumpyBackend:
                     velocities[column] = (v[:, block] + np.stack(cross(omega[:, block], arm))).T
 
     def collect(
-        self, kinds: Sequence[Sites], vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray, bool]:
+        self, kinds: Sequence[Sites], vectors: ndarray, A: ndarray, weights: Sequence[ndarray]
+    ) -> tuple[ndarray, ndarray, bool]:
         """Sums (3, n) over atoms of weighted vectors (N, 3), sums of their moments, and whether these are finite.
 
         The weights are those of the sites of each kind. With sites r = sum_a s_a A_a the moment sum_j r_j x f_j is
@@ -208,10 +207,67 @@ class NumpyBackend:
                         np.subtract(outer[y, z], outer[z, y], out=moment[x, block])
         return total, moment, _finite(total) and _finite(moment)
 
+    # --- constraints ---
 
-def _rotated(
-    rotor: Rotor, top: Top, A: np.ndarray, L: np.ndarray, h: float, numbers: Sequence[int]
-) -> list[np.ndarray]:
+    def project_stars(self, stars: Stars, q: ndarray, p: ndarray, new_p: ndarray) -> None:
+        """Write the momenta, or forces, (3, n), of stars without what acts along their bonds."""
+        star_loops.project_star(q, p, stars, star_loops.scratch_of_all(*stars.leaves.shape), new_p)
+
+    def displace_stars(self, stars: Stars, q: ndarray, force: ndarray, shift: float, new_q: ndarray) -> int:
+        """Write positions (3, n) moved by shift M^-1 force and put back along the bonds at q.
+
+        Returns:
+            The first star that has none, or -1.
+        """
+        scratch = star_loops.scratch_of_all(*stars.leaves.shape)
+        with np.errstate(all="ignore"):
+            if star_loops.displace_star(q, force, shift, stars, scratch, new_q):
+                return -1
+            return star_loops.displace_stars(q, force, shift, *stars, new_q)
+
+    def drift_stars(
+        self, stars: Stars, q: ndarray, p: ndarray, times: ndarray, total: float, new_q: ndarray, new_p: ndarray
+    ) -> int:
+        """Write positions and momenta (3, n) after RATTLE steps of some times with a sum that is not 0.
+
+        Returns:
+            The first star without a solution, or -1.
+        """
+        scratch = star_loops.scratch_of_all(*stars.leaves.shape)
+        with np.errstate(all="ignore"):
+            if star_loops.drift_star(q, p, times, total, stars, scratch, new_q, new_p):
+                return -1
+            return star_loops.drift_stars(q, p, times, total, *stars, new_q, new_p)
+
+    def project_graphs(self, graphs: Graphs, q: ndarray, p: ndarray, new_p: ndarray) -> None:
+        """As `project_stars`, for all other components of the constraints."""
+        x, v = graph_arrays.taken(graphs, q, p)
+        graph_arrays.put_momenta(graphs, p, graph_arrays.project(graphs, x, v), new_p)
+
+    def displace_graphs(self, graphs: Graphs, q: ndarray, force: ndarray, shift: float, new_q: ndarray) -> int:
+        """As `displace_stars`, for all other components."""
+        x, v = graph_arrays.taken(graphs, q, force)
+        with np.errstate(all="ignore"):
+            x, _, failed = graph_arrays.constrain(graphs, x, shift * v, 1.0)
+        graph_arrays.put_positions(graphs, q, x, new_q)
+        return failed
+
+    def drift_graphs(
+        self, graphs: Graphs, q: ndarray, p: ndarray, times: ndarray, total: float, new_q: ndarray, new_p: ndarray
+    ) -> int:
+        """As `drift_stars`, for all other components."""
+        x, v = graph_arrays.taken(graphs, q, p)
+        with np.errstate(all="ignore"):
+            for d in times:
+                x, v, failed = graph_arrays.constrain(graphs, x, v, d)
+                if failed >= 0:
+                    return failed
+        graph_arrays.put_positions(graphs, q, x, new_q)
+        graph_arrays.put_momenta(graphs, p, graph_arrays.project(graphs, x, v), new_p)
+        return -1
+
+
+def _rotated(rotor: Rotor, top: Top, A: ndarray, L: ndarray, h: float, numbers: Sequence[int]) -> list[ndarray]:
     """Rows of the new attitudes, each (3, n)."""
     with np.errstate(all="ignore"):
         body_L = top.sort(body_frame(A, L))
@@ -229,12 +285,12 @@ def _rotated(
     return [combine(row, A[0], A[1], A[2]) for row in rows]
 
 
-def _finite(vectors: np.ndarray) -> bool:
+def _finite(vectors: ndarray) -> bool:
     """Whether all components (3, n) are finite, as their sum shows if it does not overflow; einsum does not warn."""
     return math.isfinite(np.einsum("ij->", vectors)) or bool(np.isfinite(vectors).all())
 
 
-def _products(factors: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _products(factors: ndarray, vectors: ndarray) -> ndarray:
     """Sums of vectors (k, 3, n) with factors (j, k), as (j, 3, n)."""
     return (factors @ vectors.reshape(vectors.shape[0], -1)).reshape(-1, *vectors.shape[1:])
 
@@ -251,7 +307,7 @@ def _blocks(sites: Sites) -> Iterator[tuple[slice, list]]:
         yield slice(part.start + start, part.start + stop), columns
 
 
-def _part(column: slice | np.ndarray, block: slice) -> slice | np.ndarray:
+def _part(column: slice | ndarray, block: slice) -> slice | ndarray:
     """What picks the atoms of some of the bodies."""
     if isinstance(column, slice):
         step = column.step or 1

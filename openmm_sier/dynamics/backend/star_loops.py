@@ -7,7 +7,8 @@ sum_c B_bc lambda_c r_c; rounding depends on bond lengths alone, not on where in
 NumPy and Numba execute the same functions: they index arrays whose shapes NumPy extends by an axis of m stars. So r
 and u have the shape (k, 3) or (k, 3, m), multipliers (k,) or (k, m), matrices (k, k) or (k, k, m), and what belongs
 to the centre is a scalar or (m,). Two functions differ: `largest`, so that NumPy goes on until all stars have
-converged, and `leaves_of`, so that Numba compiles the loops anew for each k and unrolls them.
+converged, and `leaves_of`, so that Numba compiles the loops anew for each k and unrolls them: `compiled_for` has those
+that take their places.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ CLOSE = 1e-7
 #: More iterations than this mean that there is no solution nearby.
 ITERATIONS = 30
 
+#: Stars have up to this many leaves; larger ones are treated as graphs.
+MOST_LEAVES = 3
+
 
 def largest(value):
     """The largest value of all stars, NaN if one is NaN; for a single star the value itself."""
@@ -30,6 +34,27 @@ def largest(value):
 def leaves_of(array):
     """The number of leaves, which compiled code has as a constant."""
     return array.shape[0]
+
+
+def of_one_star(value):
+    return value
+
+
+def one_leaf(array):
+    return 1
+
+
+def two_leaves(array):
+    return 2
+
+
+def three_leaves(array):
+    return 3
+
+
+def compiled_for(leaves):
+    """What replaces functions of this module in loops that are compiled for stars of this many leaves."""
+    return {largest: of_one_star, leaves_of: (one_leaf, two_leaves, three_leaves)[leaves - 1]}
 
 
 def open_star(q, p, centre, leaves, light, heavy, r, u):
@@ -264,15 +289,14 @@ def project_star(q, p, star, scratch, new_p):
 
 def scratch_of(k):
     """Arrays to work in for one star."""
-    return (
-        np.empty((k, 3)),
-        np.empty((k, 3)),
-        np.empty((k, 3)),
-        np.empty(k),
-        np.empty(k),
-        np.empty(k),
-        np.empty((k, k)),
-    )
+    r, u, out = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, 3))
+    return r, u, out, np.empty(k), np.empty(k), np.empty(k), np.empty((k, k))
+
+
+def scratch_of_all(k, m):
+    """Arrays to work in for m stars at once, which NumPy executes."""
+    vectors, numbers = np.empty((3, k, 3, m)), np.empty((3, k, m))
+    return (*vectors, *numbers, np.empty((k, k, m)))
 
 
 def drift_stars(q, p, times, total, centres, leaves, light, heavy, squares, new_q, new_p):
@@ -301,24 +325,3 @@ def project_stars(q, p, centres, leaves, light, heavy, squares, new_p):
     for n in range(len(centres)):
         star = (centres[n], leaves[:, n], light[:, n], heavy[n], squares[:, n])
         project_star(q, p, star, scratch, new_p)
-
-
-#: The functions to compile, each after those that it calls.
-HELPERS = (
-    open_star,
-    close_positions,
-    close_momenta,
-    accelerate,
-    reach,
-    gram,
-    solve,
-    project_rates,
-    centripetal,
-    constrain,
-    turn,
-    drift_star,
-    displace_star,
-    project_star,
-    scratch_of,
-)
-LOOPS = (drift_stars, displace_stars, project_stars)

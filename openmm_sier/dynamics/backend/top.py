@@ -82,11 +82,11 @@ def top(moments: np.ndarray) -> Top:
     moments = np.asarray(moments, dtype=float)
     if moments.ndim not in (1, 2) or moments.shape[0] != 3:
         raise ValueError(f"moments must have shape (3,) or (3, n), got {moments.shape}")
-    return _of_three(*moments.tolist()) if moments.ndim == 1 else _sorted(moments)
+    return _shared_by_all(*moments.tolist()) if moments.ndim == 1 else _sorted(moments)
 
 
 @lru_cache(maxsize=256)
-def _of_three(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Top:
+def _shared_by_all(x: float, y: float, z: float) -> Top:
     return _sorted(np.array([x, y, z]))
 
 

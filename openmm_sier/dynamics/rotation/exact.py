@@ -1,142 +1,63 @@
-"""Exact free rotation: A* = P(h) A and L* = L (van Zon and Schofield 2007, Eq. 5b, U1).
+"""The exact free rotation as a map, and as backends execute it."""
 
-Rows of A are the principal axes in the lab frame, L~ = A L. The paper writes (Eq. 9, Pmatrix)
+from __future__ import annotations
 
-    P(h) = R1(L~*) R2(psi) R1(L~)^T,
-
-where R1 takes a fixed pole, a principal axis, to the direction of L~, and psi is an integral along the path of L~,
-ill-behaved where the path comes near the pole. The decomposition holds for any pole. Here the pole is the direction m
-of L~ in the middle of the step, R1 is the smallest rotation between two directions, and with u, v those of L~ and L~*
-
-    P(h) = R1(m -> v) R2(m, -theta) R1(u -> m),     theta = Int g dt,    g = omega . (m + v(t)) / (1 + m . v(t)).
-
-So nothing is singular before L~ has turned by half a circle within one step, the axes never have to be exchanged, and
-as a quaternion P is rational in u, m, v and the sine and cosine of theta/2: orthogonal to rounding.
-
-All functions take scalars or arrays: NumPy executes them on arrays of bodies, Numba compiles them for one (`rotor`).
-tests/dynamics/rotation/test_paper_formulas.py has the paper's own form, which agrees.
-"""
+from typing import Any
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import plus
-from openmm_sier.dynamics.rotation.elliptic import LONGEST, sn_increment
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
+from openmm_sier.dynamics.rotation import long_steps
+from openmm_sier.dynamics.rotation.arguments import checked
+from openmm_sier.dynamics.rotation.elliptic import long_series, shortest_series
+from openmm_sier.dynamics.rotation.short_steps import free_rotation
 
-#: Squares of angular momenta outside this range are left to `long_steps`, which rescales them.
-LEAST_SQUARE, LARGEST_SQUARE = 1e-240, 1e240
 
-
-def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
-    """P(h) as a quaternion, the parts of v that are even and odd about the middle, and whether the series reach so far.
+def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Exact torque-free rotation of rigid bodies over a time of any length and either sign.
 
     Args:
-        body_L: L~, three components in the frame where the rates a >= b >= c, the inverse moments, descend.
-        rates, h: these rates, and the time.
-        series: the series of S and the quadrature for p and q, from `elliptic`.
-        sine_cosine, largest_angle: sine and cosine of an angle, and the largest one that it takes.
+        A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
+        L: angular momenta in the lab frame, (3, n), dalton nm^2/ps.
+        moments: principal moments, (3,) or (3, n), dalton nm^2, in any order. A point has three zeros, a line exactly
+            one zero and two equal moments.
+        h: time in ps, a float.
+
+    Returns:
+        (A, L) after the time h, new arrays; free rotation conserves L.
+
+    Raises:
+        ValueError: shapes do not fit, moments are impossible, or a value is not finite.
+
+    Source: van Zon and Schofield (2007), Eqs. 5 (U1) and 9 (Pmatrix); see `openmm_sier.dynamics.rotation.short_steps`.
+
+    A quarter turn about the third axis, and back:
+
+    >>> import numpy as np
+    >>> A, L = np.eye(3)[:, :, None], np.array([[0.0], [0.0], [1.0]])
+    >>> there, _ = exact(A, L, (1.0, 2.0, 2.5), 2.5 * np.pi / 2)
+    >>> (there[:, :, 0].round(9) + 0.0).tolist()
+    [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    >>> back, _ = exact(there, L, (1.0, 2.0, 2.5), -2.5 * np.pi / 2)
+    >>> bool(abs(back - A).max() < 1e-15)
+    True
     """
-    x, y, z = body_L
-    square = x * x + y * y + z * z
-    norm = np.sqrt(square)
-    inverse = 1 / norm
-    u = x * inverse, y * inverse, z * inverse
-    k = norm * h
-    motion = euler_rates(rates, u, k)
-    _, _, _, p, q = motion
-    coefficients, times, weights = series(p, q)
-
-    end = sn_increment(coefficients, p, q, times[0])
-    even, odd = euler_solution(motion, u, end)
-    m = plus(even, odd)
-    even, odd = euler_solution(motion, m, end)
-
-    # Eq. 10 (integral). The paper sums derivatives at the ends (Eq. 11, psiapprox), to order 2n; the Gauss-Lobatto sum
-    # of values here has converged to rounding. Either is even in time.
-    middle = middle_terms(rates, motion, m)
-    rate = middle[0] + weights[0] * rate_excess(middle, end)
-    for node in range(1, len(times)):
-        rate += weights[node] * rate_excess(middle, sn_increment(coefficients, p, q, times[node]))
-    half_theta = 0.5 * k * rate
-
-    sine, cosine = sine_cosine(half_theta)
-    reached = (p <= LONGEST) & (q <= LONGEST) & (abs(half_theta) <= largest_angle)
-    reached = (square >= LEAST_SQUARE) & (square <= LARGEST_SQUARE) & reached
-    return propagator(m, even, odd, sine, cosine), (even, odd), reached
+    bodies, A, L, h = checked(A, L, moments, h)
+    return backend.active().rotate(EXACT, bodies, A, L, h), L.copy()
 
 
-def euler_rates(rates, u, k):
-    """Rates of Euler's equations over a step, du/dt = (-alpha y z, beta x z, -gamma x y), and p and q of S.
-
-    Here k = |L| h, the time is in steps, and p and q are sums of terms of one sign.
-    """
-    a, b, c = rates
-    x, y, z = u
-    alpha, beta, gamma = k * (b - c), k * (a - c), k * (a - b)
-    y2 = y * y
-    p = (beta * (x * x) + alpha * y2) * gamma
-    q = (gamma * y2 + beta * (z * z)) * alpha
-    return alpha, beta, gamma, p, q
+def _of_body(body_L: Any, rates: Any, h: float) -> Any:
+    """The free rotation of one body, which Numba compiles, as far as its series and that of the sine reach."""
+    turn, _, reached = free_rotation(body_L, rates, h, long_series, small_sine_cosine, SMALL_ANGLE)
+    return turn, reached
 
 
-def euler_solution(motion, u, increments):
-    """The even and odd parts in t of the direction of L~ a time t later, which are at right angles to each other.
-
-    The free solution of Euler's equations by S, C and D of `sn_increment` for t, which needs no initial phase:
-    with G = 1 - alpha gamma y^2 S^2
-
-        x* = (x D - S C alpha y z)/G,   y* = (y C D + S beta x z)/G,   z* = (z C - S D gamma x y)/G.
-    """
-    alpha, beta, gamma, _, _ = motion
-    x, y, z = u
-    S, S2, C, D = increments
-    f = 1 / (1 - (alpha * gamma) * (y * y * S2))
-    fS = f * S
-    Cf, Df = C * f, D * f
-    even = (x * Df, y * (C * Df), z * Cf)
-    odd = (-(alpha * C) * (fS * y * z), (beta * fS) * (x * z), -(gamma * D) * (fS * x * y))
-    return even, odd
+def _of_arrays(body_L: Any, rates: Any, h: float) -> Any:
+    """The free rotation of bodies, which NumPy executes, as far as the series reach."""
+    turn, _, reached = free_rotation(body_L, rates, h, shortest_series, long_steps.sine_cosine, long_steps.PHASE_CAP)
+    return turn, reached
 
 
-def middle_terms(rates, motion, m):
-    """What `rate_excess` needs of L~ in the middle of the step, with 2E/L^2 at the first place."""
-    a, b, c = rates
-    alpha, _, gamma, _, _ = motion
-    X, Y, Z = m[0] * m[0], m[1] * m[1], m[2] * m[2]
-    leading = a * X + b * Y + c * Z
-    above, below = a - leading, c - leading
-    weighted = (above * X, (b - leading) * Y, below * Z)
-    return leading, (X, Y, Z), weighted, (alpha, gamma, above * alpha, below * gamma), (alpha * gamma) * Y, X * (Y * Z)
-
-
-def rate_excess(middle, increments):
-    """Mean over the times +-t of g/|L| - 2E/L^2.
-
-    Numerator and denominator of g share the factor 1/G of `euler_solution` and split into parts even and odd in t.
-    """
-    _, (X, Y, Z), (aX, bY, cZ), (alpha, gamma, a_alpha, c_gamma), twist, product = middle
-    _, S2, C, D = increments
-    CD = C * D
-    numerator = aX * D + bY * CD + cZ * C
-    denominator = (1 - twist * S2) + (X * D + Y * CD + Z * C)
-    less_C, less_D = 1 - C, 1 - D
-    odd = alpha * less_C + gamma * less_D  # of the denominator, over S x y z
-    odd_product = S2 * product * odd
-    return (numerator * denominator - odd_product * (a_alpha * less_C + c_gamma * less_D)) / (
-        denominator * denominator - odd_product * odd
-    )
-
-
-def propagator(m, even, odd, sine, cosine):
-    """Eq. 9 (Pmatrix): the quaternion of R1(m -> v) R2(m, -theta) R1(u -> m), u = even - odd and v = even + odd.
-
-    R1(m -> v) R1(u -> m) is R1(u -> v) after a turn about u by the area of the triangle u m v. Sine and cosine are
-    those of theta/2.
-    """
-    ex, ey, ez = even
-    nx, ny, nz = ey * odd[2] - ez * odd[1], ez * odd[0] - ex * odd[2], ex * odd[1] - ey * odd[0]
-    ee = ex * ex + ey * ey + ez * ez
-    volume = m[0] * nx + m[1] * ny + m[2] * nz
-    cosines = m[0] * ex + m[1] * ey + m[2] * ez + ee
-    c = cosines * cosine - volume * sine
-    s = volume * cosine + cosines * sine
-    return ee * c, c * nx - s * ex, c * ny - s * ey, c * nz - s * ez
+#: The form that backends take.
+EXACT = backend.Rotor(_of_body, _of_arrays, long_steps.turn)

@@ -6,7 +6,7 @@ import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import plus
 from openmm_sier.dynamics.rotation.elliptic import LONGEST, complete_integrals, shortest_series
-from openmm_sier.dynamics.rotation.exact import euler_rates, free_rotation
+from openmm_sier.dynamics.rotation.short_steps import euler_rates, free_rotation
 
 #: If passages of the separatrix's saddle are more than this many sub-steps apart, doubles cannot resolve the motion.
 MOST_SUBSTEPS = 8192
@@ -31,8 +31,8 @@ def turn(body_L, rates, h):
     u, k = _direction(body_L, h)
     cap = PHASE_CAP / np.maximum(rates[0], 1e-200)
     k = np.clip(k, -cap, cap)
-    _, _, _, p, q = euler_rates(rates, u, k)
-    phase = np.sqrt(np.maximum(p, q))
+    motion = euler_rates(rates, u, k)
+    phase = np.sqrt(np.maximum(motion.p, motion.q))
     rest, whole = np.ones_like(k), np.zeros_like(k)
     # No period of L~ is shorter than 2 pi in phase.
     if (long := phase > 3).any():

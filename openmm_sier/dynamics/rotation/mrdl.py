@@ -6,7 +6,7 @@ import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.rotation.arguments import blocks, checked, demand_finite
-from openmm_sier.dynamics.rotation.rotor import exact
+from openmm_sier.dynamics.rotation.exact import exact
 
 #: The factors, as principal axis (0 has the smallest moment, 2 the largest) and fraction of the step.
 FACTORS = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))

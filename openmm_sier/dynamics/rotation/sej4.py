@@ -10,8 +10,8 @@ import numpy as np
 from openmm_sier.dynamics.backend.formulas import body_frame, combine, cross, plus
 from openmm_sier.dynamics.rotation.arguments import blocks, checked, demand_finite
 from openmm_sier.dynamics.rotation.elliptic import SERIES_LIMIT, sn_coefficients, sn_increment
-from openmm_sier.dynamics.rotation.exact import LARGEST_SQUARE, LEAST_SQUARE, euler_rates, euler_solution
-from openmm_sier.dynamics.rotation.rotor import exact
+from openmm_sier.dynamics.rotation.exact import exact
+from openmm_sier.dynamics.rotation.short_steps import LARGEST_SQUARE, LEAST_SQUARE, euler_rates, euler_solution
 
 #: Where the two-point Gauss rule on (0, 1) has its first node; the second lies as far from the end.
 GAUSS_NODE = 0.5 - math.sqrt(3) / 6
@@ -67,8 +67,8 @@ def _gauss_velocities(
     far = ~((square >= LEAST_SQUARE) & (square <= LARGEST_SQUARE))
     norm = np.sqrt(np.where(far, 1.0, square))
     u, k = body_L / norm, norm * h
-    _, _, _, p, q = euler_rates(rates, u, k)
-    far |= ~(np.maximum(p, q) <= _SERIES_REACH * 4**_MOST_HALVINGS)
+    motion = euler_rates(rates, u, k)
+    far |= ~(np.maximum(motion.p, motion.q) <= _SERIES_REACH * 4**_MOST_HALVINGS)
     velocities = _velocities_by_series(rates, u, norm, np.where(far, 0.0, k))
     if far.any():
         for near, value in zip(velocities, _velocities_by_attitude(rates, rows, L, h, far), strict=True):
@@ -80,7 +80,7 @@ def _velocities_by_series(
     rates: np.ndarray, u: np.ndarray, norm: np.ndarray, k: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     motion = euler_rates(rates, u, k)
-    _, _, _, p, q = motion
+    p, q = motion.p, motion.q
     phase = np.maximum(p, q).max(initial=0.0)
     pieces = 1
     while phase > _SERIES_REACH * pieces**2:

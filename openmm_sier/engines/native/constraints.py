@@ -16,7 +16,7 @@ OFF = 1e-7
 NOT_CONVERGED = 1e-4
 
 
-class Constraints:
+class SystemConstraints:
     """The constraints of a System.
 
     Attributes:

@@ -18,7 +18,7 @@ from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import fast_forces, refusals
-from openmm_sier.engines.native.constraints import Constraints
+from openmm_sier.engines.native.constraints import SystemConstraints
 from openmm_sier.engines.native.program import (
     EXACT_ONLY,
     WORK,
@@ -95,7 +95,7 @@ class NativeEngine:
         system = context.getSystem()
         self._program = refusals.refuse(flow, bodies, program, system)
         self._flow = flow
-        self._constraints = Constraints(system)
+        self._constraints = SystemConstraints(system)
         self._points = refusals.points(system)
         self._bodies: RigidBodies | None = None
         self._plan: Any = None

@@ -7,8 +7,9 @@ from itertools import combinations
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.native.program import Program
 from openmm_sier.engines.protocol import Flow
 from openmm_sier.system import checks

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, Species
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT, GRAM_PER_CM3
+from openmm_sier.dynamics.species import Species
 
 #: W. L. Jorgensen, J. Chandrasekhar, J. D. Madura, R. W. Impey and M. L. Klein, J. Chem. Phys. 79, 926 (1983), Table I:
 #: r(OH) = 0.9572 A, HOH = 104.52 deg, r(OM) = 0.15 A, q(H) = 0.52 e, A = 600e3 kcal A^12/mol, C = 610 kcal A^6/mol.

@@ -14,8 +14,9 @@ import pytest
 from openmm_sier import SIER2, SIER4
 from openmm_sier.dynamics import backend, operators, rotation
 from openmm_sier.dynamics.bodies import BodyState
+from openmm_sier.dynamics.constraints.geodesic import SUZUKI
 from openmm_sier.dynamics.schemes import SIER4G
-from tests.support import molecules
+from tests.support import flexible, molecules
 from tests.support.steps import constant_torques, with_a_fast_body
 
 #: Sums and products that are contracted to fused operations, or not, differ by rounding of terms of order one; the
@@ -122,6 +123,50 @@ def test_steps_of_no_bodies_and_of_points(rng):
             assert getattr(plain, name).shape == getattr(state, name).shape
             # A gradient kick gives points the moment of parallel vectors, which is rounding of 1e-3 x 1.
             assert np.allclose(getattr(plain, name), getattr(fast, name), rtol=10 * ROUNDING, atol=1e-3 * ROUNDING)
+
+
+def test_constraints_agree(rng):
+    """Stars by the same formulas, graphs by conjugate gradients and by elimination."""
+    system = flexible.mixture()
+    constraints = system.constraints()
+    q = constraints.satisfied(system.x)
+    p = constraints.project(q, np.sqrt(2.5 * system.masses) * rng.normal(size=q.shape))
+    for function in (
+        lambda: constraints.project(q, p + 1),
+        lambda: constraints.displaced(q, p, 0.01),
+        lambda: np.stack(constraints.drift(q, p, 0.004, SUZUKI.fractions)),
+    ):
+        plain, fast = both(function)
+        assert not np.array_equal(plain, fast)
+        # Rounding times the condition of the cage.
+        assert np.abs(plain - fast).max() < 100 * ROUNDING * np.abs(plain).max()
+
+
+STEP_OF_EVERYTHING = """
+import sys
+import numpy as np
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.constrained import constrained_operators
+from openmm_sier.dynamics.operators import CachedForces, stepper
+from openmm_sier.dynamics.schemes import SIER4G
+from tests.support.flexible import mixture
+
+system = mixture()
+forces = CachedForces(lambda q, A: (system.forces(q), 0 * q))
+with backend.using(backend.NUMPY):
+    operators = constrained_operators(system.bodies, forces, system.constraints())
+    start = system.start(np.random.default_rng(1))
+    stepper(SIER4G, operators, 0.001)(start)
+    print("numba" in sys.modules)
+stepper(SIER4G, operators, 0.001)(start)
+print("numba" in sys.modules)
+"""
+
+
+def test_no_compiled_code_is_called_where_numpy_is_in_use():
+    """A step of a mixture with constraints does not so much as import Numba; without `using` it does."""
+    found = subprocess.run([sys.executable, "-c", STEP_OF_EVERYTHING], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["False", "True"]
 
 
 @pytest.mark.parametrize("without_numba", [False, True])

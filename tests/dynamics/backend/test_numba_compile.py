@@ -48,6 +48,24 @@ def test_another_process_finds_the_code_on_disk(tmp_path):
     assert found[1] == found[0]
 
 
+@pytest.mark.slow
+def test_code_on_disk_of_a_module_that_has_moved_is_not_taken_up(tmp_path):
+    """Numba imports the modules of all functions in the code that it reads."""
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "loops.py").write_text("from package import formula\n\n\ndef loop(n):\n    return formula(n)\n")
+    code = "from package import loops\nfrom openmm_sier.dynamics.backend.numba_compile import compiled\n"
+    code += "print(compiled(loops.loop, {})(1))"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    for module in ("one", "other"):
+        (package / "__init__.py").write_text(f"from package.{module} import formula\n")
+        (package / f"{module}.py").write_text("import math\n\n\ndef formula(n):\n    return math.sqrt(n)\n")
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+        assert found.stdout == "1.0\n", found.stderr
+        assert any((tmp_path / "cache").rglob("*.nbc"))
+        (package / f"{module}.py").unlink()
+
+
 def test_no_directory_for_the_cache(monkeypatch):
     """Where nothing can be written the loops are compiled in every process."""
     options = []

@@ -3,46 +3,19 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib import util
 
 import numpy as np
 import pytest
 
 from openmm_sier import BodyState
-from openmm_sier.dynamics.bodies import RigidBodies, Species
+from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.constraint_graph import eliminate
 from openmm_sier.dynamics.constraints import ConstraintError, Constraints
-from openmm_sier.dynamics.geodesic import KAHAN_LI, RATTLE, SUZUKI, TRIPLE_JUMP, Composition
+from openmm_sier.dynamics.constraints.geodesic import KAHAN_LI, RATTLE, SUZUKI, TRIPLE_JUMP, Composition
+from openmm_sier.dynamics.constraints.graph import eliminate
 from openmm_sier.dynamics.operators import drift
-from tests.support.flexible import Points, cage, ring, rotor
-
-EXECUTIONS = [False, True] if util.find_spec("numba") else [False]
-
-
-@pytest.fixture(params=EXECUTIONS, ids=["numpy", "numba"][: len(EXECUTIONS)])
-def compiled(request):
-    return request.param
-
-
-def many(*kinds, apart=0.7):
-    """Molecules of several kinds in one system, out of order among two free points."""
-    x, masses, pairs, lengths = [np.zeros(3)], [20.0], [], []
-    for number, kind in enumerate(kinds):
-        first = len(x)
-        x += list(kind.x.T + apart * np.array([number % 3, number // 3, 0.1 * number]))
-        masses += list(kind.masses)
-        pairs += [(i + first, j + first) for i, j in kind.pairs]
-        lengths += list(kind.lengths)
-    x.append(np.ones(3))
-    masses.append(30.0)
-    place = np.random.default_rng(5).permutation(len(x))
-    order = np.argsort(place)
-    return Points(np.array(x)[order], np.array(masses)[order], place[np.array(pairs)], lengths)
-
-
-def mixture():
-    return many(rotor(1), rotor(2), rotor(3), ring(), rotor(3), cage(), rotor(4), ring(5), rotor(1), rotor(2))
+from openmm_sier.dynamics.species import Species
+from tests.support.flexible import cage, many, mixture, ring, rotor
 
 
 def gradients(system, q):
@@ -61,10 +34,10 @@ def squares(system, q):
 # --- algebra ----------------------------------------------------------------------------------------------------------
 
 
-def test_projection_is_the_one_of_linear_algebra(rng, compiled):
+def test_projection_is_the_one_of_linear_algebra(rng, executed_by):
     """Against a dense pseudo-inverse: idempotent, tangent, orthogonal in the metric of the inverse masses."""
     system = mixture()
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q = constraints.satisfied(system.x)
     p = rng.normal(size=q.shape)
     found = constraints.project(q, p)
@@ -78,9 +51,9 @@ def test_projection_is_the_one_of_linear_algebra(rng, compiled):
     assert np.abs(constraints.project(q, found) - found).max() < 1e-13
 
 
-def test_projection_leaves_free_points_and_momenta_alone(rng, compiled):
+def test_projection_leaves_free_points_and_momenta_alone(rng, executed_by):
     system = mixture()
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q = constraints.satisfied(system.x)
     p = rng.normal(size=q.shape)
     found = constraints.project(q, p)
@@ -91,9 +64,9 @@ def test_projection_leaves_free_points_and_momenta_alone(rng, compiled):
     assert np.abs(np.cross(q, found - p, axis=0).sum(axis=1)).max() < 1e-13
 
 
-def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(rng, compiled):
+def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(rng, executed_by):
     system = mixture()
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q = constraints.satisfied(system.x)
     force, shift = rng.normal(size=q.shape), 0.02
     found = constraints.displaced(q, force, shift)
@@ -107,30 +80,15 @@ def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(rng, co
     assert np.abs(left).max() < 1e-13
 
 
-def test_positions_are_put_onto_the_constraints(rng, compiled):
+def test_positions_are_put_onto_the_constraints(rng, executed_by):
     """OpenMM's constraint tolerance leaves a relative 1e-5; a hundred times as much is mended as well."""
     system = mixture()
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q = constraints.satisfied(system.x + 1e-4 * rng.normal(size=system.x.shape))
     assert constraints.residual(system.x) < 1e-9
     assert constraints.residual(q) < 1e-13
     again = constraints.satisfied(q)
     assert np.abs(again - q).max() < 1e-15
-
-
-@pytest.mark.skipif(len(EXECUTIONS) < 2, reason="needs Numba")
-def test_numpy_and_numba_agree_to_rounding(rng):
-    system = mixture()
-    one, other = system.constraints(False), system.constraints(True)
-    q = one.satisfied(system.x)
-    p = thermal(rng, one, q)
-    for a, b in (
-        (one.project(q, p), other.project(q, p)),
-        (one.displaced(q, p, 0.01), other.displaced(q, p, 0.01)),
-        *zip(one.drift(q, p, 0.004, SUZUKI.fractions), other.drift(q, p, 0.004, SUZUKI.fractions), strict=True),
-    ):
-        # Elimination and conjugate gradients: rounding times the condition of the cage.
-        assert np.abs(a - b).max() < 1e-12 * np.abs(a).max()
 
 
 # --- geodesics --------------------------------------------------------------------------------------------------------
@@ -141,10 +99,10 @@ def thermal(rng, constraints, q, temperature=300.0):
     return constraints.project(q, p)
 
 
-def test_a_pair_moves_exactly(rng, compiled):
+def test_a_pair_moves_exactly(rng, executed_by):
     """As the linear rigid body of exact free rotation does, over any time."""
     system = rotor(1)
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q = constraints.satisfied(system.x)
     p = thermal(rng, constraints, q)
     body = RigidBodies([Species.from_coordinates([[0, 1]], system.masses, q.T)], 2)
@@ -175,12 +133,12 @@ def free_flight(make, time):
 
 @pytest.mark.parametrize("make", [methyl, ring, cage])
 @pytest.mark.parametrize("composition", [RATTLE, SUZUKI, TRIPLE_JUMP, KAHAN_LI], ids=lambda c: c.name)
-def test_geodesics_have_the_order_of_their_composition(make, composition, compiled):
+def test_geodesics_have_the_order_of_their_composition(make, composition, executed_by):
     """Against the equations of motion with multipliers, integrated by DOP853."""
     # Turns of half a radian, so that sixth order shows above the oracle's 1e-12.
     time = 0.03
     system, start, exact = free_flight(make, time)
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     steps = (2, 4) if composition.order == 6 else (4, 8)
     errors = []
     for n in steps:
@@ -189,9 +147,9 @@ def test_geodesics_have_the_order_of_their_composition(make, composition, compil
     assert np.log2(errors[0] / errors[1]) == pytest.approx(composition.order, abs=0.3)
 
 
-def test_geodesics_conserve_and_reverse(rng, compiled):
+def test_geodesics_conserve_and_reverse(rng, executed_by):
     system = mixture()
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q0 = constraints.satisfied(system.x)
     p0 = thermal(rng, constraints, q0)
     q, p = q0, p0
@@ -213,10 +171,10 @@ def test_geodesics_conserve_and_reverse(rng, compiled):
     assert np.abs(q - q0).max() < 1e-11
 
 
-def test_geodesics_are_symplectic(rng, compiled):
+def test_geodesics_are_symplectic(rng, executed_by):
     """The canonical form on tangent vectors of the constrained phase space, by differences of fourth order."""
     system = rotor(2)
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q0 = constraints.satisfied(system.x)
     p0 = thermal(rng, constraints, q0)
 
@@ -240,9 +198,9 @@ def test_geodesics_are_symplectic(rng, compiled):
         assert abs(before) > 1e-3
 
 
-def test_a_drift_of_no_time_changes_nothing(rng, compiled):
+def test_a_drift_of_no_time_changes_nothing(rng, executed_by):
     system = mixture()
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q = constraints.satisfied(system.x)
     p = thermal(rng, constraints, q)
     found = constraints.drift(q, p, 0.0, SUZUKI.fractions)
@@ -250,9 +208,9 @@ def test_a_drift_of_no_time_changes_nothing(rng, compiled):
     assert np.array_equal(found[1], p)
 
 
-def test_inputs_are_left_as_they_were(rng, compiled):
+def test_inputs_are_left_as_they_were(rng, executed_by):
     system = mixture()
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q = constraints.satisfied(system.x)
     p = thermal(rng, constraints, q)
     before = q.copy(), p.copy()
@@ -261,10 +219,10 @@ def test_inputs_are_left_as_they_were(rng, compiled):
     assert not any(np.shares_memory(new, old) for new in found for old in (q, p))
 
 
-def test_far_from_the_origin(rng, compiled):
+def test_far_from_the_origin(rng, executed_by):
     """Bond vectors, not coordinates, carry the rounding: at 50 nm only the position itself is rounded."""
     system = mixture()
-    constraints = system.constraints(compiled)
+    constraints = system.constraints()
     q = constraints.satisfied(system.x)
     p = thermal(rng, constraints, q)
     near = constraints.drift(q, p, 0.003, SUZUKI.fractions)
@@ -306,14 +264,14 @@ def test_a_singular_geometry_is_named():
 
 
 @pytest.mark.parametrize("leaves", [3, 4, 5])
-def test_a_rigid_tetrahedron_by_constraints_moves_as_a_rigid_body(rng, leaves, compiled):
+def test_a_rigid_tetrahedron_by_constraints_moves_as_a_rigid_body(rng, leaves, executed_by):
     """All distances of a cluster: its geodesic is free rotation. Of five or six atoms many are redundant."""
     system = rotor(min(leaves, 4))
     further = np.add(system.x.T[:1], [0.05, 0.11, 0.02])
     x = np.vstack([system.x.T, *[further] * (leaves - 4)])
     masses = [*system.masses, *[2.0] * (leaves - 4)]
     pairs = [(i, j) for i in range(len(x)) for j in range(i)]
-    constraints = Constraints(pairs, [np.linalg.norm(x[i] - x[j]) for i, j in pairs], masses, compiled=compiled)
+    constraints = Constraints(pairs, [np.linalg.norm(x[i] - x[j]) for i, j in pairs], masses)
     q = constraints.satisfied(x.T)
     assert constraints.rank(q) == 3 * len(x) - 6
     p = thermal(rng, constraints, q)
@@ -361,9 +319,9 @@ def test_a_pair_given_twice_is_one_constraint():
     assert constraints.rank() == 1
 
 
-def test_contradictory_lengths_raise(compiled):
+def test_contradictory_lengths_raise(executed_by):
     """A triangle that does not close, and a tenth distance that the nine others forbid."""
-    triangle = Constraints([(0, 1), (1, 2), (0, 2)], [0.1, 0.1, 0.3], [1.0, 2.0, 3.0], describe, compiled)
+    triangle = Constraints([(0, 1), (1, 2), (0, 2)], [0.1, 0.1, 0.3], [1.0, 2.0, 3.0], describe)
     x = np.array([[0, 0, 0], [0.1, 0.01, 0], [0.25, 0, 0.02]]).T
     with pytest.raises(
         ConstraintError, match="constraints of atom 100, atom 101, atom 102 have no solution near: they contr"
@@ -372,15 +330,15 @@ def test_contradictory_lengths_raise(compiled):
     system = cage()
     system.lengths[0] *= 1.001
     with pytest.raises(ConstraintError, match="body 5 have no solution near"):
-        system.constraints(compiled).satisfied(system.x)
+        system.constraints().satisfied(system.x)
 
 
 @pytest.mark.parametrize("factor", [40.0, 1e4, 1e200, np.nan])
 @pytest.mark.parametrize("make", [methyl, ring])
-def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor, compiled):
+def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor, executed_by):
     """Of two molecules the second explodes; it is named, nothing is NaN and nothing hangs."""
     system = many(make(), make())
-    constraints = Constraints(system.pairs, system.lengths, system.masses, describe, compiled)
+    constraints = Constraints(system.pairs, system.lengths, system.masses, describe)
     q = constraints.satisfied(system.x)
     p = thermal(rng, constraints, q)
     wild = np.unique(system.pairs[constraints.components[1]])
@@ -394,9 +352,9 @@ def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor, compiled):
 # --- subsets and patterns ---------------------------------------------------------------------------------------------
 
 
-def test_a_subset_has_numbers_of_its_own(rng, compiled):
+def test_a_subset_has_numbers_of_its_own(rng, executed_by):
     system = mixture()
-    constraints = Constraints(system.pairs, system.lengths, system.masses, describe, compiled)
+    constraints = Constraints(system.pairs, system.lengths, system.masses, describe)
     members = constraints.members
     part = constraints.restricted(members)
     q = constraints.satisfied(system.x)

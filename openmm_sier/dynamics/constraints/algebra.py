@@ -20,9 +20,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics.backend import constraint_loops, graph_loops
-from openmm_sier.dynamics.constraint_graph import components, gather_graphs, gather_stars, star_centre
-from openmm_sier.dynamics.constraint_solvers import NumbaSolver, NumpySolver
+from openmm_sier.dynamics.backend import graph_loops
+from openmm_sier.dynamics.constraints.graph import components, gather_graphs, gather_stars, star_centre
+from openmm_sier.dynamics.constraints.solvers import Solver
 
 #: Lengths given twice for a pair may differ by this much, nm.
 SAME_LENGTH = 1e-6
@@ -52,7 +52,6 @@ class Constraints:
         lengths: ArrayLike,
         masses: ArrayLike,
         describe: Callable[[int], str] | None = None,
-        compiled: bool | None = None,
     ):
         """
         Args:
@@ -60,7 +59,6 @@ class Constraints:
             lengths: (c,), nm.
             masses: of all bodies, (n,), dalton.
             describe: gives the name of a body in messages.
-            compiled: whether Numba executes the loops; None: yes, if it is installed and allowed.
 
         Raises:
             ConstraintError: a pair is out of range or joins a body to itself, a length or mass is not positive, or a
@@ -68,15 +66,13 @@ class Constraints:
         """
         self.masses = np.array(masses, dtype=float)
         self._describe = describe or (lambda body: f"body {body}")
-        self._given = describe, compiled
         self.pairs, self.lengths = self._distinct(
             np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(lengths, float)
         )
         self.components = components(self.pairs)
         self.members = np.unique(self.pairs)
         self._sort()
-        compiled = constraint_loops.available() if compiled is None else compiled
-        self._solver = (NumbaSolver if compiled else NumpySolver)(self.stars, self.graphs)
+        self._solver = Solver(self.stars, self.graphs)
 
     def _distinct(self, pairs: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n = len(self.masses)
@@ -142,9 +138,9 @@ class Constraints:
                 f"the constraint of {self._name(*self.pairs[cut[0]])} leaves the subset of the bodies"
             )
         kept = (ends >= 0).all(axis=1)
-        describe, compiled = self._given
-        named = describe and (lambda body: describe(int(bodies[body])))
-        return Constraints(ends[kept], self.lengths[kept], self.masses[bodies], named, compiled)
+        return Constraints(
+            ends[kept], self.lengths[kept], self.masses[bodies], lambda body: self._describe(int(bodies[body]))
+        )
 
     # --- what is conserved and counted ---
 
@@ -227,7 +223,7 @@ class Constraints:
         Args:
             q, p: (3, n); q satisfies the constraints and p is tangent to them.
             t: ps, of either sign.
-            fractions: of t for each RATTLE step, with the sum 1; see `openmm_sier.dynamics.geodesic`.
+            fractions: of t for each RATTLE step, with the sum 1; see `openmm_sier.dynamics.constraints.geodesic`.
 
         Returns:
             (q, p), new arrays.

@@ -5,69 +5,11 @@ from __future__ import annotations
 import heapq
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-#: Stars of up to this many leaves have their own formulas, compiled separately for each number; larger ones are treated
-#: as graphs.
-MOST_LEAVES = 3
-
-
-class Stars(NamedTuple):
-    """All stars of k leaves: m centres, each constrained to its own leaves.
-
-    Attributes:
-        centres: columns of the state, (m,).
-        leaves: (k, m).
-        light: inverse masses of the leaves, (k, m), 1/dalton.
-        heavy: inverse masses of the centres, (m,).
-        squares: squared lengths, (k, m), nm^2.
-    """
-
-    centres: np.ndarray
-    leaves: np.ndarray
-    light: np.ndarray
-    heavy: np.ndarray
-    squares: np.ndarray
-
-
-class Pattern(NamedTuple):
-    """Where the matrix of a sparse elimination has elements; see `backend.graph_loops`."""
-
-    rows: np.ndarray
-    columns: np.ndarray
-    diagonal: np.ndarray
-    weights: np.ndarray
-
-
-class Graphs(NamedTuple):
-    """All components that are not stars.
-
-    Attributes:
-        atoms: columns of the state, (a,), component by component.
-        starts: first atom, end, first constraint and end of each component, (c, 4).
-        ends: for each constraint the numbers of its atoms in `atoms`, (e, 2).
-        squares: squared lengths, (e,).
-        inverse_masses: (a,).
-        pattern: of the elimination; the constraints are in its order.
-    """
-
-    atoms: np.ndarray
-    starts: np.ndarray
-    ends: np.ndarray
-    squares: np.ndarray
-    inverse_masses: np.ndarray
-    pattern: Pattern
-
-    @property
-    def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
-        """The argument `graph` of the loops of `backend.graph_loops`."""
-        return self.ends, self.squares, self.inverse_masses, tuple(self.pattern)
-
-    def component(self, number: int) -> np.ndarray:
-        """Columns of the state of one component."""
-        return self.atoms[self.starts[number, 0] : self.starts[number, 1]]
+from openmm_sier.dynamics.backend.constraint_tables import Graphs, Pattern, Stars
+from openmm_sier.dynamics.backend.star_loops import MOST_LEAVES
 
 
 def components(pairs: np.ndarray) -> list[list[int]]:
