@@ -17,16 +17,20 @@ from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Operator, Rotation, Stepper, stepper
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import SIER4G, Scheme
+from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 from openmm_sier.engines.exact.engine import Engine
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.engine import TOLERANCE, NativeEngine
 from openmm_sier.engines.native.program import EXACT_ONLY, FRICTION, PART, THERMAL, VECTORS, WORK, Program
+from openmm_sier.engines.native.rewriting import rewrite
 from openmm_sier.engines.stored_state import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES
 from openmm_sier.engines.temperature import Temperatures
 from openmm_sier.integrators import stored_settings
+from openmm_sier.prepare.close_pairs import fast_force_groups
+from openmm_sier.prepare.limits import tell_of_pme
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, groups_of, step_size, whole_number
 from openmm_sier.system.find_bodies import BodyPlan, KnownBodies, plan_bodies
+from openmm_sier.system.unchanged import UnchangedSystem
 
 #: The platforms on which `engine="auto"` takes the exact engine, since their forces are in memory that Python can read.
 EXACT_PLATFORMS = ("CPU", "Reference")
@@ -73,7 +77,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 inner steps of SIER4G. None then means, with the exact engine, the least number for which they are no
                 longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts.
             fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
-                of molecules that are not rigid, see `prepare_system`. The exact engine computes them in a separate
+                of molecules that are not rigid. None: those of a System that `prepare_system` prepared, which are found
+                when the Context is created, and none in other Systems. The exact engine computes them in a separate
                 Context of those molecules alone.
 
         Raises:
@@ -91,9 +96,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
             raise ValueError("substeps must be at least 1, got 0")
         super().__init__(step_size(stepSize))
         self._engine: Engine | NativeEngine | None = None
+        self._system: UnchangedSystem | None = None
         self._scheme, self._rotation = scheme, rotation
         self._wanted_engine, self._substeps = engine, substeps
-        self._fast_groups = group_mask("fastForceGroups", fastForceGroups)
+        self._fast_groups, self._finds_fast = group_mask("fastForceGroups", fastForceGroups), fastForceGroups is None
         self._given_bodies = checked_bodies(bodies)
         for name in (*STATE_VARIABLES, SITES):
             self.addPerDofVariable(name, 0)
@@ -146,17 +152,18 @@ class SIERIntegrator(openmm.CustomIntegrator):
         stored_settings.store(self, "rotation", text=stored_settings.place_of(self._rotation))
         stored_settings.store_scheme(self, self._scheme)
         stored_settings.store_bodies(self, self._given_bodies)
-        stored_settings.store(self, "engine", [self._substeps or 0, self._fast_groups], self._wanted_engine)
+        numbers = [self._substeps or 0, self._fast_groups, self._finds_fast]
+        stored_settings.store(self, "engine", numbers, self._wanted_engine)
 
     def _take_settings(self, rotation: Rotation | None = None) -> None:
         """Read all settings from what OpenMM serialized; `rotation`, if given, replaces the free-rotation map."""
-        self._engine = None
+        self._engine = self._system = None
         self._scheme = stored_settings.stored_scheme(self)
         place = stored_settings.required(self, "rotation")[0]
         self._rotation = rotation or stored_settings.from_place(place, "free-rotation map")
         self._given_bodies = stored_settings.stored_bodies(self)
-        self._wanted_engine, (substeps, groups) = stored_settings.required(self, "engine")
-        self._substeps, self._fast_groups = int(substeps) or None, int(groups)
+        self._wanted_engine, (substeps, groups, finds) = stored_settings.required(self, "engine")
+        self._substeps, self._fast_groups, self._finds_fast = int(substeps) or None, int(groups), bool(finds)
         self._program = _written(self._scheme, self._substeps, self._fast_groups)
         (self._step,) = stored_settings.required(self, "step")[1].tolist()
         step = super().getStepSize()._value * self._native_steps
@@ -178,7 +185,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     @property
     def fastForceGroups(self) -> set[int]:
-        """The force groups that act within drifts."""
+        """The force groups that act within drifts; those that are found in a System, once a Context is created."""
         return set(groups_of(self._fast_groups))
 
     @property
@@ -249,9 +256,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             ValueError: `steps` is negative or not a whole number.
             RigidityError: positions set from outside do not form the bodies.
-            openmm.OpenMMException: there is no Context, a force is not finite, or the step is too long for a bond.
+            openmm.OpenMMException: there is no Context, its System was changed, a force is not finite, or the step is
+                too long for a bond.
         """
-        self._bound().run(whole_number("steps", steps))
+        engine = self._bound()
+        if self._system is not None:
+            self._system.check()
+        engine.run(whole_number("steps", steps))
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
@@ -301,12 +312,15 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return _unpickled, (openmm.XmlSerializer.serialize(self), type(self), self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("this", "_engine")}
+        return {name: value for name, value in vars(self).items() if name not in ("this", "_engine", "_system")}
 
     # --- for the engine and for subclasses ---
 
     def _prepare_for(self, system: openmm.System) -> None:
-        """Before a Context is created, clear what a copied integrator still holds from its original's Context."""
+        """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context."""
+        self._find_fast_forces(system)
+        if self._scheme.without(BATH).order >= 4:
+            tell_of_pme(system, self._scheme.name)
         self._clear_record()
         for name in (SEED, PART):
             self.setGlobalVariableByName(name, 0)
@@ -315,13 +329,26 @@ class SIERIntegrator(openmm.CustomIntegrator):
             if len(self.getPerDofVariableByName(name)) > 1:
                 self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
 
+    def _find_fast_forces(self, system: openmm.System) -> None:
+        if not self._finds_fast or (groups := fast_force_groups(system)) == self._fast_groups:
+            return
+        self._fast_groups, self._program = groups, _written(self._scheme, self._substeps, groups)
+        rewrite(self, self._program if isinstance(self._program, Program) else None)
+        self.setStepSize(self._step)
+        self._store_settings()
+
     def _bind(self, context: openmm.Context) -> None:
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
         self._engine = None
+        if self._finds_fast and fast_force_groups(context.getSystem()) != self._fast_groups:
+            raise openmm.OpenMMException(
+                "The System was prepared after the integrator was given to its Context: create a new Context"
+            )
         exact = self._wanted_engine == "exact"
         if self._wanted_engine == "auto":
             exact = self._prefers_exact(context.getPlatform().getName())
         self._engine = Engine(self, context) if exact else self._native_engine(context)
+        self._system = UnchangedSystem(context)
         self._tell_program()
 
     def _prefers_exact(self, platform: str) -> bool:
