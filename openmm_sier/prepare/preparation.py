@@ -88,10 +88,13 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     for force in fast:
         force.setForceGroup(group)
     if fast:
-        done += [
-            f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}.",
-            _with_close_pairs(system, point, group, any(force.usesPeriodicBoundaryConditions() for force in fast)),
-        ]
+        done.append(f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}.")
+        periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
+        if count := _add_close_pairs(system, point, group, periodic):
+            done.append(
+                f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart act there too, and are "
+                "subtracted in the kicks."
+            )
     else:
         done.append("No bonded force acts on a molecule that is not rigid.")
     left = [
@@ -107,15 +110,10 @@ def _balanced(system: openmm.System) -> str:
     return "The sums of PME are balanced."
 
 
-def _with_close_pairs(system: openmm.System, point: np.ndarray, group: int, periodic: bool) -> str:
+def _add_close_pairs(system: openmm.System, point: np.ndarray, group: int, periodic: bool) -> int:
     links = Links(system, constraint_lengths(system))
     edges = np.concatenate([links.pairs, links.bonds, links.custom])
-    edges = edges[point[edges].all(axis=1)]
-    count = close_pairs.add_close_pairs(system, edges, point, group, periodic)
-    return (
-        f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart act there too, and are "
-        "subtracted in the kicks."
-    )
+    return close_pairs.add_close_pairs(system, edges[point[edges].all(axis=1)], point, group, periodic)
 
 
 def _owners(system: openmm.System, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:
