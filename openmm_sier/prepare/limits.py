@@ -1,4 +1,4 @@
-"""What limits how well energy is conserved in a System, whatever the integrator; figures are those of docs/accuracy.md."""
+"""What in a System limits how well energy is conserved; figures are those of docs/accuracy.md."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _limits(system: openmm.System) -> Iterator[str]:
             cutoff = force.getCutoffDistance()._value
             yield (
                 f"{force.getName()} ends with a jump of the energy at {cutoff:.3g} nm, which in water at 0.9 nm leaves "
-                f"SIER4G 0.27 % of rms(H)/rms(V) in place of 0.10 %: create the System with "
+                f"SIER4G 0.2 to 0.3 % of rms(H)/rms(V) in place of 0.1 %: create the System with "
                 f"switchDistance={5 / 6 * cutoff:.2g}*nanometer."
             )
     if any(force.getEwaldErrorTolerance() > TOLERANCE for force in meshed_forces(system)):
@@ -57,6 +57,6 @@ def tell_of_pme(system: openmm.System, scheme: str) -> None:
     if loose:
         tell(
             f"PME is split as OpenMM does it, and its jump at the cut-off limits {scheme}: at OpenMM's defaults "
-            "rms(H)/rms(V) of water is 1.4 % and not better than with Verlet. After prepare_system(system) it is "
-            f"0.1 % at the same cost (this System has ewaldErrorTolerance={loose[0].getEwaldErrorTolerance():g})"
+            "rms(H)/rms(V) of water is 1 to 1.7 %, hardly better than with Verlet. After prepare_system(system) it "
+            f"is 0.1 % at the same cost (this System has ewaldErrorTolerance={loose[0].getEwaldErrorTolerance():g})"
         )
