@@ -330,7 +330,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
 
     def _find_fast_forces(self, system: openmm.System) -> None:
-        if not self._finds_fast or (groups := fast_force_groups(system)) == self._fast_groups:
+        # An integrator that has a Context already is refused by OpenMM, and must stay that Context's own.
+        if self._system is not None or not self._finds_fast:
+            return
+        if (groups := fast_force_groups(system)) == self._fast_groups:
             return
         self._fast_groups, self._program = groups, _written(self._scheme, self._substeps, groups)
         rewrite(self, self._program if isinstance(self._program, Program) else None)
@@ -339,7 +342,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _bind(self, context: openmm.Context) -> None:
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
-        self._engine = None
+        self._engine, self._system = None, UnchangedSystem(context)
         if self._finds_fast and fast_force_groups(context.getSystem()) != self._fast_groups:
             raise openmm.OpenMMException(
                 "The System was prepared after the integrator was given to its Context: create a new Context"
@@ -348,7 +351,6 @@ class SIERIntegrator(openmm.CustomIntegrator):
         if self._wanted_engine == "auto":
             exact = self._prefers_exact(context.getPlatform().getName())
         self._engine = Engine(self, context) if exact else self._native_engine(context)
-        self._system = UnchangedSystem(context)
         self._tell_program()
 
     def _prefers_exact(self, platform: str) -> bool:

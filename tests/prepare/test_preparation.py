@@ -319,6 +319,17 @@ def test_integrators_find_fast_forces(peptide, prepared, kind, engine):
         assert other.getNumComputations() == INTEGRATORS[kind](engine=engine).getNumComputations()
 
 
+def test_an_integrator_stays_with_its_context(peptide, prepared):
+    """OpenMM refuses a second Context, and the first one goes on."""
+    integrator = SIER4GIntegrator(0.002, engine="native")
+    context = context_of(copy.deepcopy(peptide[0]), peptide[1], integrator)
+    with pytest.raises(openmm.OpenMMException, match="already bound"):
+        context_of(copy.deepcopy(prepared), peptide[1], integrator)
+    integrator.step(2)
+    assert context.getStepCount() == 2
+    assert integrator.fastForceGroups == set()
+
+
 def test_an_argument_wins(peptide, prepared):
     made = SIER4GIntegrator(0.002, fastForceGroups=set())
     for integrator in (openmm.XmlSerializer.clone(made), made):
