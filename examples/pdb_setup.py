@@ -8,7 +8,7 @@ from pathlib import Path
 from openmm.app import PME, DCDReporter, ForceField, Modeller, PDBFile, Simulation
 from openmm.unit import femtosecond, kelvin, kilojoule_per_mole, nanometer
 
-from openmm_sier import RigidBodies, SIER4Integrator, balance_pme
+from openmm_sier import RigidBodies, SIER4Integrator, prepare_system
 
 # The ions of Joung and Cheatham (J. Phys. Chem. B 112, 9020 (2008)) for TIP3P water; lengths in nm, energies in kJ/mol.
 IONS = """
@@ -42,10 +42,9 @@ system = forcefield.createSystem(
     nonbondedMethod=PME,
     nonbondedCutoff=0.9 * nanometer,
     switchDistance=0.75 * nanometer,
-    ewaldErrorTolerance=1e-5,
     rigidWater=True,
 )
-balance_pme(system)  # forces five to eight times as exact and a smaller step at the cut-off, as fast as before
+print(prepare_system(system))
 
 # The integrator finds the bodies by itself; here it gets them, so that they can be shown.
 bodies = RigidBodies.from_system(system, modeller.topology)

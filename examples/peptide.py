@@ -21,15 +21,11 @@ system = forcefield.createSystem(
     nonbondedMethod=PME,
     nonbondedCutoff=0.9 * nanometer,
     switchDistance=0.75 * nanometer,
-    ewaldErrorTolerance=1e-4,
     constraints=HBonds,
 )
-prepared = prepare_system(system)
-print(prepared)
+print(prepare_system(system))
 
-integrator = SIERLangevinIntegrator(
-    297 * kelvin, 1 / picosecond, 6 * femtosecond, pressure=1 * bar, fastForceGroups=prepared.fastForceGroups
-)
+integrator = SIERLangevinIntegrator(297 * kelvin, 1 / picosecond, 6 * femtosecond, pressure=1 * bar)
 simulation = Simulation(pdb.topology, system, integrator)
 simulation.context.setPositions(pdb.positions)
 simulation.context.setVelocitiesToTemperature(297 * kelvin, 1)

@@ -11,6 +11,8 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `Context.createCheckpoint` and `Context.getState` with the integrator's parameters make the run continue exactly as a
   restart from their result would.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
+- `System.removeForce`, `Force.setForceGroup` and `NonbondedForce.setPMEParameters` are counted, so that an integrator
+  looks for changes of its System only after one of them.
 - `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
@@ -28,9 +30,18 @@ from openmm_sier.engines import interrupts
 from openmm_sier.engines.variables import DRAWS, SEED
 from openmm_sier.integrators.integrator import SIERIntegrator, revived
 from openmm_sier.integrators.settings import is_stored
+from openmm_sier.system.unchanged import UnchangedSystem
 
 #: A method of OpenMM, or its wrapper, which an attribute marks as such.
 Method: TypeAlias = Any
+
+
+#: Methods that change a System without changing the number of its particles, constraints or Forces.
+_CHANGES_OF_SYSTEMS = (
+    (openmm.System, "removeForce"),
+    (openmm.Force, "setForceGroup"),
+    (openmm.NonbondedForce, "setPMEParameters"),
+)
 
 
 def install() -> None:
@@ -43,6 +54,8 @@ def install() -> None:
     _replace(openmm.Context, "loadCheckpoint", _loading)
     _replace(openmm.Context, "createCheckpoint", _going_on_as_a_restart)
     _replace(openmm.Context, "getState", _going_on_as_a_restart)
+    for owner, name in _CHANGES_OF_SYSTEMS:
+        _replace(owner, name, _counting_changes)
     _replace(openmm.LocalEnergyMinimizer, "minimize", _keeping_bodies)
     for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
         _replace(cls, "updateParametersInContext", _telling_of_new_forces)
@@ -126,6 +139,17 @@ def _telling_of_new_forces(method: Method) -> Method:
         if integrator is not None and integrator._engine is not None:
             integrator.forcesChanged()
         return result
+
+    return wrapper
+
+
+def _counting_changes(method: Method) -> Method:
+    """Methods that change a System, maybe one that has a Context."""
+
+    @functools.wraps(method)
+    def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
+        UnchangedSystem.changes += 1
+        return method(self, *args, **kwargs)
 
     return wrapper
 

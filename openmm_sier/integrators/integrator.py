@@ -24,14 +24,18 @@ from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.engine import TOLERANCE, NativeEngine
 from openmm_sier.engines.native.program import PART, VECTORS, WORK, Program
 from openmm_sier.engines.native.refusals import why_not
+from openmm_sier.engines.native.rewriting import rewrite
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.temperature import Temperatures
 from openmm_sier.engines.variables import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Globals
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators import settings
 from openmm_sier.integrators.settings import ENGINES, Settings
+from openmm_sier.prepare.close_pairs import fast_force_groups
+from openmm_sier.prepare.limits import tell_of_pme
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, groups_of, step_size, whole_number
 from openmm_sier.system.notices import tell
+from openmm_sier.system.unchanged import UnchangedSystem
 
 #: The platforms on which `engine="auto"` takes the exact engine, since their forces are in memory that Python can read.
 EXACT_PLATFORMS = ("CPU", "Reference")
@@ -77,7 +81,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 inner steps of SIER4G. None then means, with the exact engine, the least number for which they are no
                 longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts.
             fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
-                of molecules that are not rigid, see `prepare_system`. The exact engine computes them in a separate
+                of molecules that are not rigid. None: those of a System that `prepare_system` prepared, which are found
+                when the Context is created, and none in other Systems. The exact engine computes them in a separate
                 Context of those molecules alone.
             ensemble: what happens between steps of the scheme, see `openmm_sier.ensembles`; None: constant energy.
 
@@ -101,6 +106,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             engine=engine,
             substeps=substeps,
             fast_groups=group_mask("fastForceGroups", fastForceGroups),
+            finds_fast_groups=fastForceGroups is None,
             bodies=checked_bodies(bodies),
             rotation=rotation,
             ensemble=ensemble or ConstantEnergy(),
@@ -120,6 +126,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._settings = given
         self._program = _written(given)
         self._engine: Engine | None = None
+        self._system: UnchangedSystem | None = None
         self._known: dict[str, float] = {}
         self._told_of_noise = False
 
@@ -243,9 +250,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             ValueError: `steps` is negative or not a whole number.
             RigidityError: positions set from outside do not form the bodies.
-            openmm.OpenMMException: there is no Context, a force is not finite, or the step is too long for a bond.
+            openmm.OpenMMException: there is no Context, its System was changed, a force is not finite, or the step is
+                too long for a bond.
         """
         count, engine = whole_number("steps", steps), self._bound()
+        if self._system is not None:
+            self._system.check()
         with interrupts.deferred():
             self._restore_record()
             flow = self._flow()
@@ -308,12 +318,17 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _attributes(self) -> dict[str, Any]:
         """What XML does not hold in full: the settings with their objects, and attributes of subclasses."""
-        return {name: value for name, value in vars(self).items() if name not in ("this", "_engine", "_known")}
+        return {
+            name: value for name, value in vars(self).items() if name not in ("this", "_engine", "_system", "_known")
+        }
 
     # --- for the hooks ---
 
     def _prepare_for(self, system: openmm.System) -> None:
-        """Before a Context is created, clear what a copied integrator still holds from its original's Context."""
+        """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context."""
+        self._find_fast_forces(system)
+        if self.scheme.without(BATH).order >= 4:
+            tell_of_pme(system, self.scheme.name)
         self._clear_record()
         for name in (SEED, PART):
             self.setGlobalVariableByName(name, 0)
@@ -322,9 +337,24 @@ class SIERIntegrator(openmm.CustomIntegrator):
             if len(self.getPerDofVariableByName(name)) > 1:
                 self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
 
+    def _find_fast_forces(self, system: openmm.System) -> None:
+        # An integrator that has a Context already is refused by OpenMM, and must stay that Context's own.
+        groups = fast_force_groups(system)
+        if self._system is not None or not self._settings.finds_fast_groups or groups == self._settings.fast_groups:
+            return
+        self._settings = replace(self._settings, fast_groups=groups)
+        self._program = _written(self._settings)
+        rewrite(self, self._program if isinstance(self._program, Program) else None)
+        self._store()
+
     def _bind(self, context: openmm.Context) -> None:
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
-        self._engine = None
+        self._engine, self._system = None, UnchangedSystem(context)
+        finds = self._settings.finds_fast_groups
+        if finds and fast_force_groups(context.getSystem()) != self._settings.fast_groups:
+            raise openmm.OpenMMException(
+                "The System was prepared after the integrator was given to its Context: create a new Context"
+            )
         engine = self._new_engine(context)
         self._ensemble.check(context.getSystem(), engine)
         self._engine = engine

@@ -67,6 +67,7 @@ class Settings:
         engine: "auto", "exact" or "native".
         substeps: see `SIERIntegrator`; None leaves it to the engine.
         fast_groups: bit mask of the force groups that act within drifts.
+        finds_fast_groups: whether those of a prepared System are found in it.
         bodies: as users give them.
         rotation: free-rotation map.
         ensemble: what happens between flows.
@@ -78,6 +79,7 @@ class Settings:
     engine: str = "auto"
     substeps: int | None = None
     fast_groups: int = 0
+    finds_fast_groups: bool = True
     bodies: Bodies = None
     rotation: Rotation = rotation.exact
     ensemble: Ensemble = ConstantEnergy()  # noqa: RUF009 - frozen
@@ -155,6 +157,7 @@ def as_json(settings: Settings) -> dict[str, Any]:
         "engine": settings.engine,
         "substeps": settings.substeps,
         "fast_groups": settings.fast_groups,
+        "finds_fast_groups": settings.finds_fast_groups,
         "bodies": _bodies_as_json(settings.bodies),
         "rotation": name_of_rotation(settings.rotation),
         "ensemble": _ensemble_as_json(settings.ensemble),
@@ -182,6 +185,7 @@ def from_json(values: Any) -> Settings:
         engine=_choice("engine", given["engine"], ENGINES),
         substeps=None if given["substeps"] is None else _whole("substeps", given["substeps"], 1),
         fast_groups=_whole("fast_groups", given["fast_groups"], 0, 2**GROUPS - 1),
+        finds_fast_groups=_choice("finds_fast_groups", given["finds_fast_groups"], (True, False)),
         bodies=_bodies(given["bodies"]),
         rotation=_rotation(given["rotation"]),
         ensemble=_ensemble(given["ensemble"]),
@@ -356,9 +360,9 @@ def _text(name: str, value: Any) -> str:
     return value
 
 
-def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    if value not in choices:
-        raise SettingsError(_wrong(name, f"one of {', '.join(choices)}", value))
+def _choice(name: str, value: Any, choices: tuple[Any, ...]) -> Any:
+    if not any(value is each or (isinstance(value, str) and value == each) for each in choices):
+        raise SettingsError(_wrong(name, f"one of {', '.join(map(str, choices))}", value))
     return value
 
 

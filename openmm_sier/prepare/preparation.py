@@ -9,6 +9,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
+from openmm_sier.prepare.limits import energy_limits
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system.arguments import GROUPS, whole_number
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
@@ -21,38 +22,47 @@ class Preparation:
     """What `prepare_system` did; print it.
 
     Attributes:
-        fastForceGroups: to pass to the integrator; empty if no force is fast.
+        fastForceGroups: the fast force groups, which integrators find in the System; empty if no force is fast.
         done: a sentence for each thing that was done or left as it was.
+        limits: a sentence for each thing that still limits how well energy is conserved, with its remedy.
     """
 
     fastForceGroups: frozenset[int]
     done: tuple[str, ...]
+    limits: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return "\n".join(self.done)
+        return "\n".join(self.done + self.limits)
 
 
 def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fastForceGroup: int = 1) -> Preparation:
-    """Prepare a System for steps that are long compared with the vibrations of its molecules.
+    """Prepare a System, of water alone or with solutes, for long steps.
 
-    Bonds, angles and torsions of molecules that are not rigid get their own force group, which the integrator takes as
-    `fastForceGroups`. Nonbonded interactions between atoms of these molecules up to four bonds apart become a
-    CustomBondForce in that group, where the NonbondedForce allows it; the potential energy is unchanged. The sums of
-    PME are balanced, see `balance_pme`. A Force keeps its group if one of its terms joins a rigid body to another body
-    or acts on a virtual site, since fast forces move only points.
+    The potential energy stays what it is, but for the accuracy of PME:
+
+    - The sums of PME are balanced, see `balance_pme`.
+    - Bonds, angles and torsions of molecules that are not rigid get a force group of their own, in which every SIER
+      integrator finds them. A Force keeps its group if one of its terms joins a rigid body to another body or acts on a
+      virtual site, since fast forces move only points.
+    - If there are such forces, nonbonded interactions between atoms of these molecules up to four bonds apart are added
+      to that group by one CustomBondForce and subtracted in the group of the NonbondedForce by another one. The
+      NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
+      forces is that of the System without preparation.
+
+    Preparing a System again renews all of this. A Context must be created after the preparation: the integrator refuses
+    the next step if its System was changed.
 
     >>> system = openmm.System()
     >>> print(prepare_system(system))
     No bonded force acts on a molecule that is not rigid.
 
     Args:
-        system: openmm.System; its force groups, PME parameters and exceptions are changed. Call this before a Context
-            is created.
+        system: openmm.System; its force groups and PME parameters are changed, and two Forces may be added.
         bodies: the bodies that the integrator will be given; None: those of the System's constraints.
         fastForceGroup: force group for the fast forces, from 0 to 31.
 
     Returns:
-        The fast force groups, and sentences about what was done.
+        The fast force groups, what was done, and what still limits the energy; print it.
 
     Raises:
         ValueError: the group is out of range or already has other forces, or `balance_pme` refuses. The System is
@@ -61,7 +71,9 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     """
     if (group := whole_number("fastForceGroup", fastForceGroup)) >= GROUPS:
         raise ValueError(f"fastForceGroup must be from 0 to {GROUPS - 1}, got {group}")
-    acting = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES)]
+    own = close_pairs.own_forces(system)
+    forces = [force for i, force in enumerate(system.getForces()) if i not in own]
+    acting = [force for force in forces if not isinstance(force, WITHOUT_FORCES)]
     owner, point = _owners(system, bodies)
     fast = [force for force in acting if _is_fast(force, owner, point)]
     for force in acting:
@@ -71,19 +83,26 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
                 "fastForceGroup"
             )
     done = [_balanced(system)] if meshed_forces(system) else []
+    for i in reversed(own):
+        system.removeForce(i)
     for force in fast:
         force.setForceGroup(group)
-    names = ", ".join(force.getName() for force in fast)
     if fast:
-        done.append(_separated(system, owner, point, group))
-    moved = f"Force group {group} has the fast forces now, for fastForceGroups={{{group}}}: {names}."
-    done.append(moved if fast else "No bonded force acts on a molecule that is not rigid.")
+        done.append(f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}.")
+        periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
+        if count := _add_close_pairs(system, point, group, periodic):
+            done.append(
+                f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart act there too, and are "
+                "subtracted in the kicks."
+            )
+    else:
+        done.append("No bonded force acts on a molecule that is not rigid.")
     left = [
         force.getName() for force in acting if force not in fast and bonded_kind(force) and _has_terms(force, owner)
     ]
     if left:
         done.append(f"These stay in the kicks, since they act on rigid bodies or virtual sites: {', '.join(left)}.")
-    return Preparation(frozenset({group} if fast else ()), tuple(done))
+    return Preparation(frozenset({group} if fast else ()), tuple(done), energy_limits(system))
 
 
 def _balanced(system: openmm.System) -> str:
@@ -91,15 +110,10 @@ def _balanced(system: openmm.System) -> str:
     return "The sums of PME are balanced."
 
 
-def _separated(system: openmm.System, owner: np.ndarray, point: np.ndarray, group: int) -> str:
-    if (reason := close_pairs.why_not(system)) is not None:
-        return f"Nonbonded interactions of atoms a few bonds apart stay in the kicks, since {reason}."
+def _add_close_pairs(system: openmm.System, point: np.ndarray, group: int, periodic: bool) -> int:
     links = Links(system, constraint_lengths(system))
     edges = np.concatenate([links.pairs, links.bonds, links.custom])
-    count = close_pairs.move_close_pairs(system, edges[point[edges].all(axis=1)], point, group)
-    return (
-        f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart are a force of their own now."
-    )
+    return close_pairs.add_close_pairs(system, edges[point[edges].all(axis=1)], point, group, periodic)
 
 
 def _owners(system: openmm.System, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,6 @@ from openmm import unit
 from openmm_sier import (
     SIER4G,
     SIER4P,
-    RigidBodies,
     RigidityError,
     SIER2Integrator,
     SIER4GIntegrator,
@@ -29,7 +28,7 @@ from openmm_sier.engines.exact import motion
 from openmm_sier.engines.exact.solute import SoluteError
 from tests.support.flexible import cage, chains, ring, rotor
 from tests.support.flexible_systems import FAST, farthest, started, system_of, total_energy
-from tests.support.methanols import GEOMETRY, positions_of, topology_of
+from tests.support.methanols import GEOMETRY, positions_of
 from tests.support.methanols import system_of as methanols_of
 from tests.support.peptides import capped_alanine
 from tests.support.restarts import assert_restart_is_the_same, assert_same, everything
@@ -292,47 +291,6 @@ def test_forces_that_cannot_be_fast_are_refused():
         openmm.Context(system, SIER4GIntegrator(0.002, fastForceGroups={FAST}), platform())
 
 
-# --- prepare_system ---
-
-
-def test_prepare_system():
-    system, positions = system_of(chains(), waters=1)
-    springs = system.getForce(0)
-    springs.setForceGroup(0)
-    done = prepare_system(system)
-    assert done.fastForceGroups == {1}
-    assert "fastForceGroups={1}: HarmonicBondForce" in str(done)
-    assert [force.getForceGroup() for force in system.getForces()] == [1, 0, 0]
-    integrator = SIER4GIntegrator(0.003, fastForceGroups=done.fastForceGroups)
-    context = started(system, integrator, positions)
-    integrator.step(1)
-    assert context.getStepCount() == 1
-    # Prepared a second time it is as it was.
-    assert prepare_system(system).fastForceGroups == done.fastForceGroups
-
-
-def test_prepare_system_leaves_what_acts_on_rigid_bodies():
-    system = methanols_of(2)
-    positions, topology = positions_of(2), topology_of(2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        groups = RigidBodies.from_system(system, topology, "heavy atoms with hydrogens", positions)
-    done = prepare_system(system, groups)
-    assert done.fastForceGroups == frozenset()
-    assert "stay in the kicks" in str(done)
-    assert {force.getForceGroup() for force in system.getForces()} == {0}
-
-
-def test_prepare_system_refuses_a_group_in_use():
-    system, _ = system_of(chains())
-    system.getForce(0).setForceGroup(0)
-    with pytest.raises(ValueError, match="CustomExternalForce is in force group 0"):
-        prepare_system(system, fastForceGroup=0)
-    assert system.getForce(0).getForceGroup() == 0
-    with pytest.raises(ValueError, match="from 0 to 31, got 32"):
-        prepare_system(system, fastForceGroup=32)
-
-
 # --- steps ---
 
 
@@ -471,41 +429,13 @@ def peptide():
     return capped_alanine(waters=4)
 
 
-def test_close_pairs_leave_the_forces_what_they_are(peptide):
-    """On Reference, to rounding: interactions of a few bonds apart only move from one Force to another."""
-    system, positions = peptide
-    prepared = copy.deepcopy(system)
-    assert "pairs up to 4 bonds apart are a force of their own" in str(prepare_system(prepared))
-    # By the topology ACE-ALA-NME has 41 pairs three bonds apart and 40 four bonds.
-    (moved,) = (force for force in prepared.getForces() if force.getName() == "ClosePairs")
-    assert moved.getNumBonds() == 41 + 40
-    found = []
-    for one in (system, prepared):
-        context = openmm.Context(one, openmm.VerletIntegrator(0.001), platform())
-        context.setPositions(positions)
-        state = context.getState(energy=True, forces=True)
-        found.append((state.getPotentialEnergy()._value, state.getForces(asNumpy=True)._value))
-    assert found[0][0] == pytest.approx(found[1][0], abs=1e-9)
-    assert np.abs(found[0][1] - found[1][1]).max() < 1e-8
-
-
-def test_close_pairs_stay_where_they_cannot_be_moved(peptide):
-    system = copy.deepcopy(peptide[0])
-    custom = openmm.CustomNonbondedForce("0")
-    for _ in range(system.getNumParticles()):
-        custom.addParticle()
-    system.addForce(custom)
-    assert "stay in the kicks, since CustomNonbondedForce has to exclude" in str(prepare_system(system))
-
-
 def test_peptide_in_water_runs_on_the_cpu_platform(peptide):
     """As a user would: Simulation, reporter, 6 fs with fast forces."""
     system, positions = copy.deepcopy(peptide[0]), peptide[1]
-    prepared = prepare_system(system)
-    integrator = SIERLangevinIntegrator(
-        300 * unit.kelvin, 1 / unit.picosecond, 0.004, fastForceGroups=prepared.fastForceGroups
-    )
+    prepare_system(system)
+    integrator = SIERLangevinIntegrator(300 * unit.kelvin, 1 / unit.picosecond, 0.004)
     context = started(system, integrator, positions, name="CPU")
+    assert integrator.fastForceGroups == {FAST}
     openmm.LocalEnergyMinimizer.minimize(context, 10, 50)
     context.setVelocitiesToTemperature(300, 1)
     integrator.step(20)
@@ -519,7 +449,8 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(peptide
     """On the CPU platform or on Reference, by the number of threads and of atoms."""
     monkeypatch.setattr(motion, "SMALL_SOLUTE", small)
     system, positions = copy.deepcopy(peptide[0]), peptide[1]
-    integrator = SIER4GIntegrator(0.002, fastForceGroups=prepare_system(system).fastForceGroups)
+    prepare_system(system)
+    integrator = SIER4GIntegrator(0.002)
     context = openmm.Context(system, integrator, platform("CPU"), {"Threads": threads})
     context.setPositions(positions)
     integrator.step(0)

@@ -1,0 +1,454 @@
+"""Prepared Systems: what is done to them, what they remain through later changes, and what integrators find in them."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier import (
+    RigidBodies,
+    SIER2Integrator,
+    SIER4GIntegrator,
+    SIERHMCIntegrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+    balance_pme,
+    prepare_system,
+)
+from openmm_sier.dynamics.schemes import SIER4, SIER4G
+from openmm_sier.prepare.close_pairs import NAME, OPPOSITE, fast_force_groups
+from tests.support.flexible import chains
+from tests.support.flexible_systems import FAST, started, system_of
+from tests.support.methanols import positions_of, topology_of
+from tests.support.methanols import system_of as methanols_of
+from tests.support.peptides import capped_alanine
+from tests.support.waters import array, periodic_system, platform
+
+SOLUTE = 22
+
+
+@pytest.fixture(scope="module")
+def peptide():
+    """ACE-ALA-NME in four waters, with bonds of hydrogen constrained: System and positions."""
+    return capped_alanine(waters=4)
+
+
+@pytest.fixture(scope="module")
+def prepared(peptide):
+    system = copy.deepcopy(peptide[0])
+    prepare_system(system)
+    return system
+
+
+def one_of(system, kind):
+    return next(force for force in system.getForces() if isinstance(force, kind))
+
+
+def named(system, name):
+    (force,) = (force for force in system.getForces() if force.getName() == name)
+    return force
+
+
+def context_of(system, positions, integrator=None, name="Reference"):
+    context = openmm.Context(system, integrator or openmm.VerletIntegrator(0.001), platform(name))
+    context.setPositions(positions)
+    return context
+
+
+def energy_and_forces(context):
+    state = context.getState(energy=True, forces=True)
+    return state.getPotentialEnergy()._value, array(state.getForces())
+
+
+def assert_the_same(one, other):
+    """Energy and forces of two Contexts, of some 1000 kJ/mol and kJ/mol/nm in sums of 100 terms, to rounding."""
+    (energy, forces), (other_energy, other_forces) = energy_and_forces(one), energy_and_forces(other)
+    assert other_energy == pytest.approx(energy, abs=1e-9)
+    assert np.abs(other_forces - forces).max() < 1e-9
+
+
+# --- what is done ---
+
+
+def test_fast_forces_and_close_pairs(peptide):
+    system = copy.deepcopy(peptide[0])
+    done = prepare_system(system)
+    assert done.fastForceGroups == {FAST}
+    assert "HarmonicBondForce, PeriodicTorsionForce, HarmonicAngleForce" in str(done)
+    assert "81 pairs up to 4 bonds apart" in str(done)
+    fast, opposite = named(system, NAME), named(system, OPPOSITE)
+    # By the topology ACE-ALA-NME has 41 pairs three bonds apart and 40 four bonds.
+    assert fast.getNumBonds() == opposite.getNumBonds() == 41 + 40
+    assert (fast.getForceGroup(), opposite.getForceGroup()) == (FAST, 0)
+
+
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+def test_close_pairs_are_those_of_the_nonbonded_force(peptide, prepared, name):
+    """All forces less those of the close pairs are those of a NonbondedForce in which these pairs are excluded."""
+    plain = context_of(*peptide, name=name)
+    assert_the_same(plain, context_of(prepared, peptide[1], name=name))
+    without = copy.deepcopy(peptide[0])
+    nonbonded = one_of(without, openmm.NonbondedForce)
+    close = named(prepared, NAME)
+    excepted = {tuple(nonbonded.getExceptionParameters(i)[:2]): i for i in range(nonbonded.getNumExceptions())}
+    for i in range(close.getNumBonds()):
+        a, b, _ = close.getBondParameters(i)
+        number = excepted.get((a, b), excepted.get((b, a)))
+        if number is None:
+            nonbonded.addException(a, b, 0, 1, 0)
+        else:
+            nonbonded.setExceptionParameters(number, a, b, 0, 1, 0)
+    expected = context_of(without, peptide[1], name=name).getState(forces=True, groups={0})
+    found = context_of(prepared, peptide[1], name=name).getState(forces=True, groups={0})
+    bonded = context_of(prepared, peptide[1], name=name).getState(forces=True, groups={FAST})
+    pairs = _forces_of_pairs(prepared, peptide[1], name)
+    # All forces but those of close pairs, in both. The CPU platform has single precision, of forces up to 1000.
+    error = 1e-9 if name == "Reference" else 2e-3
+    assert (
+        np.abs(array(found.getForces()) + array(bonded.getForces()) - pairs - array(expected.getForces())).max() < error
+    )
+
+
+def _forces_of_pairs(system, positions, name):
+    alone = copy.deepcopy(system)
+    for i in reversed(range(alone.getNumForces())):
+        if alone.getForce(i).getName() != NAME:
+            alone.removeForce(i)
+    return energy_and_forces(context_of(alone, positions, name=name))[1]
+
+
+def test_prepared_again_a_system_stays_as_it_is(prepared):
+    again = copy.deepcopy(prepared)
+    before = openmm.XmlSerializer.serialize(again)
+    prepare_system(again)
+    assert openmm.XmlSerializer.serialize(again) == before
+    prepare_system(again, fastForceGroup=5)
+    assert fast_force_groups(again) == 1 << 5
+    prepare_system(again)
+    assert openmm.XmlSerializer.serialize(again) == before
+
+
+def test_a_system_without_nonbonded_forces():
+    system, positions = system_of(chains(), waters=1)
+    one_of(system, openmm.HarmonicBondForce).setForceGroup(0)
+    done = prepare_system(system)
+    assert done.fastForceGroups == {FAST}
+    assert "Force group 1 has the fast forces now: HarmonicBondForce." in str(done)
+    assert [force.getForceGroup() for force in system.getForces()] == [FAST, 0, 0, FAST]
+    integrator = SIER4GIntegrator(0.003)
+    context = started(system, integrator, positions)
+    integrator.step(1)
+    assert context.getStepCount() == 1
+    assert integrator.fastForceGroups == {FAST}
+
+
+def test_what_acts_on_rigid_bodies_stays_in_the_kicks():
+    system = methanols_of(2)
+    positions, topology = positions_of(2), topology_of(2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        groups = RigidBodies.from_system(system, topology, "heavy atoms with hydrogens", positions)
+    done = prepare_system(system, groups)
+    assert done.fastForceGroups == frozenset()
+    assert "stay in the kicks" in str(done)
+    assert {force.getForceGroup() for force in system.getForces()} == {0}
+
+
+def test_a_group_in_use_is_refused():
+    system, _ = system_of(chains())
+    system.getForce(0).setForceGroup(0)
+    with pytest.raises(ValueError, match="CustomExternalForce is in force group 0"):
+        prepare_system(system, fastForceGroup=0)
+    assert system.getForce(0).getForceGroup() == 0
+    with pytest.raises(ValueError, match="from 0 to 31, got 32"):
+        prepare_system(system, fastForceGroup=32)
+
+
+def test_water_is_prepared_and_told_of_what_limits_it():
+    _, _, system = periodic_system("tip3p", 64)
+    one_of(system, openmm.NonbondedForce).setEwaldErrorTolerance(5e-4)
+    balanced = copy.deepcopy(system)
+    balance_pme(balanced)
+    said = str(prepare_system(system))
+    assert "PME are balanced" in said
+    assert openmm.XmlSerializer.serialize(system) == openmm.XmlSerializer.serialize(balanced)
+    assert "NonbondedForce ends with a jump of the energy at 0.55 nm" in said
+    assert "switchDistance=0.46*nanometer" in said
+    assert "For SIER4P take 0.0001" in said
+    force = one_of(system, openmm.NonbondedForce)
+    force.setUseSwitchingFunction(True)
+    force.setEwaldErrorTolerance(1e-4)
+    assert prepare_system(system).limits == ()
+
+
+# --- later changes ---
+
+
+def scaled(system, factor):
+    """Charges, well depths and exceptions of the solute scaled, as REST2 and free energy methods do."""
+    force = one_of(system, openmm.NonbondedForce)
+    for i in range(SOLUTE):
+        charge, sigma, epsilon = force.getParticleParameters(i)
+        force.setParticleParameters(i, factor**0.5 * charge, sigma, factor * epsilon)
+    for i in range(force.getNumExceptions()):
+        a, b, charge, sigma, epsilon = force.getExceptionParameters(i)
+        if max(a, b) < SOLUTE:
+            force.setExceptionParameters(i, a, b, factor * charge, sigma, factor * epsilon)
+    return force
+
+
+def torsions_scaled(system, factor):
+    force = one_of(system, openmm.PeriodicTorsionForce)
+    for i in range(force.getNumTorsions()):
+        *atoms, periodicity, phase, k = force.getTorsionParameters(i)
+        force.setTorsionParameters(i, *atoms, periodicity, phase, factor * k)
+    return force
+
+
+@pytest.mark.parametrize("in_context", [False, True], ids=["System", "Context"])
+def test_solute_scaling_gives_what_it_gives_in_the_plain_system(peptide, prepared, in_context):
+    found = []
+    for original in (peptide[0], prepared):
+        system = copy.deepcopy(original)
+        context = context_of(system, peptide[1]) if in_context else None
+        for force in (scaled(system, 0.5), torsions_scaled(system, 0.5)):
+            if context is not None:
+                force.updateParametersInContext(context)
+        found.append(context or context_of(system, peptide[1]))
+    assert_the_same(*found)
+    assert abs(energy_and_forces(found[0])[0] - energy_and_forces(context_of(*peptide))[0]) > 10
+
+
+def test_parameter_offsets(peptide):
+    """Charges and exceptions that a parameter of the Context scales, prepared after the offsets were added."""
+    plain = copy.deepcopy(peptide[0])
+    force = one_of(plain, openmm.NonbondedForce)
+    force.addGlobalParameter("coupling", 1.0)
+    for i in range(SOLUTE):
+        charge, sigma, epsilon = force.getParticleParameters(i)
+        force.setParticleParameters(i, 0, sigma, 0)
+        force.addParticleParameterOffset("coupling", i, charge, 0, epsilon)
+    for i in range(force.getNumExceptions()):
+        a, b, charge, sigma, epsilon = force.getExceptionParameters(i)
+        if max(a, b) < SOLUTE and (charge._value or epsilon._value):
+            force.setExceptionParameters(i, a, b, 0, sigma, 0)
+            force.addExceptionParameterOffset("coupling", i, charge, 0, epsilon)
+    offset, usual = copy.deepcopy(plain), copy.deepcopy(peptide[0])
+    prepare_system(offset)
+    prepare_system(usual)
+    contexts = [context_of(system, peptide[1]) for system in (plain, offset)]
+    for coupling in (1.0, 0.3, 0.0):
+        for context in contexts:
+            context.setParameter("coupling", coupling)
+        assert_the_same(*contexts)
+    # At its default the parameter gives the charges that the close pairs have without offsets.
+    one, other = (named(system, NAME) for system in (offset, usual))
+    assert one.getNumBonds() == other.getNumBonds() == 81
+    for i in range(81):
+        assert one.getBondParameters(i)[2] == pytest.approx(other.getBondParameters(i)[2], rel=1e-12)
+
+
+@pytest.mark.slow
+def test_alchemical_factory(peptide, prepared):
+    alchemy = pytest.importorskip("openmmtools.alchemy", reason="pip install openmm-sier[validation]")
+    region = alchemy.AlchemicalRegion(alchemical_atoms=range(SOLUTE), annihilate_electrostatics=True)
+    found = []
+    for system in (peptide[0], prepared):
+        made = alchemy.AbsoluteAlchemicalFactory(consistent_exceptions=False).create_alchemical_system(system, region)
+        state = alchemy.AlchemicalState.from_system(made)
+        state.lambda_electrostatics, state.lambda_sterics = 0.0, 0.5
+        context = context_of(made, peptide[1])
+        state.apply_to_context(context)
+        found.append(context)
+    assert_the_same(*found)
+    assert fast_force_groups(found[1].getSystem()) == 1 << FAST
+
+
+def test_several_nonbonded_forces_and_others_that_exclude_pairs(peptide):
+    system = copy.deepcopy(peptide[0])
+    system.addForce(copy.deepcopy(one_of(system, openmm.NonbondedForce)))
+    custom = openmm.CustomNonbondedForce("0")
+    for _ in range(system.getNumParticles()):
+        custom.addParticle()
+    nonbonded = one_of(system, openmm.NonbondedForce)
+    for i in range(nonbonded.getNumExceptions()):
+        custom.addExclusion(*nonbonded.getExceptionParameters(i)[:2])
+    system.addForce(custom)
+    prepared = copy.deepcopy(system)
+    assert "162 pairs" in str(prepare_system(prepared))
+    assert_the_same(context_of(system, peptide[1]), context_of(prepared, peptide[1]))
+
+
+# --- what integrators find ---
+
+INTEGRATORS = {
+    "constant energy": lambda **options: SIER4GIntegrator(0.004, **options),
+    "Langevin": lambda **options: SIERLangevinIntegrator(300, 1, 0.004, **options),
+    "hybrid Monte Carlo": lambda **options: SIERHMCIntegrator(300, 0.004, stepsPerTrial=2, **options),
+}
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+@pytest.mark.parametrize("kind", INTEGRATORS)
+def test_integrators_find_fast_forces(peptide, prepared, kind, engine):
+    """They move atoms bit for bit like one that is told, and so does the program in their XML."""
+    contexts, ends, made = [], [], []
+    for told in ({}, {"fastForceGroups": {FAST}}):
+        integrator = INTEGRATORS[kind](engine=engine, **told)
+        integrator.setRandomNumberSeed(3)
+        context = context_of(copy.deepcopy(prepared), peptide[1], integrator)
+        context.setVelocitiesToTemperature(300, 1)
+        integrator.step(2)
+        assert integrator.fastForceGroups == {FAST}
+        ends.append(array(context.getState(positions=True).getPositions()))
+        made.append(integrator)
+        # OpenMM cannot copy an integrator whose Context is gone.
+        contexts.append(context)
+    assert np.array_equal(*ends)
+    programs = [[one.getComputationStep(i) for i in range(one.getNumComputations())] for one in made]
+    assert programs[0] == programs[1]
+    # Copies hold what was found, and look again in their own System.
+    for other in (copy.copy(made[0]), openmm.XmlSerializer.clone(made[0])):
+        assert other.fastForceGroups == {FAST}
+        contexts.append(context_of(copy.deepcopy(peptide[0]), peptide[1], other))
+        assert other.fastForceGroups == set()
+        assert other.getNumComputations() == INTEGRATORS[kind](engine=engine).getNumComputations()
+
+
+def test_an_integrator_stays_with_its_context(peptide, prepared):
+    """OpenMM refuses a second Context, and the first one goes on."""
+    integrator = SIER4GIntegrator(0.002, engine="native")
+    context = context_of(copy.deepcopy(peptide[0]), peptide[1], integrator)
+    with pytest.raises(openmm.OpenMMException, match="already bound"):
+        context_of(copy.deepcopy(prepared), peptide[1], integrator)
+    integrator.step(2)
+    assert context.getStepCount() == 2
+    assert integrator.fastForceGroups == set()
+
+
+def test_an_argument_wins(peptide, prepared):
+    made = SIER4GIntegrator(0.002, fastForceGroups=set())
+    for integrator in (openmm.XmlSerializer.clone(made), made):
+        context_of(copy.deepcopy(prepared), peptide[1], integrator)
+        assert integrator.fastForceGroups == set()
+
+
+def test_copies_and_xml_of_a_system_are_prepared(peptide, prepared):
+    xml = openmm.XmlSerializer.serialize(prepared)
+    for system in (
+        openmm.XmlSerializer.deserialize(xml),
+        copy.deepcopy(prepared),
+        openmm.XmlSerializer.clone(prepared),
+    ):
+        assert fast_force_groups(system) == 1 << FAST
+    assert fast_force_groups(peptide[0]) == 0
+
+
+def test_what_an_integrator_holds_survives_the_new_program(peptide, prepared):
+    integrator = SIERIntegrator(0.005, SIER4, substeps=2, engine="native")
+    integrator.setConstraintTolerance(1e-7)
+    integrator.setRandomNumberSeed(17)
+    integrator.setIntegrationForceGroups({0, FAST})
+    context = context_of(copy.deepcopy(prepared), peptide[1], integrator)
+    assert context.getIntegrator() is integrator
+    assert integrator.fastForceGroups == {FAST}
+    assert integrator.getStepSize()._value == 0.005
+    assert openmm.CustomIntegrator.getStepSize(integrator)._value == 0.005 / integrator._native_steps
+    assert integrator.getConstraintTolerance() == 1e-7
+    assert integrator.getRandomNumberSeed() == 17
+    assert integrator.getIntegrationForceGroups() == 0b11
+
+
+# --- a System that was changed after its Context was created ---
+
+
+def prepare(system):
+    prepare_system(system)
+
+
+def another_group(system):
+    system.getForce(0).setForceGroup(3)
+
+
+def another_particle(system):
+    system.addParticle(1.0)
+
+
+def another_constraint(system):
+    system.addConstraint(0, 10, 0.3)
+
+
+def one_force_for_another(system):
+    system.removeForce(0)
+    system.addForce(openmm.CustomExternalForce("0"))
+
+
+CHANGES = {
+    prepare: "it had 4 Forces and has 6",
+    another_group: "the force group of its Force 0, a HarmonicBondForce",
+    another_particle: "particles",
+    another_constraint: "constraints",
+    one_force_for_another: "its Force 0 was a HarmonicBondForce and is a ",
+}
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_a_changed_system_is_refused_at_the_next_step(peptide, change, engine):
+    system = copy.deepcopy(peptide[0])
+    integrator = SIER2Integrator(0.001, engine=engine)
+    context = context_of(system, peptide[1], integrator)
+    integrator.step(1)
+    change(system)
+    with pytest.raises(openmm.OpenMMException, match=f"was changed after its Context was created.*{CHANGES[change]}"):
+        integrator.step(1)
+    assert context.getStepCount() == 1
+
+
+def test_water_prepared_too_late_is_refused():
+    _, positions, system = periodic_system("tip3p", 64)
+    integrator = SIER2Integrator(0.001)
+    context = context_of(system, positions, integrator)
+    prepare_system(system)
+    with pytest.raises(openmm.OpenMMException, match=r"the PME parameters of its Force .*, a NonbondedForce"):
+        integrator.step(1)
+    # Read again, the System is as it should be.
+    context.reinitialize(preserveState=True)
+    integrator.step(1)
+
+
+def test_fast_forces_that_come_too_late_are_refused(peptide):
+    system = copy.deepcopy(peptide[0])
+    integrator = SIER2Integrator(0.001)
+    context = context_of(system, peptide[1], integrator)
+    prepare_system(system)
+    with pytest.raises(openmm.OpenMMException, match=r"prepared after .*create a new Context"):
+        context.reinitialize(preserveState=True)
+
+
+# --- the notice ---
+
+
+@pytest.mark.parametrize("make", [INTEGRATORS["constant energy"], INTEGRATORS["Langevin"]])
+def test_integrators_of_fourth_order_tell_of_pme(make):
+    _, positions, system = periodic_system("tip3p", 64)
+    with pytest.warns(UserWarning, match=r"SIER4G: .*1 to 1\.7 %.*prepare_system\(system\)") as told:
+        context_of(system, positions, make())
+    assert len(told) == 1
+    assert told[0].filename == __file__
+
+
+@pytest.mark.parametrize(
+    "remedy", [prepare_system, lambda system: one_of(system, openmm.NonbondedForce).setPMEParameters(4, 24, 24, 24)]
+)
+def test_nothing_is_told_of_pme_that_somebody_chose(remedy):
+    _, positions, system = periodic_system("tip3p", 64)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        context_of(system, positions, SIER2Integrator(0.001))
+        remedy(system)
+        context_of(system, positions, SIERIntegrator(0.004, SIER4G))
