@@ -47,9 +47,10 @@ class FinishedRun(NamedTuple):
 
     def settings(self, but: str = "") -> dict[str, str]:
         """What runs that are pooled have in common, by name; one may be left out."""
-        names = [field.name for field in fields(Plan) if field.name not in FREE and field.name != but]
-        found = {name: str(getattr(self.plan, name)) for name in names}
-        return found if self.plan.box is None else found | {"box": os.path.realpath(self.plan.box)}
+        found = {field.name: str(getattr(self.plan, field.name)) for field in fields(Plan)}
+        if self.plan.box is not None:
+            found["box"] = os.path.realpath(self.plan.box)
+        return {name: value for name, value in found.items() if name not in (*FREE, but)}
 
     def log(self, skip: float) -> dict[str, np.ndarray]:
         """Columns of the log without the first `skip` ps.

@@ -67,6 +67,30 @@ def test_the_order_at_constant_energy_is_the_schemes(capsys):
     assert "OpenMM Verlet, NVE" in complaint_after_table(capsys, "verlet-4", "verlet-2")
 
 
+def test_all_runs_at_constant_energy_count(capsys):
+    """Of two seeds at the longer step, the second conserves its energy four times as badly as the order demands."""
+    rng = np.random.default_rng(2)
+    time = np.arange(1000) * 0.02
+    for dt, seed, width in ((4.0, 1, 16.0), (4.0, 2, 64.0), (2.0, 1, 1.0), (2.0, 2, 1.0)):
+        values = log(rows=1000, seed=seed) | {
+            "Time (ps)": time,
+            "Conserved Energy (kJ/mole)": rng.normal(0, width, 1000),
+        }
+        write_run(f"{dt:g}-{seed}", values, scheme="sier4", dt=dt, seed=seed)
+    run("validate", "4-1", "2-1", "2-2")
+    capsys.readouterr()
+    assert "energy at 4 and 2 fs" in complaint_after_table(capsys, "4-1", "4-2", "2-1", "2-2")
+
+
+def test_runs_are_pooled_whatever_else_they_wrote(capsys):
+    """A file of pressure tensors for each, at an interval of its own, makes them no other runs."""
+    for seed in (1, 2):
+        options = {"seed": seed, "pressure_tensor": Path(f"seed{seed}") / "p.csv", "every": 0.1 * seed}
+        write_run(f"seed{seed}", log(seed=seed, rows=200), ensemble="nvt", temperature=T, **options)
+    run("validate", "seed1", "seed2")
+    assert "2 runs" in capsys.readouterr().out
+
+
 def test_what_tells_nothing_is_refused(capsys):
     write_run("alone", log(), scheme="sier4")
     assert "nothing can be checked" in complaint(capsys, "validate", "alone")

@@ -201,12 +201,12 @@ def water_like(distances):
 
 
 def test_the_maximum_of_a_pair_distribution_is_not_that_of_its_noise():
-    """80 runs of 20 frames of 512 molecules, with pairs drawn at random."""
+    """40 runs of 20 frames of 512 molecules, with pairs drawn at random."""
     rng, distances = np.random.default_rng(12), np.arange(0.001, 1.0, 0.002)
     fine = np.linspace(0.25, 0.3, 50_001)
     height, place = water_like(fine).max(), fine[water_like(fine).argmax()]
     ideal = 0.5 * 512 * 33.4 * 4 * np.pi * distances**2 * 0.002
-    drawn = rng.poisson(water_like(distances) * ideal, (80, 20, len(distances))) / ideal
+    drawn = rng.poisson(water_like(distances) * ideal, (40, 20, len(distances))) / ideal
     found = np.array([properties.maximum_of_pairs(distances, run) for run in drawn])
     # The highest bin is too high by 0.06; the fit may be off by a hundredth and by half of a thousandth of a nm.
     highest = drawn.mean(axis=1).max(axis=1).mean()
@@ -214,9 +214,9 @@ def test_the_maximum_of_a_pair_distribution_is_not_that_of_its_noise():
     assert found[:, 0, 0].mean() == pytest.approx(height, abs=0.012)
     assert found[:, 1, 0].mean() == pytest.approx(place, abs=5e-4)
     for values, errors in zip(found[..., 0].T, found[..., 1].T, strict=True):
-        # The scatter of 80 values is known to 8 %, the mean of errors of eight parts to 3 %.
-        assert np.sqrt(np.mean(errors**2)) == pytest.approx(values.std(ddof=1), rel=0.3)
-        # 65 % with seven degrees of freedom, to 5 % by chance.
-        assert np.mean(np.abs(values - values.mean()) < errors) == pytest.approx(0.65, abs=0.17)
+        # The scatter of 40 values is known to 11 %, the mean of errors of eight parts to 4 %.
+        assert np.sqrt(np.mean(errors**2)) == pytest.approx(values.std(ddof=1), rel=0.4)
+        # 65 % with seven degrees of freedom, to 8 % by chance.
+        assert np.mean(np.abs(values - values.mean()) < errors) == pytest.approx(0.65, abs=0.25)
     assert math.isnan(properties.maximum_of_pairs(distances, drawn[0, :1])[0].error)
     assert math.isnan(properties.maximum_of_pairs(distances, np.tile(distances, (20, 1)))[0].value)

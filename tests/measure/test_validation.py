@@ -7,8 +7,8 @@ import pytest
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure import validation
-from openmm_sier.measure.validation import LIMIT, ensemble_verdict, kinetic_verdicts, order_verdict, sampled
 from openmm_sier.measure.statistics import Estimate
+from openmm_sier.measure.validation import LIMIT, ensemble_verdict, kinetic_verdicts, order_verdict, sampled
 from tests.support.canonical import DOF, ROWS, P, T, log
 
 pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
@@ -29,7 +29,7 @@ def test_canonical_kinetic_energies_pass():
     found = verdicts()
     assert len(found) == 6
     assert max(verdict.distance for verdict in found.values()) < LIMIT
-    # pymbar takes one in two where chance makes neighbours look alike.
+    # One in two is taken where chance makes neighbours look alike.
     assert min(verdict.samples for verdict in found.values()) >= ROWS / 2
 
 

@@ -46,6 +46,11 @@ def write_run(name, values, **options):
     return name
 
 
+def change_notes(checkpoint, **changed):
+    state, notes = records.read_checkpoint(Path(checkpoint))
+    records.write_checkpoint(Path(checkpoint), state, notes | changed)
+
+
 def write_rows(path, columns):
     file = records.Log(path, tuple(columns))
     for row in np.transpose(list(columns.values())):
