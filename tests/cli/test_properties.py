@@ -151,7 +151,7 @@ def test_wrong_input(runs, tmp_path, capsys):
 
 
 def write_tensors(path, n, keep, interval=0.02, steps=5):
-    """A file of pressure tensors, some steps apart, whose shear stresses are independent, of 500 bar and with correlation keep^t."""
+    """A file of pressure tensors whose shear stresses are independent, of 500 bar and with correlation keep^t."""
     rng = np.random.default_rng(8)
     shear = rng.normal(size=(n, 5))
     for i in range(1, n):
