@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Independent samples below which an error means little: a series so short does not show how long it remembers.
+#: Independent samples below which an error means little. A series so short does not show how long it remembers.
 FEWEST = 20
 
 #: Number of groups that the jackknife leaves out in turn.
