@@ -15,7 +15,7 @@ from openmm_sier.cli.records import RecordError
 from openmm_sier.observe import pressure
 from tests.support.canonical import log
 from tests.support.commands import complaint
-from tests.support.finished_runs import change_notes, write_rows, write_run
+from tests.support.finished_runs import note_count, write_rows, write_run
 
 ROWS = 40
 
@@ -78,7 +78,7 @@ def test_tensors_begin_one_interval_later():
     write_rows(Path("a/p.csv"), columns)
     with pytest.raises(RecordError, match=r"run\.chk does not note the length of its tensors"):
         open_runs([Path("a")])[0].tensors(0)
-    change_notes("a/run.chk", tensors={"count": ROWS})
+    note_count("a/run.chk", "tensors", ROWS)
     assert len(open_runs([Path("a")])[0].tensors(0)["Step"]) == ROWS
     write_rows(Path("a/p.csv"), columns | {"Step": 5 * np.arange(ROWS)})
     with pytest.raises(RecordError, match=r"p\.csv, line 2: expected step 5, got 0"):

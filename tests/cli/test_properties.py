@@ -20,7 +20,7 @@ from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, rea
 from openmm_sier.measure.statistics import Estimate
 from openmm_sier.observe.pressure import COLUMNS
 from tests.support.commands import SMALL, SYSTEMS, complaint, log, run
-from tests.support.finished_runs import change_notes, write_rows
+from tests.support.finished_runs import note_count, write_rows
 
 SETTINGS = ["--scheme", "sier2", "--dt", "2", "--ensemble", "npt", "--platform", "CPU", "--equilibrate", "0.01"]
 SETTINGS += ["--every", "0.004", "--report-every", "0.004"]
@@ -83,9 +83,9 @@ def test_positions_that_are_no_numbers_are_named(runs, tmp_path):
 
 
 def test_frames_are_those_that_the_checkpoint_notes(runs, tmp_path, capsys):
-    change_notes(runs[0], trajectory={"count": 29})
+    note_count(runs[0], "trajectory", 29)
     said = complaint(capsys, "properties", runs[0], "--skip", 0.02, "--out", tmp_path)
-    change_notes(runs[0], trajectory={"count": 30})
+    note_count(runs[0], "trajectory", 30)
     assert f"1.dcd has 30 frames, {runs[0]} notes 29" in said
 
 
@@ -174,7 +174,7 @@ def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
     capsys.readouterr()
     write_tensors("p.csv", 20000, 0.95)
     assert "p.csv, line 7: expected 5 rows, as the checkpoint notes" in complaint(capsys, "properties", "box.chk")
-    change_notes("box.chk", tensors={"count": 20000})
+    note_count("box.chk", "tensors", 20000)
     assert main(["properties", "box.chk"]) == 0
     out = capsys.readouterr().out
     # V/kT <P²> times the sum of the correlation: 8 nm³ at 297 K, 500 bar, 0.02 ps (0.5 + 0.95/0.05).

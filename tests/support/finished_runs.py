@@ -40,15 +40,19 @@ def write_run(name, values, **options):
         "plan": plan.noted(checkpoint),
         "step": plan.steps,
         "potential_energy": float(columns["Potential Energy (kJ/mole)"][-1]),
-        "log": {"count": rows},
+        "start_energy": None,
+        "trajectory": {"size": 0, "count": 0},
+        "log": {"size": Path(plan.report).stat().st_size, "count": rows},
     }
     records.write_checkpoint(checkpoint, empty_state(), notes)
     return name
 
 
-def change_notes(checkpoint, **changed):
+def note_count(checkpoint, file, count):
+    """Let a checkpoint note that a file has so many records."""
     state, notes = records.read_checkpoint(Path(checkpoint))
-    records.write_checkpoint(Path(checkpoint), state, notes | changed)
+    notes[file] = notes.get(file, {"size": 0}) | {"count": count}
+    records.write_checkpoint(Path(checkpoint), state, notes)
 
 
 def write_rows(path, columns):
