@@ -20,11 +20,11 @@ from time import perf_counter
 import numpy as np
 import openmm
 from openmm import app, unit
-from pymbar.timeseries import statistical_inefficiency
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, balance_pme
 from openmm_sier.measure.sampling import observe
 from openmm_sier.measure.starts import make_context
+from openmm_sier.measure.statistics import inefficiency as statistical_inefficiency
 
 SYSTEMS = Path(__file__).parent.parent / "systems"
 TEMPERATURE, CUTOFF, TOLERANCE = 297.0, 0.7, 1e-4

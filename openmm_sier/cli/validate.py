@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.cli import records
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
+from openmm_sier.cli.finished_runs import FinishedRun, open_runs
+from openmm_sier.cli.plan import RunError
 from openmm_sier.measure import validation
 from openmm_sier.measure.validation import Sampled, TooFewError, Verdict
-
-#: Settings in which runs of one state point may differ.
-FREE = ("seed", "out", "report", "bodies", "bodies_every", "every", "checkpoint_every", "unwrapped")
 
 
 class InvalidError(RuntimeError):
@@ -26,21 +23,29 @@ class InvalidError(RuntimeError):
     exit_code = 5
 
 
-class Point(NamedTuple):
+class Point:
     """Runs that differ in their seeds alone.
 
     Attributes:
+        first: of the runs.
         plan: of the first.
         logs: columns of the log of each run, without the skipped part.
     """
 
-    plan: Plan
-    logs: list[dict[str, np.ndarray]]
+    def __init__(self, first: FinishedRun) -> None:
+        self.first, self.plan = first, first.plan
+        self.logs: list[dict[str, np.ndarray]] = []
 
     @property
     def title(self) -> str:
         number = f", {len(self.logs)} runs" if len(self.logs) > 1 else ""
         return f"{self.plan.title}{number}"
+
+    @cached_property
+    def sample(self) -> Sampled:
+        """Independent samples of all logs."""
+        pressure = self.plan.pressure if self.plan.moves_volume else None
+        return validation.sampled(self.logs, self.plan.temperature, pressure)
 
 
 class Checked(NamedTuple):
@@ -86,36 +91,32 @@ def validate(runs: Sequence[Path], skip: float, limit: float) -> None:
 
 
 def _at_constant_temperature(points: Sequence[Point]) -> Iterator[Checked]:
-    samples = [
-        (point, validation.sampled(point.logs, point.plan.temperature, _pressure(point.plan)))
-        for point in points
-        if point.plan.ensemble != "nve"
-    ]
-    for point, sample in samples:
-        yield from _tried(point.title, partial(validation.kinetic_verdicts, sample))
-    pairs = list(_pairs(samples, lambda pair: pair[0].plan, ("temperature", "pressure")))
-    for (one, first), (_, second) in pairs:
+    warm = [point for point in points if point.plan.ensemble != "nve"]
+    for point in warm:
+        yield from _tried(point.title, partial(validation.kinetic_verdicts, point.sample))
+    pairs = list(_pairs(warm, ("temperature", "pressure")))
+    for one, two in pairs:
         title = f"{one.plan.method.name}, {one.plan.ensemble.upper()}, {one.plan.dt:g} fs"
-        yield from _tried(title, partial(_compared, first, second))
-    if samples and not pairs:
-        _suggest(*samples[0])
+        yield from _tried(title, partial(_compared, one, two))
+    if warm and not pairs:
+        _suggest(warm[0])
 
 
-def _compared(one: Sampled, two: Sampled) -> list[Verdict]:
-    return [validation.ensemble_verdict(one, two)]
+def _compared(one: Point, two: Point) -> list[Verdict]:
+    return [validation.ensemble_verdict(one.sample, two.sample)]
 
 
-def _suggest(point: Point, sample: Sampled) -> None:
-    interval = validation.suggested_interval(sample)
+def _suggest(point: Point) -> None:
+    interval = validation.suggested_interval(point.sample)
     pressure = f", or one of a pressure higher by {interval['dP']:.3g} bar" if "dP" in interval else ""
     note(f"{point.title}: a second run at a temperature higher by {interval['dT']:.3g} K{pressure} adds a check")
 
 
 def _at_constant_energy(points: Sequence[Point]) -> Iterator[Checked]:
     still = [point for point in points if point.plan.ensemble == "nve"]
-    for two, one in _pairs(still, lambda point: point.plan, ("dt",)):
+    for two, one in _pairs(still, ("dt",)):
         steps = one.plan.dt, two.plan.dt
-        found = validation.fluctuation(one.logs[0]), validation.fluctuation(two.logs[0])
+        found = validation.fluctuation(one.logs), validation.fluctuation(two.logs)
         yield Checked(f"{one.plan.method.name}, NVE", validation.order_verdict(steps, found, one.plan.method.order))
 
 
@@ -127,36 +128,20 @@ def _tried(title: str, check: Callable[[], list[Verdict]]) -> list[Checked]:
         return []
 
 
-def _pressure(plan: Plan) -> float | None:
-    return plan.pressure if plan.moves_volume else None
-
-
-def _pairs(items: Sequence[Any], plan_of: Callable[[Any], Plan], names: Sequence[str]) -> Iterator[tuple[Any, Any]]:
-    """Pairs of neighbouring items whose plans differ in just one of the settings named."""
+def _pairs(points: Sequence[Point], names: Sequence[str]) -> Iterator[tuple[Point, Point]]:
+    """Pairs of neighbouring points whose plans differ in just one of the settings named."""
     for name in names:
-        groups: dict[tuple, list[Any]] = {}
-        for item in items:
-            groups.setdefault(_key(plan_of(item), but=name), []).append(item)
+        groups: dict[tuple, list[Point]] = {}
+        for point in points:
+            groups.setdefault(tuple(point.first.settings(but=name).values()), []).append(point)
         for group in groups.values():
-            if getattr(plan_of(group[0]), name) is not None:
-                yield from pairwise(sorted(group, key=lambda item: getattr(plan_of(item), name)))
-
-
-def _key(plan: Plan, but: str = "") -> tuple:
-    """What two plans of one state point have in common."""
-    names = [name for name in (*CONTINUED, "box") if name not in (*FREE, but)]
-    return tuple(str(getattr(plan, name)) for name in names)
+            if getattr(group[0].plan, name) is not None:
+                yield from pairwise(sorted(group, key=lambda point: getattr(point.plan, name)))
 
 
 def _read(runs: Sequence[Path], skip: float) -> list[Point]:
     points: dict[tuple, Point] = {}
-    for run in runs:
-        checkpoint = run / "run.chk" if run.is_dir() else run
-        plan = noted_plan(checkpoint, records.read_checkpoint(checkpoint)[1]["plan"])
-        log = records.read_log(Path(plan.report))
-        kept = log["Time (ps)"] >= skip
-        if kept.sum() < validation.FEWEST:
-            raise RunError(f"{plan.report} has {kept.sum()} rows after {skip:g} ps, {validation.FEWEST} are needed")
-        point = points.setdefault(_key(plan), Point(plan, []))
-        point.logs.append({name: values[kept] for name, values in log.items()})
+    for run in open_runs(runs):
+        point = points.setdefault(tuple(run.settings().values()), Point(run))
+        point.logs.append(run.log(skip))
     return list(points.values())

@@ -198,11 +198,11 @@ def _run_method(
         step,
         dt,
         settings.time,
-        mean_and_error(series.translation),
-        mean_and_error(series.rotation),
-        mean_and_error(series.rotation - series.translation),
-        mean_and_error(series.potential / bodies.n),
-        mean_and_error(density(bodies.masses.sum(), series.volume)),
+        mean_and_error(series.translation)[:2],
+        mean_and_error(series.rotation)[:2],
+        mean_and_error(series.rotation - series.translation)[:2],
+        mean_and_error(series.potential / bodies.n)[:2],
+        mean_and_error(density(bodies.masses.sum(), series.volume))[:2],
         energy_drift(series.time, series.total)[0],
     )
 

@@ -187,7 +187,7 @@ def _run_method(
     except (sampling.Unstable, openmm.OpenMMException) as error:
         return replace(row, broken=" ".join(str(error).split()))
     found = energy_error(series.time, series.total, series.potential)
-    return replace(row, error=found, drift=energy_drift(series.time, series.total))
+    return replace(row, error=found, drift=energy_drift(series.time, series.total)[:2])
 
 
 def best(rows: list[Row]) -> dict[float, Row]:

@@ -17,11 +17,10 @@ from openmm_sier.cli.records import read_checkpoint, read_log
 from openmm_sier.measure import liquid_samples
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, read_samples, unwrapped
-from openmm_sier.measure.properties import Estimate
+from openmm_sier.measure.statistics import Estimate
 from openmm_sier.observe.pressure import COLUMNS
 from tests.support.commands import SMALL, SYSTEMS, complaint, log, run
-
-pytest.importorskip("pymbar")
+from tests.support.finished_runs import note_count, write_rows
 
 SETTINGS = ["--scheme", "sier2", "--dt", "2", "--ensemble", "npt", "--platform", "CPU", "--equilibrate", "0.01"]
 SETTINGS += ["--every", "0.004", "--report-every", "0.004"]
@@ -71,6 +70,23 @@ def test_samples_are_those_of_all_charges(runs):
     assert samples.volumes[-1] == pytest.approx(state.getPeriodicBoxVolume()._value, rel=1e-5)
     np.testing.assert_allclose(np.linalg.norm(samples.directions, axis=2), 1)
     assert len(read_samples(runs[0].with_suffix(".dcd"), box, 0.004, skip=0.04).volumes) == 20
+    with pytest.raises(NoLiquidError, match="no frames after 5 ps"):
+        read_samples(runs[0].with_suffix(".dcd"), box, 0.004, skip=5)
+
+
+def test_positions_that_are_no_numbers_are_named(runs, tmp_path):
+    data = bytearray(runs[0].with_suffix(".dcd").read_bytes())
+    data[-8:-4] = np.float32(np.nan).tobytes()
+    (tmp_path / "damaged.dcd").write_bytes(data)
+    with pytest.raises(ValueError, match=r"damaged\.dcd, frame 30: a position or an edge of the box is not finite"):
+        read_samples(tmp_path / "damaged.dcd", read_box(BOX), 0.004, skip=0.04)
+
+
+def test_frames_are_those_that_the_checkpoint_notes(runs, tmp_path, capsys):
+    note_count(runs[0], "trajectory", 29)
+    said = complaint(capsys, "properties", runs[0], "--skip", 0.02, "--out", tmp_path)
+    note_count(runs[0], "trajectory", 30)
+    assert f"1.dcd has 30 frames, {runs[0]} notes 29" in said
 
 
 def test_every_frame_counts_alike_in_the_pair_distribution(runs, monkeypatch):
@@ -112,7 +128,9 @@ def test_places_are_followed_through_faces():
 
 
 def test_wrong_input(runs, tmp_path, capsys):
-    assert "no frames after 5 ps" in complaint(capsys, "properties", runs[0], "--skip", 5, "--out", tmp_path)
+    assert "1.csv has 0 rows after 5 ps, 20 are needed" in complaint(
+        capsys, "properties", runs[0], "--skip", 5, "--out", tmp_path
+    )
     other = tmp_path / "other.dcd"
     run("run", BOX, *SETTINGS, "--steps", 4, "--out", other, "--temperature", 310)
     capsys.readouterr()
@@ -132,16 +150,16 @@ def test_wrong_input(runs, tmp_path, capsys):
 # --- viscosity ---
 
 
-def write_tensors(path, n, keep, interval=0.02):
+def write_tensors(path, n, keep, interval=0.02, steps=5):
     """A file of pressure tensors whose shear stresses are independent, of 500 bar and with correlation keep^t."""
     rng = np.random.default_rng(8)
     shear = rng.normal(size=(n, 5))
     for i in range(1, n):
         shear[i] = keep * shear[i - 1] + math.sqrt(1 - keep**2) * shear[i]
     diagonal = shear[:, 3:4] * [1, -1, 0] + shear[:, 4:] * np.array([1, 1, -2]) / math.sqrt(3)
-    steps = np.arange(1, n + 1)
-    columns = [steps, steps * interval, *(500 * diagonal.T), *(500 * shear[:, :3].T), np.full(n, 8.0)]
-    np.savetxt(path, np.transpose(columns), delimiter=",", header=",".join(COLUMNS), comments="")
+    counts = np.arange(1, n + 1)
+    columns = [steps * counts, interval * counts, *(500 * diagonal.T), *(500 * shear[:, :3].T), np.full(n, 8.0)]
+    write_rows(Path(path), dict(zip(COLUMNS, columns, strict=True)))
 
 
 def viscosity_of(out):
@@ -152,9 +170,11 @@ def viscosity_of(out):
 
 def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
     often = ["--every", 0.004, "--report-every", 0.004]
-    run("run", box, *SMALL, "--steps", 4, "--ensemble", "nvt", *often, "--pressure-tensor", "p.csv")
+    run("run", box, *SMALL, "--steps", 25, "--ensemble", "nvt", *often, "--pressure-tensor", "p.csv")
     capsys.readouterr()
     write_tensors("p.csv", 20000, 0.95)
+    assert "p.csv, line 7: expected 5 rows, as the checkpoint notes" in complaint(capsys, "properties", "box.chk")
+    note_count("box.chk", "tensors", 20000)
     assert main(["properties", "box.chk"]) == 0
     out = capsys.readouterr().out
     # V/kT <P²> times the sum of the correlation: 8 nm³ at 297 K, 500 bar, 0.02 ps (0.5 + 0.95/0.05).
@@ -174,7 +194,7 @@ def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
 def test_runs_without_a_bath_have_a_mean_temperature(box, capsys, monkeypatch):
     monkeypatch.setattr(properties.style, "can_draw", lambda report: False)
     often = ["--every", 0.004, "--report-every", 0.004]
-    for ensemble, steps in (("nve", 40), ("nvt", 4)):
+    for ensemble, steps in (("nve", 40), ("nvt", 25)):
         run("run", box, *SMALL, "--steps", steps, "--ensemble", ensemble, *often, "--overwrite")
         capsys.readouterr()
         assert main(["properties", "box.chk"]) == 0
@@ -191,7 +211,7 @@ def test_viscosity_corrects_diffusion(tmp_path):
     rng, n = np.random.default_rng(3), 400
     centres = rng.normal(scale=0.05, size=(n, 20, 3)).cumsum(axis=0)
     directions = np.tile([0.0, 0.0, 1.0], (n, 20, 1))
-    samples = LiquidSamples(0.1, centres, directions, None, np.full(n, 8.0), np.arange(5), np.ones(5))
+    samples = LiquidSamples(0.1, centres, directions, None, np.full(n, 8.0), np.linspace(0, 0.9, 50), np.ones((4, 50)))
     names = ("Density (g/mL)", "Potential Energy (kJ/mole)", "Total Energy (kJ/mole)")
     temperatures = ("Translational Temperature (K)", "Rotational Temperature (K)")
     log = dict.fromkeys((*names, *temperatures), np.arange(100.0))

@@ -48,6 +48,6 @@ def test_too_little_to_say():
 
 
 def test_drift_of_a_line():
-    slope, error = energy_drift(TIME, 2 - TIME / 4)
+    slope, error, _ = energy_drift(TIME, 2 - TIME / 4)
     assert slope == pytest.approx(-0.25, rel=1e-12)
     assert error < 1e-12

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from openmm_sier.measure.properties import Estimate
+from openmm_sier.measure.statistics import Estimate
 from openmm_sier.studies import step_study
 from openmm_sier.studies.step_study import StepRow
 

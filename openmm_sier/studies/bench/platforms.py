@@ -97,7 +97,7 @@ def _speeds(
     seconds = {name: np.maximum(values - reading, 1e-9) for name, values in seconds.items()}
     rows = []
     for name, (per_step, _) in METHODS.items():
-        over, spread = median_and_error(seconds[name] / seconds[FORCES])
+        over, spread, _ = median_and_error(seconds[name] / seconds[FORCES])
         speed = evaluations / float(np.median(seconds[name]))
         steps = {level: accuracy.step_at(points, name, level) for level in LEVELS}
         row: dict[str, Any] = {

@@ -37,8 +37,8 @@ def time_rotations(settings: BenchSettings, report: Report) -> list[dict[str, An
         with threads.use(1):
             seconds = interleaved(actions, settings.rounds)
         row: dict[str, Any] = {"bodies": n}
-        row |= {name: median_and_error(1e9 * values / (repeats * n)) for name, values in seconds.items()}
-        row["exact / MRDL"] = median_and_error(seconds["exact"] / seconds["MRDL"])
+        row |= {name: median_and_error(1e9 * values / (repeats * n))[:2] for name, values in seconds.items()}
+        row["exact / MRDL"] = median_and_error(seconds["exact"] / seconds["MRDL"])[:2]
         rows.append(row)
     return rows
 

@@ -68,7 +68,7 @@ def _ratios(copies: int, settings: BenchSettings, report: Report) -> list[dict]:
 
 
 def _row(name: str, molecules: int, ratios: np.ndarray, seconds: np.ndarray) -> dict:
-    median, spread = median_and_error(ratios)
+    median, spread, _ = median_and_error(ratios)
     cost = 1e3 * float(np.median(seconds)) / EVALUATIONS
     return {"name": name, "molecules": molecules, "median": median, "spread": spread, "milliseconds": cost}
 

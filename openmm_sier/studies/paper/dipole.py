@@ -182,8 +182,8 @@ def _average(name: str, force_step_fs: float, energy: Spread, potential: Spread,
     ratio = energy.rms / potential.rms
     size = np.abs(momentum.mean)
     variance, rms = momentum.rms**2, momentum.rms
-    value, error = jackknife(lambda kept: float(ratio[kept].mean()), n)
-    Lz, Lz_error = jackknife(lambda kept: float(np.sqrt(variance[kept].mean()) / size[kept].mean()), n)
+    value, error, _ = jackknife(lambda kept: float(ratio[kept].mean()), n)
+    Lz, Lz_error, _ = jackknife(lambda kept: float(np.sqrt(variance[kept].mean()) / size[kept].mean()), n)
     return Entry(
         method=name,
         force_step_fs=force_step_fs,

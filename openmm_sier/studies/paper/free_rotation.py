@@ -191,10 +191,10 @@ def _summarize(
     name: str, step_fs: float, times: np.ndarray, squares: np.ndarray, energies: Sequence[np.ndarray]
 ) -> Curve:
     n = squares.shape[1]
-    delta, error = np.array([jackknife(_root_mean(row), n) for row in squares]).T
+    delta, error, _ = np.array([jackknife(_root_mean(row), n) for row in squares]).T
     moderate = np.flatnonzero(delta <= MODERATE)
     last = int(moderate[-1]) if moderate.size else 0
-    tau, tau_error = jackknife(lambda kept: times[last] / (10 * math.sqrt(squares[last, kept].mean())), n)
+    tau, tau_error, _ = jackknife(lambda kept: times[last] / (10 * math.sqrt(squares[last, kept].mean())), n)
     decade = moderate[times[moderate] >= 0.099 * times[last]]
     exponent = float(np.polyfit(np.log(times[decade]), np.log(delta[decade]), 1)[0]) if decade.size > 1 else math.nan
     before, after = energies

@@ -112,7 +112,7 @@ def _point(kind: str, method: str, step: float, samples: np.ndarray) -> Point:
     if not samples.size:
         nan = float("nan")
         return Point(kind, method, step, nan, nan, nan, nan, nan, 0)
-    energy, error = jackknife(lambda kept: _ratio(samples[kept]), len(samples))
+    energy, error, _ = jackknife(lambda kept: _ratio(samples[kept]), len(samples))
     rms_H, rms_V, drift = (float(x) for x in samples.mean(axis=0))
     return Point(kind, method, step, energy, error, rms_H, rms_V, drift, len(samples))
 
@@ -124,7 +124,7 @@ def _crossing(kind: str, samples: dict[tuple[str, float], list]) -> Crossing:
         curves = {name: _curve(samples, name, kept) for name in ("SIER2", "SIER4")}
         return _intersection(curves["SIER2"], curves["SIER4"])
 
-    value, error = jackknife(crossing_of, runs)
+    value, error, _ = jackknife(crossing_of, runs)
     everything = np.arange(runs)
     slopes = {name: _slope(_curve(samples, name, everything), limits) for name, limits in SLOPE_RANGES[kind].items()}
     return Crossing(kind, value, error, slopes)
