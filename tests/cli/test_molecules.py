@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from openmm import app, unit
 
-from openmm_sier.cli.main import CONSTRAINTS, main
+from openmm_sier.cli.main import main
 from openmm_sier.measure import forcefields
+from openmm_sier_command.options import CONSTRAINTS
 from tests.support.commands import log
 from tests.support.peptides import capped_alanine_box
 

@@ -11,7 +11,7 @@ import pytest
 from openmm_sier.cli import records
 from openmm_sier.cli.plan import Options, new_plan
 from tests.support.canonical import P, T, log
-from tests.support.commands import complaint, run
+from tests.support.commands import complaint, notes_of, run
 
 pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
 
@@ -32,7 +32,7 @@ def write_run(state, name, values, **options):
     Path(name).mkdir()
     checkpoint = Path(name) / "run.chk"
     plan = new_plan(Options(Path("box.pdb"), out=Path(name) / "run.dcd", **options))
-    records.write_checkpoint(checkpoint, state, {"plan": plan.noted(checkpoint)})
+    records.write_checkpoint(checkpoint, state, notes_of(plan, checkpoint))
     file = records.Log(Path(plan.report), tuple(values))
     for row in np.transpose(list(values.values())):
         file.write(row)

@@ -46,6 +46,13 @@ def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
     return path
 
 
+def notes_of(plan, checkpoint):
+    """The notes in a checkpoint of a run that has not begun."""
+    empty = {"size": 0, "count": 0}
+    numbers = {"step": 0, "potential_energy": 0.0, "start_energy": None}
+    return {"plan": plan.noted(checkpoint), **numbers, "trajectory": empty, "log": empty}
+
+
 def frames(path, box):
     return mdtraj.load(str(path)) if path.suffix == ".h5" else mdtraj.load(str(path), top=str(box))
 
