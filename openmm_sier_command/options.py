@@ -128,7 +128,8 @@ class Options:
     forcefield: list[Path] | None = _option(Several(File("XML")), FORCEFIELD_HELP, restart="keeps", empty=True)
     rigid: list[str] | None = _option(
         Several(Word("RESIDUE")),
-        "names of residues, besides water, to be held rigid in the geometry that they have in the PDB file",
+        "names of residues, besides water, to be held rigid in the geometry that they have in the PDB file, but for "
+        "bonds that constraints hold",
         otherwise="none",
         restart="keeps",
         empty=True,

@@ -16,6 +16,7 @@ from openmm_sier.cli.ensembles import PlanError, read_plan
 from openmm_sier.cli.main import main
 from openmm_sier.cli.member import NOTES, execute
 from openmm_sier.measure.ensemble import COMPLETE, WORKER, ensemble, fraction_done, is_complete
+from openmm_sier_command.options import OptionError
 from tests.support.commands import complaint, wait_for, write_lattice
 
 PLAN = """
@@ -102,7 +103,7 @@ def test_tables_of_members_add_up(plan):
 )
 def test_wrong_plans_are_refused_before_anything_runs(plan, capsys, old, new, message):
     plan.write_text(PLAN.replace(old, new))
-    with pytest.raises(PlanError, match=message):
+    with pytest.raises((PlanError, OptionError), match=message):
         read_plan(plan)
     assert str(plan) in complaint(capsys, "ensemble", plan)
     assert not plan.with_suffix("").exists()

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import os
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import mdtraj
@@ -99,3 +102,22 @@ def wait_for(condition, process, limit=120.0):
             process.kill()
             pytest.fail(f"the command did not come so far in {limit:g} s")
         time.sleep(0.02)
+
+
+def contents(directory):
+    """All files below a directory with their bytes, links as where they lead."""
+    return {
+        str(path.relative_to(directory)): os.readlink(path) if path.is_symlink() else path.read_bytes()
+        for path in sorted(Path(directory).rglob("*"))
+        if path.is_symlink() or path.is_file()
+    }
+
+
+def rewrite_notes(checkpoint, change):
+    """Replace the notes in a checkpoint by what a function makes of them."""
+    with zipfile.ZipFile(checkpoint) as archive:
+        state, notes = archive.read("state.xml"), json.loads(archive.read("notes.json"))
+    change(notes)
+    with zipfile.ZipFile(checkpoint, "w") as archive:
+        archive.writestr("state.xml", state)
+        archive.writestr("notes.json", json.dumps(notes))
