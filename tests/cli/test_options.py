@@ -128,11 +128,11 @@ def refuse(capsys, place, file, field, *command):
 def test_wrong_options_in_a_checkpoint(copied, capsys, name):
     original = (copied / "box.chk").read_bytes()
     values = WRONG if OPTIONS[name].empty else [*WRONG, None]
-    for value in values:
+    restart, start = ["--restart", "box.chk", "--steps", "4"], ["--start", "box.chk", "--out", "new.dcd"]
+    for command, value in [(start, math.nan), *((restart, value) for value in values)]:
         (copied / "box.chk").write_bytes(original)
         rewrite_notes("box.chk", lambda notes, value=value: notes["plan"].update({name: value}))
-        for command in (["--restart", "box.chk", "--steps", "4"], ["--start", "box.chk", "--out", "new.dcd"]):
-            refuse(capsys, copied, "box.chk", name, "run", "box.pdb", "--platform", "Reference", *command)
+        refuse(capsys, copied, "box.chk", name, "run", "box.pdb", "--platform", "Reference", *command)
 
 
 @pytest.mark.parametrize("plan", [None, [], "nve", {}, {"dtt": 1.0}])
@@ -191,7 +191,7 @@ def test_wrong_notes_in_a_checkpoint(copied, capsys, name):
 @pytest.mark.parametrize("name", OPTIONS)
 def test_wrong_options_in_a_plan_of_an_ensemble(tmp_path, capsys, name):
     write_lattice(tmp_path / "box.pdb", 8)
-    for value in ("{}", "[[1.5]]", "nan", "-1e300", '""', "1979-05-27", '["\\u0000"]'):
+    for value in ("{}", "[[1.5]]", "nan", '""', '["\\u0000"]'):
         box = "" if name == "box" else 'box = "box.pdb"'
         Path("plan.toml").write_text(
             f"[options]\n{box}\n{name} = {value}\n[members]\nseed = [1]\n".replace(
