@@ -28,7 +28,7 @@ from openmm.unit import Quantity
 from openmm_sier.cli.notes import check_notes
 
 #: Version of what a checkpoint holds.
-FORMAT = 1
+FORMAT = 2
 
 #: The largest step number that DCD and XTC files hold. In longer runs a DCD file keeps this number, and an XTC file
 #: counts frames instead, so that its times stay right.

@@ -4,8 +4,6 @@ import argparse
 import math
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -66,16 +64,6 @@ def test_help_says_every_default(command):
     options = [action for action in commands()[command]._actions if action.option_strings and action.dest != "help"]
     assert options
     assert [action.dest for action in options if "(default: " not in action.help] == []
-
-
-def test_help_and_wrong_arguments_need_no_openmm():
-    """A process that reads arguments has imported neither OpenMM nor NumPy, which take longer than all else."""
-    script = "import sys; from openmm_sier_command import start; sys.argv[1:] = {}\ntry: start.main()\n"
-    script += "finally: print(*{{'openmm', 'numpy', 'openmm_sier'}} & set(sys.modules), file=sys.stderr)"
-    for arguments, code in ((["run", "--help"], 0), (["run"], MISUSED)):
-        found = subprocess.run([sys.executable, "-c", script.format(arguments)], capture_output=True, text=True)
-        assert found.returncode == code
-        assert found.stderr.splitlines()[-1] == ""
 
 
 @pytest.mark.parametrize(
