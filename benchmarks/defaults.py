@@ -19,7 +19,7 @@ import openmm
 from openmm import app
 
 from openmm_sier import RigidBodies, SIERLangevinIntegrator
-from openmm_sier.measure.forcefields import USUAL, Interactions, pme_system, read_box, shipped_box
+from openmm_sier.measure.forcefields import Interactions, pme_system, read_box, shipped_box
 from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.sampling import CONSTRAINT_TOLERANCE, nve_methods, sample
 from openmm_sier.measure.starts import make_context
@@ -101,7 +101,7 @@ def main(arguments=None) -> int:
     for tolerance, cutoff, switch, balanced in product(
         options.tolerance, options.cutoff, options.switch, options.balanced
     ):
-        settings = Interactions(cutoff, USUAL.switch if switch == "yes" else None, tolerance, balanced == "yes")
+        settings = Interactions(cutoff, None if switch == "yes" else 0.0, tolerance, balanced=balanced == "yes")
         system = pme_system(box.topology, forcefield, None, settings)
         for seed, method in product(range(1, options.starts + 1), options.methods):
             row = {"tolerance": tolerance, "cutoff": cutoff, "switch": switch == "yes", "balanced": balanced == "yes"}

@@ -1,8 +1,7 @@
 """The command `openmm-sier ensemble`: a plan in TOML, and its members on a pool of processes or on dask's workers.
 
-A plan names a command, the options that all members share, and the values of those that vary:
+A plan has the options of `openmm-sier run` that all members share, and the values of those that vary:
 
-    command = "run"
     [options]
     time = 20
     ensemble = "npt"
@@ -12,40 +11,52 @@ A plan names a command, the options that all members share, and the values of th
     seed = [1, 2, 3]
 
 Members are all combinations, here twelve. Several tables [[members]] add up, for example for methods that each have
-their own steps. Files are looked for beside the plan, then among the project's own boxes, then under the given path.
+their own steps. Files that runs read are looked for beside the plan, then among the project's own boxes, then under the
+given path. Files that they write lie in the directory of each member.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Mapping
 from concurrent.futures import Executor
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-from openmm_sier.cli import main
 from openmm_sier.cli.console import REPORT, note, table
-from openmm_sier.measure.ensemble import EnsembleError, Member, Outcome, ensemble, is_complete
+from openmm_sier.cli.plan import RunError, new_plan
+from openmm_sier.measure.ensemble import (
+    COMPLETE,
+    LOCK,
+    NOTES,
+    OUTPUT,
+    EnsembleError,
+    Member,
+    Outcome,
+    damaged_notes,
+    ensemble,
+    is_complete,
+)
 from openmm_sier.measure.forcefields import SHIPPED
+from openmm_sier_command.options import OPTIONS, Options, check_table
+from openmm_sier_command.values import Several
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-#: Tables and keys of a plan.
-KEYS = ("command", "options", "members")
-
-#: Commands that members of an ensemble may execute. Repeating one gives the same bytes.
-COMMANDS = ("run", "equipartition", "schemes", "acceptance", "paper")
-
-#: Keys that are positional arguments, not options.
-POSITIONAL = ("box", "experiment")
+#: Tables and keys of a plan, and the only command that its members may execute.
+KEYS, COMMAND = ("command", "options", "members"), "run"
 
 #: Options that the ensemble itself sets.
 TAKEN = ("out", "restart", "overwrite")
+
+#: Files of a member that are not those of its run.
+OWN_FILES = (OUTPUT, COMPLETE, NOTES, LOCK)
+
+#: Longest name of a directory on common file systems.
+LONGEST_NAME = 255
 
 
 class PlanError(ValueError):
@@ -64,6 +75,8 @@ def run(
     directory = out or plan.with_suffix("")
     complete = [is_complete(member, directory) for member in members]
     note(f"{plan}: {len(members)} members in {directory}, {sum(complete)} of them complete")
+    for damage in (damage for member in members for damage in damaged_notes(member, directory)):
+        note(damage)
     if only_list:
         rows = [[m.name, "complete" if done else ""] for m, done in zip(members, complete, strict=True)]
         table(str(plan), ("member", ""), rows, 2)
@@ -101,8 +114,8 @@ def read_plan(path: Path) -> list[Member]:
     """The members of a plan.
 
     Raises:
-        PlanError: an option is unknown, has a wrong value, or is set by the ensemble itself; or two members have the
-            same name.
+        PlanError, OptionError: an option is unknown, has a wrong value, or is set by the ensemble itself; or two
+            members have the same name.
         OSError: the file cannot be read.
     """
     try:
@@ -111,13 +124,14 @@ def read_plan(path: Path) -> list[Member]:
         raise PlanError(f"{path} is no TOML file: {error}") from None
     if unknown := sorted(set(plan) - set(KEYS)):
         raise PlanError(f"{path}: expected {', '.join(KEYS)}, got {', '.join(unknown)}")
-    command, shared, tables = plan.get("command", "run"), plan.get("options", {}), plan.get("members", {})
-    if command not in COMMANDS:
-        raise PlanError(f"{path}: command must be one of {', '.join(COMMANDS)}, got {command!r}")
+    if (command := plan.get("command", COMMAND)) != COMMAND:
+        raise PlanError(f'{path}: command: members are runs, command = "{COMMAND}", got {command!r}')
+    shared, tables = plan.get("options", {}), plan.get("members", {})
     tables = tables if isinstance(tables, list) else [tables]
     if not all(isinstance(table, dict) for table in (shared, *tables)):
         raise PlanError(f"{path}: options and members are tables, [options] and [members]")
-    members = [member for table in tables for member in _combinations(path, command, shared, table)]
+    shared, *tables = ({key.replace("-", "_"): value for key, value in table.items()} for table in (shared, *tables))
+    members = [member for table in tables for member in _combinations(path, shared, table)]
     names = [member.name for member in members]
     if len(set(names)) < len(names):
         raise PlanError(
@@ -127,7 +141,7 @@ def read_plan(path: Path) -> list[Member]:
     return members
 
 
-def _combinations(path: Path, command: str, shared: dict[str, Any], table: dict[str, Any]) -> list[Member]:
+def _combinations(path: Path, shared: dict[str, Any], table: dict[str, Any]) -> list[Member]:
     """All members of one table: its lists vary, and its other values are options of all its members."""
     for key, value in table.items():
         if value == []:
@@ -135,61 +149,77 @@ def _combinations(path: Path, command: str, shared: dict[str, Any], table: dict[
         if key in shared:
             raise PlanError(f"{path}: {key} is in [options] and in [members]")
     for key in (*shared, *table):
-        if key.replace("_", "-") in TAKEN:
+        if key in TAKEN:
             raise PlanError(f"{path}: {key} is set by the ensemble for each member: leave it out")
     axes = {key: values for key, values in table.items() if isinstance(values, list)}
     fixed = shared | {key: value for key, value in table.items() if key not in axes}
     return [
-        _member(path, command, fixed | dict(zip(axes, values, strict=True)), list(axes))
-        for values in product(*axes.values())
+        _member(path, fixed | dict(zip(axes, values, strict=True)), list(axes)) for values in product(*axes.values())
     ]
 
 
-def _member(path: Path, command: str, options: Mapping[str, Any], varied: list[str]) -> Member:
-    arguments = [command]
-    for key in POSITIONAL:
-        if key in options:
-            arguments.append(_text(path, options[key]))
-    for key, value in options.items():
-        if key not in POSITIONAL:
-            arguments += _option(path, key, value)
-    settings = _parsed(path, arguments)
-    # The command line accepts abbreviated options, but a plan is kept and read again.
-    if short := [key for key in options if key.replace("-", "_") not in vars(settings)]:
-        raise PlanError(f"{path}: {command} has no option {', '.join(short)}")
-    name = "-".join(_label(key, options[key]) for key in varied) or command
-    time = getattr(settings, "time", None) if command == "run" else None
-    return Member(name, tuple(arguments), time or 0.0)
-
-
-def _option(path: Path, key: str, value: Any) -> list[str]:
-    name = f"--{key.replace('_', '-')}"
-    if value is True:
-        return [name]
-    if value is False:
-        return [f"--no-{name[2:]}"]
-    return [name, *(_text(path, item) for item in (value if isinstance(value, list) else [value]))]
-
-
-def _text(path: Path, value: Any) -> str:
-    """A value as an argument; files by their absolute path, since members have directories of their own."""
-    if isinstance(value, str):
-        for directory in (path.parent, *SHIPPED):
-            if (directory / value).is_file():
-                return str((directory / value).resolve())
-    return str(value)
-
-
-def _parsed(path: Path, arguments: list[str]) -> argparse.Namespace:
-    """The arguments as the command takes them."""
+def _member(path: Path, options: dict[str, Any], varied: list[str]) -> Member:
+    # A single name may stand for a list of one.
+    several = {key: [value] for key, value in options.items() if _takes_several(key) and not isinstance(value, list)}
+    options = {**options, **several}
+    checked = check_table(str(path), options)
+    if "box" not in options:
+        raise PlanError(f"{path}: box is missing")
     try:
-        return main.build_parser().parse_args(arguments)
-    except main.UsageError as error:
+        new_plan(Options(**checked))
+    except RunError as error:
         raise PlanError(f"{path}: {error}") from None
+    for key, value in checked.items():
+        if OPTIONS[key].writes:
+            _check_output(path, key, value)
+    arguments = [COMMAND, _texts(path, "box", options["box"])[0]]
+    for key, value in options.items():
+        if key != "box":
+            arguments += _arguments(path, key, value)
+    name = "-".join(_label(key, options[key]) for key in varied) or COMMAND
+    if len(name) > LONGEST_NAME:
+        raise PlanError(f"{path}: a member's name would have {len(name)} characters: vary fewer options")
+    return Member(name, tuple(arguments), checked.get("time") or 0.0)
+
+
+def _takes_several(key: str) -> bool:
+    return key in OPTIONS and isinstance(OPTIONS[key].kind, Several)
+
+
+def _check_output(path: Path, key: str, name: Path) -> None:
+    """Outputs stand in the member's directory, always, and are not the ensemble's own files."""
+    if len(name.parts) != 1 or name.name in ("", ".."):
+        raise PlanError(f"{path}: {key}: outputs lie in the directory of each member, so give a name alone, got {name}")
+    if name.name.lower() in OWN_FILES or name.name.lower().startswith(f"{NOTES}."):
+        raise PlanError(f"{path}: {key}: {name} is a file of the ensemble itself: choose another name")
+
+
+def _arguments(path: Path, key: str, value: Any) -> list[str]:
+    flag = OPTIONS[key].flag
+    if isinstance(value, bool):
+        return [flag] if value else [f"--no-{flag[2:]}"] if OPTIONS[key].default is None else []
+    return [flag, *_texts(path, key, value)]
+
+
+def _texts(path: Path, key: str, value: Any) -> list[str]:
+    """Values as arguments; input files by their absolute path, since members have directories of their own."""
+    texts = [str(item) for item in (value if isinstance(value, list) else [value])]
+    return [_found(path, text) for text in texts] if OPTIONS[key].reads else texts
+
+
+def _found(path: Path, name: str) -> str:
+    """The absolute path of a file beside the plan or among the project's own; otherwise the name, of OpenMM's files."""
+    for directory in (path.parent, *SHIPPED):
+        if (directory / name).is_file():
+            return str((directory / name).resolve())
+    return name
 
 
 def _label(key: str, value: Any) -> str:
     """A part of a member's name: what varies, in characters that every file system accepts."""
-    text = Path(value).stem if isinstance(value, str) else str(value)
+    values = value if isinstance(value, list) else [value]
+    text = "_".join(Path(item).stem if isinstance(item, str) else str(item) for item in values)
     text = "".join(c if c.isalnum() or c in "._" else "_" for c in text)
-    return text if key in (*POSITIONAL, "scheme", "ensemble") else f"{key}{text}"
+    # Names that begin with a dot are hidden, or lead elsewhere.
+    text = "_" * (len(text) - len(text.lstrip("."))) + text.lstrip(".")
+    return text if key in ("box", "scheme", "ensemble") else f"{key}{text}"

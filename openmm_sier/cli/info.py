@@ -15,6 +15,7 @@ from openmm_sier.dynamics.species import Species
 from openmm_sier.measure.forcefields import Box, read_box
 from openmm_sier.observe.conservation import density
 from openmm_sier.system.find_bodies import RigidBodies
+from openmm_sier_command.options import OPTIONS
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
@@ -39,7 +40,7 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
 
 def info(
     path: Path,
-    files: Sequence[str] | None = None,
+    files: Sequence[str | Path] | None = None,
     rigid: Sequence[str] | None = None,
     constraints: str | None = None,
 ) -> None:
@@ -49,12 +50,12 @@ def info(
         path: the PDB file.
         files: force-field files; None picks one, see `forcefields.pick`.
         rigid: see `rigid_bodies`.
-        constraints: besides those of water, see `forcefields.CONSTRAINTS`.
+        constraints: besides those of water, see `forcefields.CONSTRAINTS`; None: as in a run.
 
     Raises:
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
-    box = read_box(path, files, constraints)
+    box = read_box(path, files, constraints or OPTIONS["constraints"].default)
     bodies = rigid_bodies(box, rigid)
     atoms = list(box.topology.atoms())
     riders = _riders(box.system, bodies)

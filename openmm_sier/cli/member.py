@@ -21,10 +21,7 @@ from openmm_sier.cli import records
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.cli.stopping import SIGNALS
-from openmm_sier.measure.ensemble import COMPLETE
-
-#: Files of a member, which are the lock, held by one process at a time, and the arguments that identify the member.
-LOCK, NOTES = "lock", "member.json"
+from openmm_sier.measure.ensemble import COMPLETE, LOCK, NOTES, DamagedNoteError, read_arguments
 
 #: Names of the files of a run.
 TRAJECTORY, CHECKPOINT = "run.dcd", "run.chk"
@@ -40,10 +37,17 @@ def execute(arguments: list[str]) -> int:
     """Finish the member in the current directory and return the exit code."""
     # Two workers may get the same member if a scheduler believes the first one dead: the second then waits.
     with FileLock(LOCK):
-        if _read(COMPLETE) == arguments:
+        if _noted(COMPLETE) == arguments:
             return 0
         identity = _identity(arguments)
-        if (noted := _read(NOTES)) not in (None, identity):
+        try:
+            noted = read_arguments(Path(NOTES))
+        except DamagedNoteError as error:
+            # What the checkpoint belongs to is not known.
+            print(f"{error}: the member is done again")
+            Path(CHECKPOINT).unlink(missing_ok=True)
+            noted = None
+        if noted not in (None, identity):
             there = " ".join(sorted(set(noted) - set(identity))) or "fewer options"
             print(f"{Path.cwd()} has another member, with {there}: choose another directory", file=sys.stderr)
             return FAILED
@@ -53,6 +57,15 @@ def execute(arguments: list[str]) -> int:
             return code
         _write(COMPLETE, arguments)
         return 0
+
+
+def _noted(name: str) -> list[str] | None:
+    """The arguments in a note; None where it is missing or damaged."""
+    try:
+        return read_arguments(Path(name))
+    except DamagedNoteError as error:
+        print(f"{error}: the member is done again")
+        return None
 
 
 def _places(arguments: list[str]) -> list[str]:
@@ -73,13 +86,13 @@ def _identity(arguments: list[str]) -> list[str]:
     return [argument for i, argument in enumerate(arguments) if i not in left_out]
 
 
-def _read(path: str) -> list[str] | None:
-    return json.loads(Path(path).read_text()) if Path(path).exists() else None
-
-
 def _write(path: str, content: list[str]) -> None:
+    """Replace a note: at any moment, after a power failure too, it is the old one or the new one."""
     temporary = records.temporary_checkpoint(Path(path))
-    temporary.write_text(json.dumps(content, indent=1))
+    with open(temporary, "w") as file:
+        json.dump(content, file, indent=1)
+        file.flush()
+        os.fsync(file.fileno())
     os.replace(temporary, path)
 
 

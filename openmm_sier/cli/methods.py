@@ -5,12 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
-
-#: The default method. Its scheme is also the default of this package's integrators.
-RECOMMENDED = "sier4g"
-
-#: Steps in fs that the README recommends for rigid water, by scheme. They are the default steps.
-USUAL_STEPS = {"sier2": 2.0, "sier4": 4.0, "sier4v": 5.0, "sier4g": 6.0, "sier4p": 6.0}
+from openmm_sier_command.options import ENSEMBLES, USUAL_STEPS
 
 
 @dataclass(frozen=True)
@@ -32,7 +27,7 @@ class Method:
     order: int
     forces: int
     usual_step: float
-    ensembles: tuple[str, ...] = ("nve", "nvt", "npt", "hmc")
+    ensembles: tuple[str, ...] = ENSEMBLES
     scheme: Scheme | None = None
     leapfrog: bool = False
     bath: str = ""
@@ -43,18 +38,27 @@ class Method:
         return f"{bath}, MonteCarloBarostat" if bath and ensemble == "npt" else bath
 
 
-#: Methods by the names that `--scheme` takes.
-METHODS = {
-    key: Method(
-        scheme.name,
-        scheme.order,
-        scheme.force_evaluations,
-        # 1 fs for each force evaluation where the README recommends no step.
-        USUAL_STEPS.get(key, float(scheme.force_evaluations)),
-        scheme=scheme,
-    )
-    for key, scheme in CATALOGUE.items()
-} | {
-    "verlet": Method("OpenMM Verlet", 2, 1, 2.0, ("nve", "nvt", "npt"), leapfrog=True, bath="AndersenThermostat"),
-    "langevinmiddle": Method("OpenMM LangevinMiddle", 2, 1, 2.0, ("nvt", "npt"), bath="its own Langevin bath"),
+#: OpenMM's own integrators, by the names that `--scheme` takes.
+_OF_OPENMM = {
+    "verlet": Method(
+        "OpenMM Verlet",
+        2,
+        1,
+        USUAL_STEPS["verlet"],
+        ("nve", "nvt", "npt"),
+        leapfrog=True,
+        bath="AndersenThermostat",
+    ),
+    "langevinmiddle": Method(
+        "OpenMM LangevinMiddle", 2, 1, USUAL_STEPS["langevinmiddle"], ("nvt", "npt"), bath="its own Langevin bath"
+    ),
 }
+
+
+def _of_scheme(key: str) -> Method:
+    scheme = CATALOGUE[key]
+    return Method(scheme.name, scheme.order, scheme.force_evaluations, USUAL_STEPS[key], scheme=scheme)
+
+
+#: Methods by the names that `--scheme` takes.
+METHODS = {key: _OF_OPENMM[key] if key in _OF_OPENMM else _of_scheme(key) for key in USUAL_STEPS}

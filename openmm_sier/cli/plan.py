@@ -1,52 +1,43 @@
-"""Options of `openmm-sier run`, and the plan of the run that follows from them."""
+"""The plan of a run: its options with a value for each, from a command line or from the notes in a checkpoint."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from openmm_sier.cli.methods import METHODS, RECOMMENDED, Method
+from openmm_sier.cli.methods import METHODS, Method
+from openmm_sier.measure.forcefields import Interactions
+from openmm_sier_command.options import (
+    CONTINUED,
+    NOTED,
+    OF_THE_SYSTEM,
+    OPTIONS,
+    OptionError,
+    Options,
+    check_table,
+)
+from openmm_sier_command.values import File
 
 #: K; the temperature of the systems that come with the project.
 DEFAULT_TEMPERATURE = 297.0
 
+#: ps; the length of a run.
+DEFAULT_TIME = 10.0
+
 #: Steps in a trial of hybrid Monte Carlo.
 TRIAL = 10
 
-#: ps between pressure tensors. Sums over them mistake oscillations of this period, or a fraction of it, for slow ones;
-#: in rigid water such oscillations have a thousandth of the power of the slow ones.
-TENSOR_EVERY = 0.02
+#: Most steps between two records of a file, a 32-bit number in DCD files.
+LONGEST_INTERVAL = 2**31 - 1
 
-#: Options that a restart takes from its checkpoint.
-CONTINUED = (
-    "steps_per_trial",
-    "ensemble",
-    "temperature",
-    "friction",
-    "pressure",
-    "seed",
-    "forcefield",
-    "rigid",
-    "constraints",
-    "scheme",
-    "dt",
-    "every",
-    "report_every",
-    "checkpoint_every",
-    "bodies_every",
-    "pressure_tensor_every",
-    "unwrapped",
-    "out",
-    "report",
-    "bodies",
-    "pressure_tensor",
-)
+#: Options that name one file each. A checkpoint notes them relative to itself.
+FILES = tuple(name for name in NOTED if isinstance(OPTIONS[name].kind, File))
 
-#: Fields of a plan that are files. A checkpoint notes them relative to itself.
-FILES = ("out", "report", "bodies", "pressure_tensor", "box")
+#: Those of them that a run writes.
+OUTPUTS = tuple(name for name in FILES if OPTIONS[name].writes)
 
 
 class RunError(ValueError):
@@ -59,77 +50,11 @@ class NothingLeft(RunError):
     exit_code = 4
 
 
-@dataclass(frozen=True)
-class Options:
-    """Options of the command; None where an option was not given. Times are in ps, but `dt` is in fs."""
-
-    box: Path
-    forcefield: list[str] | None = None
-    rigid: list[str] | None = None
-    constraints: str | None = None
-    scheme: str | None = None
-    dt: float | None = None
-    steps: int | None = None
-    time: float | None = None
-    temperature: float | None = None
-    equilibrate: float | None = None
-    minimize: bool | None = None
-    out: Path | None = None
-    report: Path | None = None
-    bodies: Path | None = None
-    pressure_tensor: Path | None = None
-    every: float | None = None
-    report_every: float | None = None
-    checkpoint_every: float | None = None
-    bodies_every: float | None = None
-    pressure_tensor_every: float | None = None
-    ensemble: str | None = None
-    friction: float | None = None
-    pressure: float | None = None
-    steps_per_trial: int | None = None
-    unwrapped: bool | None = None
-    seed: int | None = None
-    platform: str | None = None
-    start: Path | None = None
-    restart: Path | None = None
-    overwrite: bool = False
-
-    @property
-    def equilibrates(self) -> bool:
-        """Whether the run begins with an equilibration. From a checkpoint it does so only if asked to."""
-        return self.start is None or bool(self.equilibrate or self.minimize)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Settings that a run and its continuations share; units as in `Options`, friction in 1/ps, pressure in bar.
+class Plan(Options):
+    """Options of a run with all values that it needs.
 
     Hybrid Monte Carlo is at constant volume where `pressure` is None, and draws momenta anew where `friction` is 0.
     """
-
-    ensemble: str
-    temperature: float
-    friction: float
-    pressure: float | None
-    seed: int
-    forcefield: list[str] | None
-    scheme: str
-    dt: float
-    steps: int
-    every: float
-    report_every: float
-    checkpoint_every: float
-    out: str
-    report: str
-    rigid: list[str] | None = None
-    constraints: str | None = None
-    bodies: str | None = None
-    bodies_every: float = 0.1
-    pressure_tensor: str | None = None
-    pressure_tensor_every: float = TENSOR_EVERY
-    unwrapped: bool = False
-    steps_per_trial: int = 0
-    box: str | None = None
 
     @property
     def moves_volume(self) -> bool:
@@ -140,6 +65,11 @@ class Plan:
     def method(self) -> Method:
         """What moves the molecules."""
         return METHODS[self.scheme]
+
+    @property
+    def interactions(self) -> Interactions:
+        """How the interactions are cut off."""
+        return Interactions(self.cutoff, self.switch, self.tolerance, self.hydrogen_mass)
 
     @property
     def counts_heat(self) -> bool:
@@ -161,86 +91,84 @@ class Plan:
     def noted(self, checkpoint: Path) -> dict[str, Any]:
         """The plan as the checkpoint holds it, with files relative to the checkpoint."""
         here = os.path.dirname(checkpoint) or "."
-        fields = asdict(self)
-        return fields | {name: os.path.relpath(fields[name], here) for name in FILES if fields[name]}
+        values: dict[str, Any] = {name: getattr(self, name) for name in NOTED}
+        values |= {name: os.path.relpath(values[name], here) for name in FILES if values[name]}
+        values["forcefield"] = self.forcefield and [str(file) for file in self.forcefield]
+        return values
 
 
-def new_plan(options: Options, origin: dict[str, Any] | None = None) -> Plan:
+def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     """The plan of a new run.
 
     Args:
         options: of the command.
-        origin: plan of the run from whose checkpoint this one starts. It defines the system.
+        origin: of the run from whose checkpoint this one starts. It defines the System.
 
     Raises:
         RunError: options contradict each other.
     """
-    origin = origin or {}
-    scheme = options.scheme or RECOMMENDED
-    method = METHODS[scheme]
-    dt = options.dt or method.usual_step
-    ensemble = options.ensemble or method.ensembles[0]
-    rigid = _first(options.rigid, origin.get("rigid"))
-    _check_method(method, ensemble, rigid)
-    _check_combinations(options, ensemble)
-    out = _file("--out", options.out) or Path(f"{options.box.stem}.dcd")
-    report = _file("--report", options.report) or out.with_suffix(".csv")
-    bodies = _file("--bodies", options.bodies)
-    tensor = _file("--pressure-tensor", options.pressure_tensor)
-    every = options.every or 0.1
-    return Plan(
-        ensemble=ensemble,
-        temperature=_first(options.temperature, origin.get("temperature"), DEFAULT_TEMPERATURE),
-        friction=_first(options.friction, 0.0 if ensemble == "hmc" else 1.0),
-        pressure=_first(options.pressure, None if ensemble == "hmc" else 1.0),
-        seed=_first(options.seed, 1),
-        forcefield=_first(options.forcefield, origin.get("forcefield")),
-        rigid=rigid,
-        constraints=_first(options.constraints, origin.get("constraints")),
-        scheme=scheme,
-        dt=dt,
-        steps=_length(options, dt) or round(10_000 / dt),
-        every=every,
-        report_every=options.report_every or 0.04,
-        checkpoint_every=options.checkpoint_every or 1.0,
-        bodies_every=options.bodies_every or every,
-        out=str(out),
-        report=str(report),
-        bodies=None if bodies is None else str(bodies),
-        pressure_tensor=None if tensor is None else str(tensor),
-        pressure_tensor_every=options.pressure_tensor_every or TENSOR_EVERY,
-        unwrapped=bool(options.unwrapped),
-        steps_per_trial=_first(options.steps_per_trial, TRIAL) if ensemble == "hmc" else 0,
-        box=str(options.box),
-    )
+    given = {entry.name: value for entry in fields(options) if (value := getattr(options, entry.name)) is not None}
+    defaults = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
+    if origin is not None:
+        defaults |= {name: getattr(origin, name) for name in (*OF_THE_SYSTEM, "temperature")}
+    values = {"temperature": DEFAULT_TEMPERATURE, **defaults, **given}
+    method = METHODS[values["scheme"]]
+    ensemble = values.setdefault("ensemble", method.ensembles[0])
+    _check_given(options, ensemble)
+    values.setdefault("dt", method.usual_step)
+    values.setdefault("friction", 0.0 if ensemble == "hmc" else 1.0)
+    if ensemble == "npt":
+        values.setdefault("pressure", 1.0)
+    if ensemble == "hmc":
+        values.setdefault("steps_per_trial", TRIAL)
+    values.setdefault("steps", _steps(values.get("time", DEFAULT_TIME), values["dt"]))
+    values.setdefault("out", Path(f"{options.box.stem}.dcd"))
+    values.setdefault("report", values["out"].with_suffix(".csv") if values["out"].name else values["out"])
+    values.setdefault("bodies_every", values["every"])
+    plan = Plan(**values)
+    _check(plan)
+    return plan
 
 
-def _first(*values: Any) -> Any:
-    """The first value that is not None, or None."""
-    return next((value for value in values if value is not None), None)
+def _steps(time: float, dt: float) -> int:
+    """Steps of `dt` fs in a time in ps."""
+    return max(1, round(time * 1000 / dt))
 
 
-def _file(option: str, path: Path | None) -> Path | None:
-    if path is not None and (path.is_dir() or not path.name):
-        raise RunError(f"{option} {path} is a directory, expected the name of a file")
-    return path
+def _check(plan: Plan) -> None:
+    """Refuse what no run can have.
 
-
-def _check_method(method: Method, ensemble: str, rigid: list[str] | None) -> None:
-    if ensemble not in method.ensembles:
-        raise RunError(f"{method.name} needs --ensemble {_alternatives(method.ensembles)}, got {ensemble}")
-    if rigid and method.scheme is None:
+    Raises:
+        RunError: values contradict each other.
+    """
+    if plan.ensemble not in plan.method.ensembles:
         raise RunError(
-            f"--rigid {' '.join(rigid)} needs a scheme of this package: {method.name} holds no molecules rigid but by "
-            "constraints"
+            f"{plan.method.name} needs --ensemble {_alternatives(plan.method.ensembles)}, got {plan.ensemble}"
         )
+    if plan.rigid and plan.method.scheme is None:
+        raise RunError(
+            f"--rigid {' '.join(plan.rigid)} needs a scheme of this package: {plan.method.name} holds no molecules "
+            "rigid but by constraints"
+        )
+    if plan.ensemble == "npt" and plan.pressure is None:
+        raise RunError("--ensemble npt needs --pressure")
+    if (plan.ensemble == "hmc") != (plan.steps_per_trial is not None):
+        raise RunError("--steps-per-trial needs --ensemble hmc, and that needs it")
+    for name in OUTPUTS:
+        path = getattr(plan, name)
+        if path is not None and path.name in ("", ".."):
+            raise RunError(f"{OPTIONS[name].flag} {path} is a directory, expected the name of a file")
+    for name in OPTIONS:
+        if name.endswith("every") and plan.interval(getattr(plan, name)) > LONGEST_INTERVAL:
+            raise RunError(f"{OPTIONS[name].flag} {getattr(plan, name):g} is more than {LONGEST_INTERVAL} steps")
 
 
 def _alternatives(names: Sequence[str]) -> str:
     return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _check_combinations(options: Options, ensemble: str) -> None:
+def _check_given(options: Options, ensemble: str) -> None:
+    """Refuse options that would do nothing."""
     if options.start and options.restart:
         raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
     if options.friction is not None and ensemble == "nve":
@@ -255,35 +183,67 @@ def _check_combinations(options: Options, ensemble: str) -> None:
         raise RunError("--pressure-tensor-every needs --pressure-tensor FILE.csv")
 
 
-def _length(options: Options, dt: float) -> int | None:
-    return max(1, round(options.time * 1000 / dt)) if options.time is not None else options.steps
+# --- from a checkpoint ---
 
 
-def noted_plan(checkpoint: Path, saved: dict[str, Any]) -> Plan:
-    """The plan that a checkpoint notes, with paths of files relative to the current directory."""
-    beside = {
-        name: os.path.normpath(os.path.join(os.path.dirname(checkpoint), saved[name]))
-        for name in FILES
-        if saved.get(name)
-    }
-    return Plan(**{**saved, **beside})
+def noted_plan(checkpoint: Path, saved: object) -> Plan:
+    """The plan that a checkpoint notes, with paths of files relative to the current directory.
+
+    Raises:
+        OptionError, RunError: it is none; the message names the checkpoint and the field.
+    """
+    source = f"{checkpoint}: plan"
+    if not isinstance(saved, dict):
+        raise OptionError(f"{source}: expected options by name, got {saved!r}")
+    if unknown := [name for name in saved if name not in NOTED]:
+        raise OptionError(f"{source}: there is no option {unknown[0]}")
+    if missing := [name for name in NOTED if saved.get(name) is None and not OPTIONS[name].empty]:
+        raise OptionError(f"{source}: {missing[0]} is missing")
+    values = check_table(source, saved)
+    here = os.path.dirname(checkpoint)
+    beside = {name: Path(os.path.normpath(os.path.join(here, values[name]))) for name in FILES if values.get(name)}
+    plan = Plan(**values | beside)
+    try:
+        _check(plan)
+    except RunError as error:
+        raise RunError(f"{source}: {error}") from None
+    return plan
 
 
-def continued_plan(options: Options, checkpoint: Path, saved: dict[str, Any]) -> Plan:
+def continued_plan(options: Options, checkpoint: Path, saved: object) -> Plan:
     """The plan of a checkpoint, with another length if one is given.
 
     Raises:
-        RunError: an option contradicts the checkpoint.
+        RunError: an option contradicts the checkpoint, or the checkpoint names an output that does not lie beside it.
     """
-    if options.start:
-        _check_combinations(options, saved["ensemble"])
     plan = noted_plan(checkpoint, saved)
+    if options.start:
+        _check_given(options, plan.ensemble)
     for name in CONTINUED:
         given, noted = getattr(options, name), getattr(plan, name)
-        given = os.path.normpath(given) if isinstance(given, Path) else given
-        if given is not None and given != noted:
-            value = " ".join(given) if isinstance(given, list) else given
-            option = f"--{name.replace('_', '-')}" + ("" if given is True else f" {value}")
-            raise RunError(f"{option} differs from {noted} of {checkpoint}; leave it out")
-    longer = {"steps": _length(options, plan.dt) or plan.steps, "box": str(options.box)}
-    return Plan(**{**asdict(plan), **longer})
+        if given is not None and not _same(given, noted):
+            option = OPTIONS[name].flag + ("" if given is True else f" {_shown(given)}")
+            raise RunError(f"{option} differs from {_shown(noted)} of {checkpoint}; leave it out")
+    for name in OUTPUTS:
+        if (path := getattr(plan, name)) and getattr(options, name) is None and not _is_below(path, checkpoint):
+            raise RunError(
+                f"{checkpoint}: plan: {name}: {path} does not lie beside the checkpoint; if the run writes there, say "
+                f"so by {OPTIONS[name].flag} {path}"
+            )
+    steps = _steps(options.time, plan.dt) if options.time is not None else options.steps or plan.steps
+    return replace(plan, steps=steps, box=options.box)
+
+
+def _same(given: Any, noted: Any) -> bool:
+    if isinstance(given, Path) and noted is not None:
+        return os.path.abspath(given) == os.path.abspath(noted)
+    return bool(given == noted)
+
+
+def _shown(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _is_below(path: Path, checkpoint: Path) -> bool:
+    """Whether a file is in the directory of a checkpoint or below it, all links followed."""
+    return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(os.path.dirname(checkpoint) or "."))

@@ -217,10 +217,10 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
     return rows, stressed
 
 
-def estimated(row: Row, runs: Sequence[Run]) -> dict[str, Estimate | None]:
+def estimated(row: Row, runs: Sequence[Run]) -> dict[Path, Estimate | None]:
     """A property of each run, by trajectory; None where a run has none. Runs that are too short share a note."""
-    found: dict[str, Estimate | None] = {}
-    short: dict[str, list[str]] = {}
+    found: dict[Path, Estimate | None] = {}
+    short: dict[str, list[Path]] = {}
     for run in runs:
         found[run.plan.out] = None
         if row.of_motion and run.plan.ensemble == "hmc":

@@ -25,8 +25,10 @@ import openmm
 from openmm import app
 from openmm.unit import Quantity
 
+from openmm_sier.cli.notes import check_notes
+
 #: Version of what a checkpoint holds.
-FORMAT = 1
+FORMAT = 2
 
 #: The largest step number that DCD and XTC files hold. In longer runs a DCD file keeps this number, and an XTC file
 #: counts frames instead, so that its times stay right.
@@ -366,14 +368,18 @@ def read_checkpoint(path: Path) -> tuple[Any, dict[str, Any]]:
 
     Raises:
         RecordError: the file is no checkpoint of this command.
+        OptionError: its notes are not what they must be.
         FileNotFoundError: there is no such file.
     """
     try:
         with zipfile.ZipFile(path) as archive:
             state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
             notes = json.loads(archive.read("notes.json"))
+            if not isinstance(notes, dict):
+                raise ValueError("the notes have no names")
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
         raise RecordError(f"{path} is no checkpoint of openmm-sier run") from error
     if notes.get("format") != FORMAT:
         raise RecordError(f"{path} was written by another version of openmm-sier, in format {notes.get('format')}")
+    check_notes(path, notes)
     return state, notes

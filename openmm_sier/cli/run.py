@@ -14,9 +14,8 @@ from openmm import unit
 from openmm_sier.cli import records, runaway, summary
 from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
 from openmm_sier.cli.info import rigid_bodies
-from openmm_sier.cli.methods import METHODS, RECOMMENDED
 from openmm_sier.cli.outputs import Outputs, check_outputs, output_paths
-from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
+from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan, noted_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
 from openmm_sier.dynamics.schemes import SIER4G
@@ -29,6 +28,7 @@ from openmm_sier.measure.forcefields import Box, describe, first_line, locate, r
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.observe import conservation, stock
 from openmm_sier.prepare.preparation import prepare_system
+from openmm_sier_command.options import RECOMMENDED
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
@@ -61,18 +61,18 @@ def _run(options: Options, requests: StopRequests) -> None:
     _check_platform(options.platform)
     source = options.restart or options.start
     state, notes = records.read_checkpoint(source) if source else (None, {})
-    origin: dict[str, Any] | None = None
+    origin: Plan | None = None
     if options.restart:
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
     else:
-        origin = notes.get("plan")
+        origin = noted_plan(options.start, notes["plan"]) if options.start else None
         plan = new_plan(options, origin)
-        checkpoint = Path(plan.out).with_suffix(".chk")
+        checkpoint = plan.out.with_suffix(".chk")
         notes = {}
     paths = output_paths(plan, checkpoint)
     existing = "continue" if options.restart else "replace" if options.overwrite else "refuse"
     check_outputs(paths, _inputs(options), existing)
-    box = read_box(options.box, plan.forcefield, plan.constraints)
+    box = read_box(options.box, plan.forcefield, plan.constraints, plan.interactions)
     check_outputs(paths, _inputs(options, box), existing)
     note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
     bodies = rigid_bodies(box, plan.rigid)
@@ -194,7 +194,7 @@ def _begin(
     bodies: RigidBodies,
     fast: Collection[int],
     state: openmm.State | None,
-    origin: dict[str, Any] | None,
+    origin: Plan | None,
     options: Options,
 ) -> openmm.Context:
     """The Context of a new run, with positions and velocities.
@@ -212,7 +212,7 @@ def _begin(
     begun = make_context(box.system, _integrator(stand_in, bodies, fast), options.platform)
     positions = box.positions
     if state is not None:
-        _start_from(begun, state, origin or {}, options)
+        _start_from(begun, state, origin, options)
         positions = state.getPositions()
     if options.equilibrates:
         _equilibrate(
@@ -230,7 +230,7 @@ def _begin(
     return context
 
 
-def _start_from(context: openmm.Context, state: openmm.State, origin: dict[str, Any], options: Options) -> None:
+def _start_from(context: openmm.Context, state: openmm.State, origin: Plan | None, options: Options) -> None:
     """Take positions, velocities and box of a checkpoint."""
     _check_particles(context, state, options.start, options.box)
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
@@ -240,8 +240,8 @@ def _start_from(context: openmm.Context, state: openmm.State, origin: dict[str, 
         context.getIntegrator().getBodyState()
     except RigidityError as error:
         raise RunError(f"{options.start} does not fit {options.box}: {first_line(error)}") from error
-    if METHODS[origin["scheme"]].leapfrog:
-        stock.shift_velocities(context, origin["dt"] / 2000)
+    if origin is not None and origin.method.leapfrog:
+        stock.shift_velocities(context, origin.dt / 2000)
     note(f"starts from the positions, velocities and box of {options.start}")
 
 

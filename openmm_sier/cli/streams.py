@@ -7,6 +7,8 @@ import os
 import sys
 from typing import TextIO
 
+from openmm_sier.cli.advice import for_the_command
+
 PROGRAM = "openmm-sier"
 
 
@@ -45,12 +47,12 @@ def complain(message: str) -> None:
 
 def note_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Show a warning as one line among the notes; it takes the place of `warnings.showwarning`."""
-    print(f"warning: {' '.join(str(message).split())}", flush=True)
+    print(f"warning: {for_the_command(' '.join(str(message).split()))}", flush=True)
 
 
 def described(error: Exception) -> str:
     """An error in one line."""
-    message = " ".join(str(error).split()) or type(error).__name__
+    message = for_the_command(" ".join(str(error).split())) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     expected = (

@@ -23,9 +23,9 @@ from openmm_sier.measure.report import SILENT, Advance, Report
 #: The module that executes a member in a process of its own; its docstring explains its arguments.
 WORKER = "openmm_sier.cli.member"
 
-#: Files in the directory of a member, which are the output of its command, the log of an `openmm-sier run`, and the
-#: arguments with which it has been completed.
-OUTPUT, LOG, COMPLETE = "output.txt", "run.csv", "complete.json"
+#: Files in the directory of a member, which are the output of its command, the log of an `openmm-sier run`, the
+#: arguments with which it has been completed, those that identify it, and the lock of the process that works on it.
+OUTPUT, LOG, COMPLETE, NOTES, LOCK = "output.txt", "run.csv", "complete.json", "member.json", "lock"
 
 #: A member is given up when its process has been killed this often without progress in between, or when more workers
 #: than this have been lost with it.
@@ -105,6 +105,8 @@ def ensemble(
     names = [member.name for member in members]
     if len(set(names)) < len(names):
         raise ValueError(f"members need names of their own, got {max(names, key=names.count)} more than once")
+    if wrong := [name for name in names if Path(name).name != name or name in ("", "..")]:
+        raise ValueError(f"members need names of directories, got {wrong[0]!r}")
     for name, number in (("processes", processes), ("threads", threads)):
         if number is not None and number < 1:
             raise ValueError(f"{name} must be at least 1, got {number}")
@@ -173,9 +175,43 @@ def _show(advance: Advance, members: Sequence[Member], found: dict[str, Outcome]
 def is_complete(member: Member, place: Path) -> bool:
     """Whether a member has been completed with these arguments."""
     try:
-        return json.loads((place / member.name / COMPLETE).read_text()) == list(member.arguments)
-    except FileNotFoundError:
+        return read_arguments(place / member.name / COMPLETE) == list(member.arguments)
+    except DamagedNoteError:
         return False
+
+
+class DamagedNoteError(ValueError):
+    """A note in a member's directory holds no arguments, as after a power failure."""
+
+
+def read_arguments(path: Path) -> list[str] | None:
+    """The arguments that a note in a member's directory holds; None where there is no note.
+
+    Raises:
+        DamagedNoteError: it holds something else.
+    """
+    try:
+        found = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, list) or not all(isinstance(argument, str) for argument in found):
+        raise DamagedNoteError(f"{path} is damaged")
+    return found
+
+
+def damaged_notes(member: Member, place: Path) -> list[str]:
+    """What is to be said of damaged notes of a member, which is done again then."""
+    said: list[str] = []
+    if is_complete(member, place):
+        return said
+    for name in (NOTES, COMPLETE):
+        try:
+            read_arguments(place / member.name / name)
+        except DamagedNoteError as error:
+            said.append(f"{error}: {member.name} is done again")
+    return said
 
 
 def fraction_done(member: Member, place: Path) -> float:
@@ -187,9 +223,9 @@ def fraction_done(member: Member, place: Path) -> float:
             columns = file.readline().decode().rstrip().split(",")
             file.seek(max(file.tell(), os.fstat(file.fileno()).st_size - 4096))
             rows = [line.split(b",") for line in file.read().splitlines()]
-    except OSError:
+        times = [float(row[columns.index("Time (ps)")]) for row in rows if len(row) == len(columns)]
+    except (OSError, ValueError):
         return 0.0
-    times = [float(row[columns.index("Time (ps)")]) for row in rows if len(row) == len(columns)]
     return min(1.0, times[-1] / member.length) if times else 0.0
 
 

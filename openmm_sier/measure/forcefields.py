@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
+from openmm_sier.measure.pdb_files import read_pdb
 from openmm_sier.measure.water_models import ForceFieldError, WaterModel, recognize
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 
@@ -24,6 +27,14 @@ DEFAULT_BOX = "tip3p-512.pdb"
 #: A PDB file names its force field in records that begin like this; one file name follows.
 REMARK = "REMARK  99 FORCEFIELD"
 
+#: Where interactions in a periodic box end by default, and where Lennard-Jones starts to be switched off, nm.
+CUTOFF = 0.9
+SWITCH = 0.75
+
+#: OpenMM's ewaldErrorTolerance, from which the mesh follows. A smaller one serves no scheme's usual step: balanced,
+#: SIER4P at 6 fs has 0.0145 % of rms(H)/rms(V) in water, and SIER4G 0.09 %.
+EWALD_TOLERANCE = 1e-4
+
 #: What may be constrained besides water, as in OpenMM's createSystem, which is bonds to hydrogen, all bonds, or all
 #: bonds and the angles of hydrogens.
 CONSTRAINTS = {"none": None, "hbonds": app.HBonds, "allbonds": app.AllBonds, "hangles": app.HAngles}
@@ -32,26 +43,27 @@ CONSTRAINTS = {"none": None, "hbonds": app.HBonds, "allbonds": app.AllBonds, "ha
 LARGEST_CUTOFF = 0.45
 
 
+#: Most points of the mesh of PME. In single precision this many take 8 GiB.
+MOST_MESH_POINTS = 2**31
+
+
 @dataclass(frozen=True)
 class Interactions:
-    """How the nonbonded interactions of a periodic box are computed.
+    """How the interactions of a box are cut off; None stands for what `pme_system` does by itself.
 
     Attributes:
-        cutoff: of the direct sums, nm.
-        switch: where Lennard-Jones starts to be switched off, as a fraction of the cut-off; None: it ends with a jump.
-        tolerance: OpenMM's ewaldErrorTolerance, from which the mesh follows. Smaller ones than 1e-4 serve no scheme's
-            usual step: balanced, SIER4P at 6 fs has 0.0145 % of rms(H)/rms(V) in water, and SIER4G 0.09 %.
+        cutoff: of the direct sum of PME and of Lennard-Jones, nm.
+        switch: where Lennard-Jones starts to be switched off, nm; 0 for a jump at the cut-off.
+        tolerance: of the sums of PME.
+        hydrogen_mass: of hydrogens outside water, dalton, taken from the atoms that they are bonded to.
         balanced: whether the sums of PME are balanced (`openmm_sier.balance_pme`).
     """
 
-    cutoff: float = 0.9
-    switch: float | None = 5 / 6
-    tolerance: float = 1e-4
+    cutoff: float | None = None
+    switch: float | None = None
+    tolerance: float | None = None
+    hydrogen_mass: float | None = None
     balanced: bool = True
-
-
-#: What every command takes.
-USUAL = Interactions()
 
 
 @dataclass(frozen=True)
@@ -153,7 +165,7 @@ def pme_system(
     topology: app.Topology,
     forcefield: app.ForceField,
     constraints: str | None = None,
-    interactions: Interactions = USUAL,
+    interactions: Interactions = Interactions(),
 ) -> openmm.System:
     """The System: rigid water, PME in a periodic box, no cut-off without one.
 
@@ -164,30 +176,62 @@ def pme_system(
         topology: openmm.app.Topology.
         forcefield: openmm.app.ForceField.
         constraints: besides those of water, one of `CONSTRAINTS`; None: none.
-        interactions: in a periodic box.
+        interactions: what is to be otherwise.
 
     Raises:
-        ForceFieldError: the force field has no template for a residue.
+        ForceFieldError: the force field has no template for a residue, or the interactions do not fit the box.
     """
-    box = topology.getPeriodicBoxVectors()
-    settings = {"nonbondedMethod": app.NoCutoff}
-    if box is not None:
-        cutoff = min(interactions.cutoff, LARGEST_CUTOFF * _narrowest_width(box))
-        settings = {
-            "nonbondedMethod": app.PME,
-            "nonbondedCutoff": cutoff * unit.nanometer,
-            "switchDistance": interactions.switch and interactions.switch * cutoff * unit.nanometer,
-            "ewaldErrorTolerance": interactions.tolerance,
-        }
+    mass = interactions.hydrogen_mass
+    settings = {
+        "constraints": CONSTRAINTS[constraints or "none"],
+        "hydrogenMass": None if mass is None else mass * unit.dalton,
+        **_cut_off(topology.getPeriodicBoxVectors(), interactions),
+    }
     try:
-        system = forcefield.createSystem(
-            topology, rigidWater=True, constraints=CONSTRAINTS[constraints or "none"], removeCMMotion=False, **settings
-        )
+        system = forcefield.createSystem(topology, rigidWater=True, removeCMMotion=False, **settings)
     except Exception as error:
         raise ForceFieldError(first_line(error)) from error
     if interactions.balanced and meshed_forces(system):
         balance_pme(system)
+    _refuse_huge_meshes(system)
     return system
+
+
+def _cut_off(box: Quantity | None, interactions: Interactions) -> dict[str, Any]:
+    """The arguments of createSystem that cut interactions off."""
+    if box is None:
+        if interactions.cutoff is not None or interactions.switch is not None:
+            raise ForceFieldError("a cut-off or switch needs a periodic box, which the PDB file does not have")
+        return {"nonbondedMethod": app.NoCutoff}
+    width = _narrowest_width(box)
+    cutoff = interactions.cutoff or min(CUTOFF, LARGEST_CUTOFF * width)
+    if 2 * cutoff >= width:
+        raise ForceFieldError(f"a cut-off of {cutoff:g} nm needs a box wider than {2 * cutoff:g} nm, got {width:.4g}")
+    switch = cutoff * SWITCH / CUTOFF if interactions.switch is None else interactions.switch
+    if switch >= cutoff:
+        raise ForceFieldError(f"the switch begins below the cut-off of {cutoff:g} nm, got {switch:g}")
+    return {
+        "nonbondedMethod": app.PME,
+        "nonbondedCutoff": cutoff * unit.nanometer,
+        "switchDistance": switch * unit.nanometer if switch else None,
+        "ewaldErrorTolerance": interactions.tolerance or EWALD_TOLERANCE,
+    }
+
+
+def _refuse_huge_meshes(system: openmm.System) -> None:
+    """Refuse a box whose PME would take minutes and gigabytes before it failed.
+
+    Raises:
+        ForceFieldError: naming the mesh.
+    """
+    for force in meshed_forces(system):
+        mesh = force.getPMEParameters()[1:]
+        if math.prod(mesh) > MOST_MESH_POINTS:
+            edges = [vector[axis]._value for axis, vector in enumerate(system.getDefaultPeriodicBoxVectors())]
+            raise ForceFieldError(
+                f"the box of {' x '.join(f'{edge:.4g}' for edge in edges)} nm needs a mesh of "
+                f"{' x '.join(map(str, mesh))} points for PME, more than {MOST_MESH_POINTS}: is it in Angstrom?"
+            )
 
 
 @dataclass(frozen=True)
@@ -211,9 +255,9 @@ class Box:
 
 def read_box(
     path: str | Path,
-    files: Sequence[str] | None = None,
+    files: Sequence[str | Path] | None = None,
     constraints: str | None = None,
-    interactions: Interactions = USUAL,
+    interactions: Interactions = Interactions(),
 ) -> Box:
     """Read a PDB file and build its System.
 
@@ -223,24 +267,24 @@ def read_box(
         constraints, interactions: see `pme_system`.
 
     Raises:
-        ForceFieldError: the file is no PDB file, or no force field fits it.
+        ForceFieldError: the file is no PDB file, has atoms twice or no room in its box, or no force field fits it.
         OSError: the file cannot be read.
     """
-    if not any(line.startswith(("ATOM", "HETATM")) for line in Path(path).read_text(errors="replace").splitlines()):
-        raise ForceFieldError(f"{path} is no PDB file with atoms")
-    try:
-        pdb = app.PDBFile(str(path))
-    except Exception as error:
-        raise ForceFieldError(f"cannot read {path} as a PDB file: {first_line(error)}") from error
+    pdb = read_pdb(path)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     lengths = make_whole(lengths, pdb.topology)
-    choice = Choice(tuple(files), "named by the user") if files else pick(path, pdb.topology, lengths)
+    named = Choice(tuple(map(str, files)), "named by the user") if files else None
+    choice = named or pick(path, pdb.topology, lengths)
     forcefield = load(choice.files, Path(path).parent)
     topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
     listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
     if len(listed) != pdb.topology.getNumAtoms():
         listed = np.arange(topology.getNumAtoms())
-    return Box(topology, positions, pme_system(topology, forcefield, constraints, interactions), choice, listed)
+    try:
+        system = pme_system(topology, forcefield, constraints, interactions)
+    except ForceFieldError as error:
+        raise ForceFieldError(f"{path}: {error}") from None
+    return Box(topology, positions, system, choice, listed)
 
 
 def shipped_box(name: str = DEFAULT_BOX) -> Path:

@@ -1,7 +1,8 @@
 """Water models by their geometry, and recognition of the model in a PDB file.
 
 Rigid water models share few geometries. TIP3P, in Amber's form and in CHARMM's, has that of TIP4P and TIP5P without
-their charge sites; SPC has that of SPC/E. A PDB file with such a geometry does not identify its model.
+their charge sites; SPC has that of SPC/E; OpenMM adds OPC and all other water of four sites in that of TIP4P-Ew. A PDB
+file with such a geometry does not identify its model.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ PDB_RESOLUTION = 1e-4
 
 #: OpenMM's default constraint tolerance, 1e-5, of the longest distance in a molecule, nm.
 CONSTRAINT_ERROR = 2e-6
+
+#: The model whose geometry OpenMM's `Modeller.addSolvent` gives to all water of four sites.
+OF_ADDED_WATER = "TIP4P-Ew"
 
 #: Number of models that are named when none fits.
 NEAREST = 3
@@ -95,14 +99,18 @@ def recognize(waters: Sequence[app.topology.Residue], positions: np.ndarray, ion
     measured = np.array([_distances(residue, positions) for residue in waters])
     candidates = [model for model in WATER_MODELS if sites in (3, model.sites)]
     fitting = [model for model in candidates if _fits(measured, model)]
+    if sites == 4 and any(model.name == OF_ADDED_WATER for model in fitting):
+        fitting = candidates
     if len(fitting) == 1:
         return fitting[0]
     means = measured.mean(axis=0)
     shown = ", ".join(f"{name} {value:.5f}" for name, value in zip(("O-H", "H-H", "O-M"), means, strict=False))
     if fitting:
         names = ", ".join(model.suggestion(ions) for model in fitting)
+        added = f" (OpenMM adds all water of four sites in that of {OF_ADDED_WATER})" if fitting is candidates else ""
         raise ForceFieldError(
-            f"the water ({sites} sites, {shown} nm) has the geometry of several models: {names}. Name a force field"
+            f"the water ({sites} sites, {shown} nm) has the geometry of several models{added}: {names}. Name a force "
+            "field"
         )
     nearest = sorted(candidates, key=lambda model: _distance(means, model))[:NEAREST]
     names = ", ".join(f"{model.suggestion(ions)}, {_distance(means, model):.5f} nm off" for model in nearest)

@@ -372,8 +372,8 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
 
 
 def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys, monkeypatch):
-    monkeypatch.setattr(records, "FORMAT", 2)
-    assert "in format 1" in complaint(capsys, "run", box, "--restart", whole_run / "whole.chk", "--time", "1")
+    monkeypatch.setattr(records, "FORMAT", 3)
+    assert "in format 2" in complaint(capsys, "run", box, "--restart", whole_run / "whole.chk", "--time", "1")
 
 
 def test_continuation_with_another_force_field_is_refused(whole_run, box, capsys):

@@ -14,9 +14,10 @@ import pytest
 
 from openmm_sier.cli.ensembles import PlanError, read_plan
 from openmm_sier.cli.main import main
-from openmm_sier.cli.member import NOTES, execute
-from openmm_sier.measure.ensemble import COMPLETE, WORKER, ensemble, fraction_done, is_complete
-from tests.support.commands import complaint, wait_for, write_lattice
+from openmm_sier.cli.member import _write, execute
+from openmm_sier.measure.ensemble import COMPLETE, NOTES, WORKER, Member, ensemble, fraction_done, is_complete
+from openmm_sier_command.options import OptionError
+from tests.support.commands import complaint, contents, wait_for, write_lattice
 
 PLAN = """
 [options]
@@ -79,28 +80,137 @@ def test_tables_of_members_add_up(plan):
     ("old", "new", "message"),
     [
         ("[options]", "[option]", "expected command, options, members, got option"),
-        (
-            "[options]",
-            'command = "bench"\n[options]',
-            "command must be one of run, equipartition, schemes, acceptance, paper",
-        ),
+        ("[options]", 'command = "bench"\n[options]', "command: members are runs, command = \"run\", got 'bench'"),
         ("dt = [4]", "dt = []", r"dt in \[members\] must have values, got an empty list"),
         ("seed = [1, 2]", "seed = [1, 2]\nevery = 1", r"every is in \[options\] and in \[members\]"),
         ("dt = [4]", 'ensemble = ["nve"]', r"ensemble is in \[options\] and in \[members\]"),
         ("dt = [4]", 'out = ["here"]', "out is set by the ensemble"),
         ("seed = [1, 2]", "seed = [1, 1]", "more than one member is called box-sier2-dt4-seed1: names have the values"),
-        ("dt = [4]", "dt = [-4]", "expected a number above 0, got '-4'"),
-        ("dt = [4]", "speed = [4]", "unrecognized arguments: --speed 4"),
-        ("dt = [4]", "temp = [4]", "run has no option temp"),
+        ("dt = [4]", "dt = [-4]", "dt: expected a number from 0.001 to 1000 fs, got -4"),
+        ("dt = [4]", "speed = [4]", "there is no option speed"),
+        ("dt = [4]", "temp = [4]", "there is no option temp"),
+        ("dt = [4]", "steps = [4]", "steps and time exclude each other"),
+        ("dt = [4]", "friction = [1]\nensemble = ['nve']", "ensemble is in"),
+        ("dt = [4]", "pressure = [1]", "--pressure needs --ensemble npt or hmc"),
+        ("dt = [4]", "report = ['../a.csv']", "report: outputs lie in the directory of each member"),
+        ("dt = [4]", "report = ['/tmp/a.csv']", "report: outputs lie in the directory of each member"),
+        ("dt = [4]", "bodies = ['there/a.h5']", "bodies: outputs lie in the directory of each member"),
+        ("dt = [4]", "report = ['member.json']", "report: member.json is a file of the ensemble itself"),
+        ("dt = [4]", "rigid = [['A', 3]]", "rigid: expected a name, got 3"),
+        ('box = ["box.pdb"]', "", "box is missing"),
         ("time = 0.4", "time = ", "is no TOML file"),
     ],
 )
 def test_wrong_plans_are_refused_before_anything_runs(plan, capsys, old, new, message):
     plan.write_text(PLAN.replace(old, new))
-    with pytest.raises(PlanError, match=message):
+    with pytest.raises((PlanError, OptionError), match=message):
         read_plan(plan)
     assert str(plan) in complaint(capsys, "ensemble", plan)
     assert not plan.with_suffix("").exists()
+
+
+# --- files beside a plan ---
+
+
+def test_only_inputs_are_looked_for_beside_a_plan(plan):
+    """Files that are called like a scheme, a residue, an output or an ensemble do not matter."""
+    for name in ("sier2", "nvt", "HOH", "log.csv", "hbonds", "Reference"):
+        (plan.parent / name).write_text("mine")
+    (plan.parent / "mine.xml").write_text("<ForceField/>")
+    more = (
+        '[options]\nreport = "log.csv"\nrigid = "HOH"\nconstraints = "hbonds"\nforcefield = ["mine.xml", "tip3p.xml"]'
+    )
+    plan.write_text(PLAN.replace("[options]", more))
+    _, box, *options = read_plan(plan)[0].arguments
+    assert box == str(plan.parent.resolve() / "box.pdb")
+    assert options[options.index("--report") + 1] == "log.csv"
+    assert options[options.index("--scheme") + 1] == "sier2"
+    where = options.index("--forcefield")
+    assert options[where + 1 : where + 3] == [str(plan.parent.resolve() / "mine.xml"), "tip3p.xml"]
+    assert sum(str(plan.parent) in option for option in options) == 1
+
+
+@pytest.mark.parametrize(
+    ("box", "name"), [("...pdb", "__"), ("..pdb", "_"), (".hidden.pdb", "_hidden"), ("....pdb", "___")]
+)
+def test_members_are_called_what_lies_in_the_directory_of_the_ensemble(plan, box, name):
+    (plan.parent / "box.pdb").rename(plan.parent / box)
+    plan.write_text(PLAN.replace("box.pdb", box).replace('scheme = ["sier2"]\ndt = [4]\nseed = [1, 2]', ""))
+    assert [member.name for member in read_plan(plan)] == [name]
+
+
+def test_a_member_called_like_another_directory_is_refused(tmp_path):
+    for name in ("..", "a/b", "", "/tmp/a"):
+        with pytest.raises(ValueError, match="members need names of directories"):
+            ensemble([Member(name, ("run", "box.pdb"))], tmp_path)
+
+
+@pytest.mark.slow
+def test_files_beside_a_plan_stay_as_they_are(plan, tmp_path):
+    more = '[options]\nreport = "log.csv"\npressure_tensor = "pressure.csv"\npressure_tensor_every = 0.2'
+    plan.write_text(PLAN.replace("[options]", more).replace("[1, 2]", "[1]"))
+    for name in ("log.csv", "pressure.csv", "sier2", "run.dcd", "run.chk"):
+        (tmp_path / name).write_text("mine\n")
+    before = contents(tmp_path)
+    assert main(["ensemble", str(plan)]) == 0
+    written = {name: content for name, content in contents(tmp_path).items() if name not in before}
+    assert {name: content for name, content in contents(tmp_path).items() if name in before} == before
+    member = "plan/box-sier2-dt4-seed1"
+    assert {f"{member}/{name}" for name in ("log.csv", "pressure.csv", "run.dcd", "run.chk", COMPLETE)} < set(written)
+    # Its outputs beside the plan change nothing either.
+    for name in ("log.csv", "pressure.csv", "run.dcd", "run.chk", NOTES, COMPLETE):
+        (tmp_path / name).write_bytes(written[f"{member}/{name}"])
+    before = contents(tmp_path)
+    assert main(["ensemble", str(plan)]) == 0
+    assert contents(tmp_path) == before
+
+
+# --- damaged notes ---
+
+DAMAGED = [b"", b"{", b"null", b"{}", b"[1]", b'"run"', b"\xff", b"[" * 100_000, b"NaN"]
+
+
+@pytest.mark.parametrize("content", DAMAGED, ids=range(len(DAMAGED)))
+@pytest.mark.parametrize("name", [COMPLETE, NOTES])
+def test_a_member_with_a_damaged_note_is_done_again(plan, monkeypatch, capsys, name, content):
+    first, second = read_plan(plan)
+    calls = []
+    monkeypatch.setattr("openmm_sier.cli.member.main", lambda arguments: calls.append(arguments) or 0)
+    place = plan.with_suffix("") / first.name
+    place.parent.mkdir()
+    carry_out(first, place, monkeypatch)
+    (place / "run.chk").write_bytes(b"of a run")
+    (place / name).write_bytes(content)
+    if name == NOTES:
+        # Complete is complete, whatever else is damaged.
+        assert is_complete(first, place.parent)
+        (place / COMPLETE).unlink()
+    assert not is_complete(first, place.parent)
+    capsys.readouterr()
+    assert main(["ensemble", str(plan), "--list"]) == 0
+    assert f"{name} is damaged: {first.name} is done again\n" in capsys.readouterr().out
+    assert (place / name).read_bytes() == content
+    calls.clear()
+    assert carry_out(first, place, monkeypatch) == 0
+    # Whose checkpoint it is, is known from its notes alone.
+    went_on = ["--restart", "run.chk"] if name == COMPLETE else ["--out", "run.dcd", "--overwrite"]
+    assert calls == [[*first.arguments, *went_on]]
+    assert (place / "run.chk").exists() == (name == COMPLETE)
+    assert is_complete(first, place.parent)
+    assert sorted(path.name for path in place.iterdir() if path.suffix == ".json") == [COMPLETE, NOTES]
+    assert not is_complete(second, place.parent)
+
+
+def test_notes_of_a_member_are_on_the_disk_before_they_take_their_place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    events = []
+    fsync, replace = os.fsync, os.replace
+    monkeypatch.setattr(os, "fsync", lambda number: events.append(("fsync", os.fstat(number).st_size)) or fsync(number))
+    monkeypatch.setattr(os, "replace", lambda *names: events.append(names) or replace(*names))
+    _write("note.json", ["run"])
+    (synced, (temporary, place)) = events
+    assert synced == ("fsync", Path("note.json").stat().st_size)
+    assert (str(temporary), str(place)) == ("note.json.tmp", "note.json")
 
 
 def outputs(place):

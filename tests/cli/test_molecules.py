@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from openmm import app, unit
 
-from openmm_sier.cli.main import CONSTRAINTS, main
+from openmm_sier.cli.main import main
 from openmm_sier.measure import forcefields
+from openmm_sier_command.options import CONSTRAINTS
 from tests.support.commands import log
 from tests.support.peptides import capped_alanine_box
 
@@ -26,7 +27,6 @@ def box(tmp_path_factory):
 
 
 FILES = ["--forcefield", "amber14-all.xml", "amber14/tip3p.xml"]
-FIELDS = [*FILES, "--constraints", "hbonds"]
 
 
 @pytest.mark.parametrize("constraints", ["hbonds", "none"])
@@ -45,7 +45,21 @@ def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
     assert ("equilibrates in steps of" in out) == (constraints == "none")
 
 
+def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys):
+    """The default step resonates with bonds to hydrogen, which only a user who asks for it has."""
+    monkeypatch.chdir(tmp_path)
+    short = ["--platform", "Reference", "--equilibrate", "0", "--no-minimize", "--steps", "1"]
+    assert main(["run", str(box), *FILES, *short]) == 0
+    assert "warning" not in capsys.readouterr().out
+    assert main(["run", str(box), *FILES, *short, "--constraints", "none", "--overwrite"]) == 0
+    out = capsys.readouterr().out
+    assert "resonates with fast forces" in out
+    assert "hold the bond by --constraints hbonds" in out
+    assert "createSystem" not in out
+
+
 def test_info(box, capsys):
-    assert main(["info", str(box), *FIELDS]) == 0
+    """Bonds to hydrogen are constrained unless something else is asked for."""
+    assert main(["info", str(box), *FILES]) == 0
     # Twelve hydrogens of the peptide; three degrees of freedom of its atoms but these, and six of each water.
     assert f"{22 * 3 - 12 + 20 * 6} degrees of freedom, 12 constraints between bodies" in capsys.readouterr().out

@@ -125,8 +125,8 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
     for options, expected in (
         (["--out", "."], "--out . is a directory, expected the name of a file"),
         (["--out", ".."], "--out .. is a directory"),
-        (["--out", "there.dcd"], "--out there.dcd is a directory"),
-        (["--report", "there.dcd"], "--report there.dcd is a directory"),
+        (["--out", "there.dcd"], ": there.dcd is a directory, expected the name of a file"),
+        (["--report", "there.dcd"], ": there.dcd is a directory, expected the name of a file"),
         (["--bodies", "."], "--bodies . is a directory"),
         (["--bodies", "states.dcd"], "a file that ends in .h5, got states.dcd"),
         (["--bodies-every", "1"], "--bodies-every needs --bodies"),

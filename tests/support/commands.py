@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import os
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import mdtraj
@@ -44,6 +47,13 @@ def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
     positions = make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(3)) * unit.nanometer
     make.write(path, topology, positions, edge, [f"FORCEFIELD {file}"] if named else [])
     return path
+
+
+def notes_of(plan, checkpoint):
+    """The notes in a checkpoint of a run that has not begun."""
+    empty = {"size": 0, "count": 0}
+    numbers = {"step": 0, "potential_energy": 0.0, "start_energy": None}
+    return {"plan": plan.noted(checkpoint), **numbers, "trajectory": empty, "log": empty}
 
 
 def frames(path, box):
@@ -92,3 +102,22 @@ def wait_for(condition, process, limit=120.0):
             process.kill()
             pytest.fail(f"the command did not come so far in {limit:g} s")
         time.sleep(0.02)
+
+
+def contents(directory):
+    """All files below a directory with their bytes, links as where they lead."""
+    return {
+        str(path.relative_to(directory)): os.readlink(path) if path.is_symlink() else path.read_bytes()
+        for path in sorted(Path(directory).rglob("*"))
+        if path.is_symlink() or path.is_file()
+    }
+
+
+def rewrite_notes(checkpoint, change):
+    """Replace the notes in a checkpoint by what a function makes of them."""
+    with zipfile.ZipFile(checkpoint) as archive:
+        state, notes = archive.read("state.xml"), json.loads(archive.read("notes.json"))
+    change(notes)
+    with zipfile.ZipFile(checkpoint, "w") as archive:
+        archive.writestr("state.xml", state)
+        archive.writestr("notes.json", json.dumps(notes))

@@ -7,21 +7,25 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from openmm_sier.cli.parser import FORCEFIELD_HELP
-from openmm_sier.cli.values import any_number, positive, whole
+from openmm_sier_command.parser import FORCEFIELD_HELP, reading
+from openmm_sier_command.values import COUNT, Number
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from openmm_sier.cli.parser import Commands
+    from openmm_sier_command.parser import Commands, Parser
 
     Settings = TypeVar("Settings", bound=DataclassInstance)
+
+whole = reading(COUNT)
+positive = reading(Number("", 0, 1e9, beyond=True))
+any_number = reading(Number("", -1e9, 1e9))
 
 
 # --- paper ---
 
 
-def _add_paper(commands: Commands) -> argparse.ArgumentParser:
+def _add_paper(commands: Commands) -> Parser:
     parser = commands.add_parser(
         "paper",
         help="repeat the paper's experiments",
@@ -56,7 +60,7 @@ def _paper(options: argparse.Namespace) -> None:
 # --- comparisons ---
 
 
-def _add_comparison(commands: Commands, name: str, title: str, description: str) -> argparse.ArgumentParser:
+def _add_comparison(commands: Commands, name: str, title: str, description: str) -> Parser:
     """A parser with the arguments that all comparisons of integrators share."""
     parser = commands.add_parser(name, help=title, description=description)
     parser.add_argument("box", metavar="BOX.pdb", type=Path, nargs="?", help="default: 512 molecules of TIP3P water")
@@ -81,7 +85,7 @@ def _settings(cls: type[Settings], options: argparse.Namespace) -> Settings:
     return cls(**given)
 
 
-def _add_equipartition(commands: Commands) -> argparse.ArgumentParser:
+def _add_equipartition(commands: Commands) -> Parser:
     parser = _add_comparison(
         commands,
         "equipartition",
@@ -121,7 +125,7 @@ def _equipartition(options: argparse.Namespace) -> None:
         equipartition.run(_settings(equipartition.EquipartitionSettings, options), options.out, REPORT)
 
 
-def _add_schemes(commands: Commands) -> argparse.ArgumentParser:
+def _add_schemes(commands: Commands) -> Parser:
     parser = _add_comparison(
         commands,
         "schemes",
@@ -143,7 +147,7 @@ def _schemes(options: argparse.Namespace) -> None:
     scheme_comparison.run(_settings(scheme_comparison.SchemesSettings, options), options.out, REPORT)
 
 
-def _add_acceptance(commands: Commands) -> argparse.ArgumentParser:
+def _add_acceptance(commands: Commands) -> Parser:
     parser = _add_comparison(
         commands,
         "acceptance",
@@ -173,7 +177,7 @@ def _acceptance(options: argparse.Namespace) -> None:
     acceptance.run(_settings(acceptance.AcceptanceSettings, options), options.out, REPORT)
 
 
-def _add_bench(commands: Commands) -> argparse.ArgumentParser:
+def _add_bench(commands: Commands) -> Parser:
     parser = _add_comparison(
         commands,
         "bench",

@@ -1,0 +1,223 @@
+"""The declaration of options: what `--help` says, and that files are checked by it before anything is written."""
+
+import argparse
+import math
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from openmm_sier.cli.main import MISUSED, main
+from openmm_sier.cli.methods import METHODS
+from openmm_sier.cli.plan import FILES, OUTPUTS, new_plan
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.measure import forcefields
+from openmm_sier_command.arguments import build_parser
+from openmm_sier_command.options import NOTED, OPTIONS, RECOMMENDED, Options
+from tests.support.commands import complaint, contents, rewrite_notes, write_lattice
+
+SHORT = ["--platform", "Reference", "--equilibrate", "0.006", "--every", "0.006", "--pressure-tensor", "tensor.csv"]
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory):
+    """Directory of a run of two steps."""
+    place = tmp_path_factory.mktemp("short")
+    box = write_lattice(place / "box.pdb", 8)
+    before = Path.cwd()
+    os.chdir(place)
+    try:
+        assert main(["run", str(box), *SHORT, "--steps", "2"]) == 0
+    finally:
+        os.chdir(before)
+    return place
+
+
+@pytest.fixture
+def copied(short_run, tmp_path):
+    """The current directory, with the files of that run."""
+    shutil.copytree(short_run, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+# --- the declaration ---
+
+
+def test_the_declaration_agrees_with_what_it_cannot_import():
+    assert set(METHODS) == {*CATALOGUE, "verlet", "langevinmiddle"}
+    assert CATALOGUE[RECOMMENDED].name == "SIER4G"
+    assert OPTIONS["tolerance"].default == forcefields.EWALD_TOLERANCE
+    assert f"{forcefields.CUTOFF:g}, " in OPTIONS["cutoff"].otherwise
+    assert pytest.approx(5 / 6) == forcefields.SWITCH / forcefields.CUTOFF
+    assert (set(FILES), set(OUTPUTS)) == ({"box", *OUTPUTS}, {"out", "report", "bodies", "pressure_tensor"})
+
+
+def commands():
+    parser = build_parser()
+    (group,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return group.choices
+
+
+@pytest.mark.parametrize("command", ["run", "ensemble", "properties", "validate", "info"])
+def test_help_says_every_default(command):
+    options = [action for action in commands()[command]._actions if action.option_strings and action.dest != "help"]
+    assert options
+    assert [action.dest for action in options if "(default: " not in action.help] == []
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("--pressure", "101325", "from -5000 to 50000 bar (1 bar is 100000 Pa), got '101325'"),
+        ("--seed", "99999999999", "from 1 to 2147483647, got 99999999999"),
+        ("--seed", "1" * 5000, "from 1 to 2147483647, got '111"),
+        ("--time", "1e300", "above 0 and up to 1e+09 ps, got '1e300'"),
+        ("--dt", "nan", "from 0.001 to 1000 fs, got 'nan'"),
+        ("--dt", "1e-300", "from 0.001 to 1000 fs, got '1e-300'"),
+        ("--hydrogen-mass", "12", "from 1 to 4 dalton, got '12'"),
+        ("--steps", "1e3", "from 1 to 1000000000000000, got '1e3'"),
+    ],
+)
+def test_values_out_of_range(capsys, option, value, expected):
+    message = complaint(capsys, "run", "box.pdb", option, value, code=MISUSED)
+    assert f"argument {option}: expected a" in message
+    assert expected in message
+
+
+def test_intervals_that_no_file_can_note(copied, capsys):
+    message = complaint(capsys, "run", "box.pdb", "--every", "1e8", "--dt", "0.01", "--out", "new.dcd")
+    assert "--every 1e+08 is more than 2147483647 steps" in message
+
+
+def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
+    assert new_plan(Options(Path("box.pdb"))).constraints == "hbonds"
+    assert new_plan(Options(Path("box.pdb"), constraints="none")).constraints == "none"
+    unconstrained = new_plan(Options(Path("box.pdb"), constraints="none"))
+    assert new_plan(Options(Path("box.pdb"), start=Path("a.chk")), unconstrained).constraints == "none"
+
+
+# --- wrong values in files ---
+
+#: What no option takes; JSON as Python writes it knows NaN.
+WRONG = [{}, [None], math.nan, -1e300, "", "\0"]
+
+
+def refuse(capsys, place, file, field, *command):
+    """A command must fail in one line that names file and field, and leave all files as they are."""
+    before = contents(place)
+    message = complaint(capsys, *command)
+    assert file in message
+    assert field in message
+    assert contents(place) == before
+
+
+@pytest.mark.parametrize("name", NOTED)
+def test_wrong_options_in_a_checkpoint(copied, capsys, name):
+    original = (copied / "box.chk").read_bytes()
+    values = WRONG if OPTIONS[name].empty else [*WRONG, None]
+    restart, start = ["--restart", "box.chk", "--steps", "4"], ["--start", "box.chk", "--out", "new.dcd"]
+    for command, value in [(start, math.nan), *((restart, value) for value in values)]:
+        (copied / "box.chk").write_bytes(original)
+        rewrite_notes("box.chk", lambda notes, value=value: notes["plan"].update({name: value}))
+        refuse(capsys, copied, "box.chk", name, "run", "box.pdb", "--platform", "Reference", *command)
+
+
+@pytest.mark.parametrize("plan", [None, [], "nve", {}, {"dtt": 1.0}])
+def test_checkpoints_without_a_plan(copied, capsys, plan):
+    rewrite_notes("box.chk", lambda notes: notes.update(plan=plan))
+    refuse(capsys, copied, "box.chk", "plan", "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
+    refuse(capsys, copied, "box.chk", "plan", "properties", "box.chk")
+
+
+@pytest.mark.parametrize(
+    ("plan", "expected"),
+    [
+        ({"ensemble": "npt", "pressure": None}, "--pressure"),
+        ({"ensemble": "hmc", "steps_per_trial": None}, "--steps-per-trial"),
+        ({"scheme": "langevinmiddle"}, "--ensemble nvt or npt, got nve"),
+        ({"every": 1e8, "dt": 0.01}, "--every"),
+    ],
+)
+def test_options_in_a_checkpoint_that_contradict_each_other(copied, capsys, plan, expected):
+    rewrite_notes("box.chk", lambda notes: notes["plan"].update(plan))
+    refuse(capsys, copied, "box.chk", expected, "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
+
+
+@pytest.mark.parametrize("name", ["step", "potential_energy", "start_energy", "trajectory", "log", "tensors"])
+def test_wrong_notes_in_a_checkpoint(copied, capsys, name):
+    original = (copied / "box.chk").read_bytes()
+
+    def tried(change):
+        (copied / "box.chk").write_bytes(original)
+        rewrite_notes("box.chk", change)
+        refuse(
+            capsys,
+            copied,
+            "box.chk",
+            name,
+            "run",
+            "box.pdb",
+            "--restart",
+            "box.chk",
+            "--steps",
+            "4",
+            "--platform",
+            "CPU",
+        )
+
+    for value in [*WRONG, True, [], "1"]:
+        tried(lambda notes, value=value: notes.update({name: value}))
+    if name in ("trajectory", "log", "tensors"):
+        for value in [*WRONG, None, -1, 1.5, 2**80]:
+            for part in ("size", "count"):
+                tried(lambda notes, part=part, value=value: notes[name].update({part: value}))
+    elif name != "start_energy":
+        tried(lambda notes: notes.pop(name))
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_wrong_options_in_a_plan_of_an_ensemble(tmp_path, capsys, name):
+    write_lattice(tmp_path / "box.pdb", 8)
+    for value in ("{}", "[[1.5]]", "nan", '""', '["\\u0000"]'):
+        box = "" if name == "box" else 'box = "box.pdb"'
+        Path("plan.toml").write_text(
+            f"[options]\n{box}\n{name} = {value}\n[members]\nseed = [1]\n".replace(
+                "\nseed = [1]", "" if name == "seed" else "\nseed = [1]"
+            )
+        )
+        refuse(capsys, tmp_path, "plan.toml", name, "ensemble", "plan.toml")
+
+
+# --- outputs of a restart ---
+
+
+@pytest.mark.parametrize("make", ["above", "absolute", "link"])
+def test_a_checkpoint_from_elsewhere_overwrites_nothing(copied, tmp_path, capsys, make):
+    victim = tmp_path / "victim.txt"
+    victim.write_text("mine\n" * 1000)
+    place = tmp_path / "theirs"
+    place.mkdir()
+    for path in copied.glob("*.*"):
+        if path.name != "victim.txt":
+            shutil.copy(path, place)
+    if make == "link":
+        (place / "log.csv").symlink_to(victim)
+    name = {"above": "../victim.txt", "absolute": str(victim), "link": "log.csv"}[make]
+    for option in ("report", "out", "pressure_tensor"):
+        rewrite_notes(place / "box.chk", lambda notes, option=option: notes["plan"].update({option: name}))
+        command = ["run", "box.pdb", "--platform", "Reference", "--restart", "theirs/box.chk", "--steps", "4"]
+        refuse(capsys, tmp_path, "theirs/box.chk", f"plan: {option}: ", *command)
+        shutil.copy(copied / "box.chk", place)
+
+
+def test_outputs_elsewhere_are_named_again_at_a_restart(copied, capsys):
+    Path("there").mkdir()
+    short = ["run", "box.pdb", *SHORT[:-1], "there/tensor.csv"]
+    outputs = ["--out", "there/a.dcd", "--report", "a.csv"]
+    assert main([*short, *outputs, "--steps", "1"]) == 0
+    capsys.readouterr()
+    again = ["run", "box.pdb", "--platform", "Reference", "--restart", "there/a.chk", "--steps", "2"]
+    assert "say so by --report a.csv" in complaint(capsys, *again)
+    assert main([*again, "--report", str(Path("a.csv").resolve())]) == 0
+    assert len(Path("a.csv").read_text().splitlines()) == 2

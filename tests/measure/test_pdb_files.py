@@ -1,0 +1,101 @@
+"""PDB files that are refused, and how interactions are cut off in those that are not."""
+
+from __future__ import annotations
+
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier.measure.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, read_box
+from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.peptides import capped_alanine_box
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory):
+    """Of a box of 27 molecules, the first record that of the force field, the second that of the box."""
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb").read_text().splitlines(keepends=True)
+
+
+def with_edges(lines, a, b, c):
+    return [lines[0], f"CRYST1{a:>9}{b:>9}{c:>9}  90.00  90.00  90.00 P 1           1\n", *lines[2:]]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda lines: [*lines[:5], lines[4], *lines[5:]], r"has an atom twice: .*HETATM +3 +H2 +HOH A +1"),
+        (lambda lines: [*lines[:5], *lines[2:]], "has an atom twice"),
+        # A molecule once more, under a number of its own.
+        (
+            lambda lines: [*lines[:-2], *(line.replace("HOH A   1", "HOH A  99") for line in lines[2:5]), *lines[-2:]],
+            r"atom .* \(.* of HOH 1\) and atom .* \(.* of HOH 99\) are in the same place",
+        ),
+        (
+            lambda lines: with_edges(lines, "0.000", "0.000", "0.000"),
+            "edges of 0, 0, 0 Angstrom, expected lengths above 0",
+        ),
+        (lambda lines: with_edges(lines, "9.323", "9.323", "-9.323"), "expected lengths above 0"),
+        (lambda lines: with_edges(lines, "9.323", "9.323", "nan"), "expected lengths above 0"),
+        (lambda lines: with_edges(lines, "9.323", "9.323", "wide"), "expected the edges of the box in Angstrom, got"),
+        (lambda lines: with_edges(lines, "1.000", "1.000", "1.000"), "a volume of 0.001 nm3, too small for its 486"),
+        (lambda lines: with_edges(lines, "1000000.0", "1000000.0", "1000000.0"), "needs a mesh of"),
+        (lambda lines: [*lines[:2], f"{lines[2][:30]}     nan{lines[2][38:]}", *lines[3:]], "that are no numbers"),
+    ],
+)
+def test_boxes_that_are_refused(tmp_path, lines, change, message):
+    path = tmp_path / "box.pdb"
+    path.write_text("".join(change(lines)))
+    with pytest.raises(ForceFieldError, match=message) as refusal:
+        read_box(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("interactions", "cutoff", "switch", "tolerance"),
+    [
+        (Interactions(), 0.9, 0.75, EWALD_TOLERANCE),
+        (Interactions(0.8, 0.6, 2e-4), 0.8, 0.6, 2e-4),
+        (Interactions(switch=0.0), 0.9, None, EWALD_TOLERANCE),
+        # The default of the switch follows the cut-off.
+        (Interactions(0.6), 0.6, 0.5, EWALD_TOLERANCE),
+    ],
+)
+def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, tolerance):
+    system = read_box(SYSTEMS / "tip3p-512.pdb", interactions=interactions).system
+    (force,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    assert force.getCutoffDistance()._value == cutoff
+    assert force.getEwaldErrorTolerance() == tolerance
+    assert (force.getSwitchingDistance()._value if force.getUseSwitchingFunction() else None) == pytest.approx(switch)
+
+
+@pytest.mark.parametrize(
+    ("name", "interactions", "message"),
+    [
+        ("tip3p-512.pdb", Interactions(1.5), "a cut-off of 1.5 nm needs a box wider than 3 nm, got 2.48"),
+        ("tip3p-512.pdb", Interactions(switch=0.9), "the switch begins below the cut-off of 0.9 nm, got 0.9"),
+        ("tip4p-1.pdb", Interactions(0.9), "a cut-off or switch needs a periodic box"),
+    ],
+)
+def test_interactions_that_do_not_fit_a_box(name, interactions, message):
+    with pytest.raises(ForceFieldError, match=message):
+        read_box(SYSTEMS / name, interactions=interactions)
+
+
+def test_hydrogens_take_their_mass_from_what_they_are_bonded_to(tmp_path):
+    topology, positions = capped_alanine_box(waters=2)
+    path = tmp_path / "alanine.pdb"
+    with path.open("w") as file:
+        app.PDBFile.writeFile(topology, positions * unit.nanometer, file)
+    files = ["amber14-all.xml", "amber14/tip3p.xml"]
+    usual, heavy = (read_box(path, files, interactions=Interactions(hydrogen_mass=mass)) for mass in (None, 3.0))
+    masses = [
+        [box.system.getParticleMass(i)._value for i in range(box.system.getNumParticles())] for box in (usual, heavy)
+    ]
+    assert sum(masses[0]) == pytest.approx(sum(masses[1]), rel=1e-12)
+    hydrogens = [atom for atom in heavy.topology.atoms() if atom.element is app.element.hydrogen]
+    assert len(hydrogens) == 12 + 4
+    for atom in hydrogens:
+        usual_mass, mass = masses[0][atom.index], masses[1][atom.index]
+        assert mass == (usual_mass if atom.residue.name == "HOH" else 3.0)
