@@ -14,6 +14,7 @@ from openmm_sier.cli import streams, study_commands
 from openmm_sier.cli.methods import METHODS, RECOMMENDED
 from openmm_sier.cli.parser import FORCEFIELD_HELP, Parser, UsageError
 from openmm_sier.cli.plan import Options
+from openmm_sier.cli.stopping import interrupt_behind
 from openmm_sier.cli.values import any_number, not_negative, positive, whole
 from openmm_sier.version import __version__
 
@@ -65,9 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
         streams.complain("standard output is closed; send it to a file, or to /dev/null")
         return FAILED
     try:
-        with warnings.catch_warnings():
-            warnings.showwarning = streams.note_warning
-            options.execute(options)
+        _execute(options)
     except KeyboardInterrupt as stop:
         streams.complain(str(stop) or "interrupted")
         return SIGNALLED + getattr(stop, "signum", signal.SIGINT)
@@ -82,6 +81,17 @@ def main(arguments: list[str] | None = None) -> int:
         streams.complain(streams.described(error))
         return getattr(error, "exit_code", FAILED)
     return 0
+
+
+def _execute(options: argparse.Namespace) -> None:
+    with warnings.catch_warnings():
+        warnings.showwarning = streams.note_warning
+        try:
+            options.execute(options)
+        except SystemError as error:
+            if stop := interrupt_behind(error):
+                raise stop from None
+            raise
 
 
 def build_parser() -> argparse.ArgumentParser:
