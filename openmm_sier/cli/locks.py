@@ -37,7 +37,7 @@ class FileLocks(ExitStack):
 
     Beside each file, `.NAME.lock` is locked by the operating system, which releases the lock when the process ends, in
     whatever way. What a killed process leaves is therefore harmless, and the next command removes it. On network file
-    systems such locks hold for all machines. Where there are none, the existence of `.NAME.lock` is the lock; if its
+    systems such locks hold for all machines. Where there are none, the existence of `.NAME.held` is the lock; if its
     process was killed on another machine, it has to be removed by hand, as the message says.
 
     Nothing waits for a lock, so no two commands can wait for each other. Commands that lock the same first file never
@@ -112,13 +112,24 @@ def _locked(place: Path, path: Path) -> BaseFileLock:
         except OSError as error:
             if error.errno not in NO_LOCKS:
                 raise OSError(error.errno, f"cannot be locked: {error.strerror}", str(path)) from error
-            lock = SoftFileLock(place, timeout=PATIENCE)
-            try:
-                lock.acquire()
-            except Timeout:
-                by = f"process {lock.pid}" if lock.pid else "another process"
-                raise RunError(f"{path} is being written by {by}; if that has ended, remove {place}") from None
+            return _locked_by_existence(place, path)
         return lock
+
+
+def _locked_by_existence(place: Path, path: Path) -> BaseFileLock:
+    """A lock where the operating system has none."""
+    if place.stat().st_size:
+        # It has answered otherwise before.
+        raise RunError(f"{path} is being written by {_holder(place)}. If that has ended, remove {place}")
+    place.unlink(missing_ok=True)
+    place = place.with_suffix(".held")
+    lock = SoftFileLock(place, timeout=PATIENCE)
+    try:
+        lock.acquire()
+    except Timeout:
+        by = f"process {lock.pid}" if lock.pid else "another process"
+        raise RunError(f"{path} is being written by {by}. If that has ended, remove {place}") from None
+    return lock
 
 
 def _this_process() -> dict[str, str | int]:

@@ -23,6 +23,9 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure.forcefields import Box
 from openmm_sier.observe import pressure
 
+#: Names of outputs that grow in the notes of a checkpoint, by kind.
+NOTED_AS = {"trajectory": "trajectory", "log": "log", "body states": "bodies", "pressure tensor": "tensors"}
+
 
 def output_paths(plan: Plan, checkpoint: Path) -> dict[str, Path]:
     """The output files of a run by kind, the checkpoint first.
@@ -74,17 +77,17 @@ def check_belonging(paths: Mapping[str, Path], notes: Mapping[str, Any]) -> dict
     """
     noted = {}
     for kind, made in _growing(paths).items():
-        noted[kind] = _noted(paths["checkpoint"], kind, notes.get(kind))
+        noted[kind] = _noted(paths["checkpoint"], NOTED_AS[kind], notes.get(NOTED_AS[kind]))
         made.check(paths[kind], noted[kind], notes["run"])
     return noted
 
 
-def _noted(checkpoint: Path, kind: str, found: Any) -> records.Noted:
+def _noted(checkpoint: Path, name: str, found: Any) -> records.Noted:
     match found:
         case {"size": int(size), "count": int(count), "fingerprint": str(fingerprint)} if min(size, count) >= 0:
             return records.Noted(size, count, fingerprint)
     raise records.RecordError(
-        f'{checkpoint}: "{kind}" in notes.json must have the size, count and fingerprint of a file, got {found}. '
+        f'{checkpoint}: "{name}" in notes.json must have the size, count and fingerprint of a file, got {found}. '
         "Checkpoints of earlier versions cannot be continued, but --start begins a new run from one"
     )
 
@@ -97,7 +100,7 @@ def run_identity(plan: Plan, context: openmm.Context) -> str:
     """
     settings = {name: value for name, value in asdict(plan).items() if name not in (*FILES, "steps")}
     state = context.getState(positions=True, velocities=True)
-    digest = hashlib.blake2b(json.dumps(settings).encode(), digest_size=16)
+    digest = hashlib.blake2b(json.dumps(settings, default=str).encode(), digest_size=16)
     for values in (
         state.getPositions(asNumpy=True),
         state.getVelocities(asNumpy=True),
@@ -281,7 +284,7 @@ class Outputs:
             "step": step,
             "potential_energy": potential,
             "start_energy": start_energy,
-            **{kind: asdict(file.noted()) for kind, file in self._growing.items()},
+            **{NOTED_AS[kind]: asdict(file.noted()) for kind, file in self._growing.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
         records.write_checkpoint(self.checkpoint, state, notes)
