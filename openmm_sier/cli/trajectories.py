@@ -112,11 +112,11 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
 
     @classmethod
     def check_finished(cls, path: Path, noted: Noted, run: str) -> None:
-        import mdtraj
+        import tables
 
         try:
-            with mdtraj.formats.HDF5TrajectoryFile(str(path)) as file:
-                found = file.title
+            with tables.open_file(path) as file:
+                found = getattr(file.root._v_attrs, "title", None)
         except (OSError, RuntimeError) as error:
             raise RecordError(f"{path} is no HDF5 file of a trajectory") from error
         if found != title(run):
@@ -125,18 +125,33 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
     def _make(self, path: Path) -> None:
         import mdtraj
 
-        with (
-            mdtraj.formats.DCDTrajectoryFile(str(self.path)) as dcd,
-            mdtraj.formats.HDF5TrajectoryFile(str(path), "w", force_overwrite=True) as file,
-        ):
-            file.topology, file.title = mdtraj.Topology.from_openmm(self._topology), self._title
-            periodic = self._topology.getPeriodicBoxVectors() is not None
+        with mdtraj.formats.HDF5TrajectoryFile(str(path), "w", force_overwrite=True) as file:
+            file.topology = mdtraj.Topology.from_openmm(self._topology)
             for first in range(0, self.count, CHUNK):
-                # In Angstrom and degrees.
-                positions, lengths, angles = dcd.read(min(CHUNK, self.count - first))
+                positions, lengths, angles = self._read(first, min(CHUNK, self.count - first))
                 time = (np.arange(len(positions)) + first + 1) * self._interval * self._dt
-                box = {"cell_lengths": lengths / 10, "cell_angles": angles} if periodic else {}
-                file.write(coordinates=positions / 10, time=time, **box)
+                file.write(coordinates=positions, time=time, cell_lengths=lengths, cell_angles=angles)
+            # The first frame brings one of MDTraj's.
+            file.title = self._title
+
+    def _read(self, first: int, count: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """Positions of some frames in nm, and lengths (nm) and angles (degrees) of the box, None without one.
+
+        MDTraj's reader writes lines of its own to standard output.
+        """
+        mark, n = "<i4", self._topology.getNumAtoms()
+        record: list[tuple] = []
+        for axis in "xyz":
+            record += [(f"{axis}0", mark), (axis, "<f4", n), (f"{axis}1", mark)]
+        periodic = self._topology.getPeriodicBoxVectors() is not None
+        frame = np.dtype([("box0", mark), ("box", "<f8", 6), ("box1", mark), *record] if periodic else record)
+        frames = np.fromfile(self.path, frame, count, offset=DCD_HEADER + first * frame.itemsize)
+        positions = np.stack([frames[axis] for axis in "xyz"], axis=-1) / 10
+        if not periodic:
+            return positions, None, None
+        a, cos_gamma, b, cos_beta, cos_alpha, c = frames["box"].T
+        angles = np.degrees(np.arccos([cos_alpha, cos_beta, cos_gamma]))
+        return positions, np.transpose([a, b, c]) / 10, angles.T
 
 
 FORMATS: dict[str, type[DCDTrajectory] | type[XTCTrajectory]] = {
