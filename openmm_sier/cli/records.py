@@ -194,9 +194,12 @@ class GrowingFile:
         with naming(self.path):
             return Noted(self.size, self.count, self._fingerprint(self.path, self.size))
 
+    def close(self) -> None:
+        self._file.close()
+
     def finish(self) -> None:
         """Close the file at the end of its run."""
-        self._file.close()
+        self.close()
 
     @classmethod
     def _fingerprint(cls, path: Path, size: int) -> str:
