@@ -27,7 +27,7 @@ import mdtraj
 import numpy as np
 from openmm import unit
 
-from openmm_sier.cli import records
+from openmm_sier.cli import records, trajectories
 from openmm_sier.measure import forcefields
 
 SYSTEMS = Path(__file__).resolve().parent.parent / "systems"
@@ -224,7 +224,7 @@ def kill_loop(
 def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=50, help="default: %(default)s")
-    parser.add_argument("--suffix", choices=list(records.FORMATS), default=".dcd", help="default: %(default)s")
+    parser.add_argument("--suffix", choices=list(trajectories.FORMATS), default=".dcd", help="default: %(default)s")
     parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), default="npt", help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=1, help="of the moments (default: %(default)s)")
     parser.add_argument("--signals", choices=SIGNALS, nargs="+", default=SIGNALS, help="default: all, by turns")

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from openmm_sier.cli.console import REPORT, note, table
+from openmm_sier.cli.locks import FileLocks
 from openmm_sier.cli.plan import RunError, new_plan
 from openmm_sier.measure.ensemble import (
     COMPLETE,
@@ -70,6 +71,7 @@ def run(
 
     Raises:
         PlanError, EnsembleError, OSError: as their messages say.
+        RunError: another process carries out an ensemble in the same directory.
     """
     members = read_plan(plan)
     directory = out or plan.with_suffix("")
@@ -84,11 +86,14 @@ def run(
     if scheduler is not None and processes is not None:
         raise PlanError("--processes is for this machine: the workers of --scheduler take as many as they are told")
     executor = None if scheduler is None else _workers(scheduler)
-    try:
-        outcomes = ensemble(members, directory, executor, processes, threads, REPORT)
-    except EnsembleError as error:
-        _tell(error.outcomes)
-        raise
+    directory.mkdir(parents=True, exist_ok=True)
+    with FileLocks() as locks:
+        locks.hold([directory / "members"])
+        try:
+            outcomes = ensemble(members, directory, executor, processes, threads, REPORT)
+        except EnsembleError as error:
+            _tell(error.outcomes)
+            raise
     _tell(outcomes)
 
 

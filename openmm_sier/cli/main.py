@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable
 
 from openmm_sier.cli import streams
+from openmm_sier.cli.stopping import interrupt_behind
 from openmm_sier_command.arguments import parse
 from openmm_sier_command.options import given_options
 from openmm_sier_command.parser import MISUSED as MISUSED
@@ -28,10 +29,7 @@ def carry_out(options: argparse.Namespace) -> int:
         streams.complain("standard output is closed; send it to a file, or to /dev/null")
         return FAILED
     try:
-        with warnings.catch_warnings():
-            warnings.showwarning = streams.note_warning
-            execute = COMMANDS.get(options.command) or options.execute
-            execute(options)
+        _execute(options)
     except KeyboardInterrupt as stop:
         streams.complain(str(stop) or "interrupted")
         return SIGNALLED + getattr(stop, "signum", signal.SIGINT)
@@ -46,6 +44,18 @@ def carry_out(options: argparse.Namespace) -> int:
         streams.complain(streams.described(error))
         return getattr(error, "exit_code", FAILED)
     return 0
+
+
+def _execute(options: argparse.Namespace) -> None:
+    with warnings.catch_warnings():
+        warnings.showwarning = streams.note_warning
+        execute = COMMANDS.get(options.command) or options.execute
+        try:
+            execute(options)
+        except SystemError as error:
+            if stop := interrupt_behind(error):
+                raise stop from None
+            raise
 
 
 def _run(options: argparse.Namespace) -> None:

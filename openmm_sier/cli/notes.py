@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from openmm_sier_command.options import MOST_STEPS, OptionError
-from openmm_sier_command.values import Kind, Number, Whole, WrongValueError
+from openmm_sier_command.values import Kind, Number, Whole, Word, WrongValueError
 
 _ENERGY = Number("kJ/mol", -1e15, 1e15)
 
-#: Numbers by name, each with whether it must be there.
-NUMBERS: dict[str, tuple[Kind, bool]] = {
+#: Entries by name, each with whether it must be there: the identity of the run, and numbers.
+ENTRIES: dict[str, tuple[Kind, bool]] = {
+    "run": (Word(), True),
     "step": (Whole(0, MOST_STEPS), True),
     "potential_energy": (_ENERGY, True),
     "start_energy": (_ENERGY, False),
@@ -21,7 +22,7 @@ NUMBERS: dict[str, tuple[Kind, bool]] = {
 #: Files that grow, by name, each with whether every run has it; and what is noted of each. Counts in DCD files have
 #: 32 bits.
 FILES = {"trajectory": True, "log": True, "bodies": False, "tensors": False}
-LENGTH: dict[str, Kind] = {"size": Whole(0, 2**63 - 1), "count": Whole(0, 2**31 - 1)}
+FILE: dict[str, Kind] = {"size": Whole(0, 2**63 - 1), "count": Whole(0, 2**31 - 1), "fingerprint": Word()}
 
 
 def check_notes(path: Path, notes: Mapping[str, Any]) -> None:
@@ -30,17 +31,17 @@ def check_notes(path: Path, notes: Mapping[str, Any]) -> None:
     Raises:
         OptionError: naming the checkpoint and the entry.
     """
-    for name, (kind, needed) in NUMBERS.items():
+    for name, (kind, needed) in ENTRIES.items():
         if needed or notes.get(name) is not None:
             _check(path, name, kind, notes.get(name))
     for name, needed in FILES.items():
         if not needed and name not in notes:
             continue
-        length = notes.get(name)
-        if not isinstance(length, dict) or set(length) != set(LENGTH):
-            raise OptionError(f"{path}: {name}: expected {' and '.join(LENGTH)}, got {length!r}")
-        for part, kind in LENGTH.items():
-            _check(path, f"{name}.{part}", kind, length[part])
+        noted = notes.get(name)
+        if not isinstance(noted, dict) or set(noted) != set(FILE):
+            raise OptionError(f"{path}: {name}: expected {', '.join(FILE)}, got {noted!r}")
+        for part, kind in FILE.items():
+            _check(path, f"{name}.{part}", kind, noted[part])
     if "plan" not in notes:
         raise OptionError(f"{path}: plan is missing")
 

@@ -1,45 +1,36 @@
-"""Files that survive a run being cut off at any moment: trajectory, log and checkpoint.
+"""Files that survive a run being cut off at any moment: log, checkpoint, and all that grows by records.
 
 Trajectory and log only grow, by one write for each frame or row. The checkpoint notes their lengths, and is replaced as
 a whole. After a crash they are cut back to these lengths, and the run goes on from the checkpoint, with no gap and no
-frame twice.
+frame twice. So that no file of another run is cut, the checkpoint also notes a fingerprint of what each of them held.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
-import struct
-import tempfile
 import zipfile
 import zlib
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import openmm
-from openmm import app
-from openmm.unit import Quantity
 
 from openmm_sier.cli.notes import check_notes
+from openmm_sier.observe.conservation import csv_line
 
 #: Version of what a checkpoint holds.
 FORMAT = 2
 
-#: The largest step number that DCD and XTC files hold. In longer runs a DCD file keeps this number, and an XTC file
-#: counts frames instead, so that its times stay right.
-LARGEST_STEP = 2**31 - 1
-
-#: The second title in OpenMM's header of a DCD file, the time at which it was made. It is left blank, so that the same
-#: run gives the same bytes.
-DCD_DATE = slice(180, 260)
-
-#: Frames converted at a time.
-CHUNK = 100
+#: Bytes at the beginning and at the end of what a file held at a checkpoint by which it is known again.
+WINDOW = 2**16
 
 
 class RecordError(ValueError):
@@ -55,6 +46,59 @@ def naming(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
+def title(run: str) -> str:
+    """Title of a file by the identity of its run."""
+    return f"openmm-sier run {run}"
+
+
+@dataclass(frozen=True)
+class Noted:
+    """What a checkpoint notes of a file that grows.
+
+    Attributes:
+        size: bytes written.
+        count: records among them, a header not counted.
+        fingerprint: of these bytes, see `fingerprint`.
+    """
+
+    size: int
+    count: int
+    fingerprint: str
+
+    def check(self, path: Path, size: int, found: Callable[[], str]) -> None:
+        """Refuse a file of other content.
+
+        Args:
+            path: of the file.
+            size: its bytes.
+            found: gives the fingerprint of as many bytes as are noted.
+
+        Raises:
+            RecordError: it has fewer bytes than noted, or other ones.
+        """
+        if size < self.size:
+            raise RecordError(f"{path} has {size} bytes, fewer than the {self.size} that it had at the checkpoint")
+        if found() != self.fingerprint:
+            raise RecordError(
+                f"{path} is not the file that the checkpoint belongs to, or was edited: its first {self.size} bytes "
+                "are not those of the checkpoint"
+            )
+
+
+def fingerprint(read: Callable[[int, int], bytes], first: int, size: int) -> str:
+    """A digest of the first and the last bytes of a file, which takes no longer for a long one.
+
+    Runs that differ in anything differ there: in the title of the trajectory, and in the last row of the log.
+
+    Args:
+        read: gives the bytes from one offset up to another.
+        first: the bytes before this one are left out.
+        size: the bytes from this one on are left out.
+    """
+    head, tail = read(first, min(first + WINDOW, size)), read(max(first, size - WINDOW), size)
+    return hashlib.blake2b(head + tail, digest_size=16).hexdigest()
+
+
 class GrowingFile:
     """A file that only grows, by whole records.
 
@@ -64,28 +108,54 @@ class GrowingFile:
         count: records written, a header not counted.
     """
 
-    def __init__(self, path: Path, size: int = 0, count: int = 0):
+    #: Bytes at the beginning that change while the file grows.
+    CHANGING = 0
+
+    def __init__(self, path: Path, noted: Noted | None = None):
         """
         Args:
             path: of the file.
-            size: bytes to keep of an existing file; the rest is cut off. With 0 the file is made anew.
-            count: records among the bytes kept.
+            noted: what to keep of an existing file, for which `check` has passed; the rest is cut off. Without it, the
+                file is made anew.
 
         Raises:
-            RecordError: the file is missing, or has fewer bytes than `size`.
             OSError: it cannot be written.
         """
-        self.path, self.size, self.count = path, size, count
-        if size:
-            if not path.exists():
-                raise RecordError(f"{path} is missing; a restart continues the file that its checkpoint belongs to")
-            there = path.stat().st_size
-            if there < size:
-                raise RecordError(f"{path} has {there} bytes, fewer than the {size} that it had at the checkpoint")
+        self.path = path
+        self.size, self.count = (noted.size, noted.count) if noted else (0, 0)
         with naming(path):
-            self._file = open(path, "r+b" if size else "wb", buffering=0)  # noqa: SIM115
-            self._file.truncate(size)
-            self._file.seek(size)
+            self._file = open(path, "r+b" if self.size else "wb", buffering=0)  # noqa: SIM115
+            self._file.truncate(self.size)
+            self._file.seek(self.size)
+
+    @classmethod
+    def check(cls, path: Path, noted: Noted, run: str) -> None:
+        """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
+
+        Args:
+            path: of the output.
+            noted: of it by the checkpoint.
+            run: identity of the run by the checkpoint.
+
+        Raises:
+            RecordError: the output is missing, or is of another run.
+        """
+        if not noted.size:
+            return
+        if not path.exists():
+            raise RecordError(f"{path} is missing; a restart continues the file that its checkpoint belongs to")
+        with naming(path):
+            noted.check(path, path.stat().st_size, lambda: cls._fingerprint(path, noted.size))
+
+    @staticmethod
+    def companions(path: Path) -> list[Path]:
+        """Further files that are written along with the output at this path."""
+        return []
+
+    @classmethod
+    def unfinished(cls, path: Path) -> bool:
+        """Whether something is left to be done for the output at this path at the end of its run."""
+        return not path.exists()
 
     def append(self, record: bytes, counts: bool = True) -> None:
         """Write a record.
@@ -108,9 +178,10 @@ class GrowingFile:
         self.size += len(record)
         self.count += counts
 
-    def patch(self, offset: int, value: bytes) -> None:
+    def replace_beginning(self, value: bytes) -> None:
+        """Write the bytes that change while the file grows."""
         with naming(self.path):
-            self._file.seek(offset)
+            self._file.seek(0)
             self._file.write(value)
             self._file.seek(self.size)
 
@@ -119,30 +190,111 @@ class GrowingFile:
         with naming(self.path):
             os.fsync(self._file.fileno())
 
+    def noted(self) -> Noted:
+        """What a checkpoint notes of this file."""
+        with naming(self.path):
+            return Noted(self.size, self.count, self._fingerprint(self.path, self.size))
+
     def close(self) -> None:
         self._file.close()
 
-    def length(self) -> dict[str, int]:
-        """The entries of the checkpoint for this file."""
-        return {"size": self.size, "count": self.count}
+    def finish(self) -> None:
+        """Close the file at the end of its run."""
+        self.close()
 
-    @staticmethod
-    def companions(path: Path) -> list[Path]:
-        """Further files that are written along with the file at this path."""
-        return []
+    @classmethod
+    def _fingerprint(cls, path: Path, size: int) -> str:
+        with open(path, "rb") as file:
+
+            def read(first: int, last: int) -> bytes:
+                file.seek(first)
+                return file.read(max(0, last - first))
+
+            return fingerprint(read, cls.CHANGING, size)
+
+
+class MadeAtTheEnd(GrowingFile):
+    """An output that is made of another, growing file at the end of a run.
+
+    An HDF5 file that is cut off while being written is lost, so the frames are kept in a file beside it until the run
+    ends. As long as that file is there, it is what counts, also where a kill came just before its removal.
+
+    Attributes:
+        target: path of the output.
+    """
+
+    #: Appended to the name of the output, this is the name of the growing file.
+    GROWING = ""
+
+    target: Path
+
+    @classmethod
+    def growing(cls, path: Path) -> Path:
+        """Path of the growing file for the output at a path."""
+        return path.with_name(path.name + cls.GROWING)
+
+    @classmethod
+    def companions(cls, path: Path) -> list[Path]:
+        return [cls.growing(path), temporary(path)]
+
+    @classmethod
+    def unfinished(cls, path: Path) -> bool:
+        return cls.growing(path).exists() or super().unfinished(path)
+
+    @classmethod
+    def check(cls, path: Path, noted: Noted, run: str) -> None:
+        if path.exists() and not cls.growing(path).exists():
+            cls.check_finished(path, noted, run)
+        else:
+            super().check(cls.growing(path), noted, run)
+
+    @classmethod
+    @abstractmethod
+    def check_finished(cls, path: Path, noted: Noted, run: str) -> None:
+        """As `check`, for an output that has been made."""
+
+    @abstractmethod
+    def _make(self, path: Path) -> None:
+        """Write the output to a path."""
+
+    def finish(self) -> None:
+        """Make the output and remove the growing file.
+
+        Raises:
+            RecordError: the output could not be written. The growing file stays.
+        """
+        super().finish()
+        made = temporary(self.target)
+        try:
+            self._make(made)
+            with open(made, "rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(made, self.target)
+        # PyTables and h5py raise RuntimeErrors of their own where the disk is full.
+        except (OSError, RuntimeError) as error:
+            made.unlink(missing_ok=True)
+            reason = " ".join(str(error).split())[-200:]
+            message = f"{self.target} could not be written: {reason}. Its frames are kept in {self.path}"
+            raise RecordError(message) from error
+        self.path.unlink()
+
+
+def temporary(path: Path) -> Path:
+    """Temporary path of a file that is moved to its place when it is complete."""
+    return path.with_name(f"unfinished-{path.name}")
 
 
 class Log(GrowingFile):
     """A CSV file of numbers with a heading."""
 
-    def __init__(self, path: Path, columns: Sequence[str], size: int = 0, count: int = 0):
-        super().__init__(path, size, count)
+    def __init__(self, path: Path, columns: Sequence[str], noted: Noted | None = None):
+        super().__init__(path, noted)
         self.columns = tuple(columns)
-        if not size:
-            self.append((",".join(self.columns) + "\n").encode(), counts=False)
+        if not self.size:
+            self.append(csv_line(self.columns).encode(), counts=False)
 
     def write(self, values: Sequence[float]) -> None:
-        self.append((",".join(f"{value:.12g}" for value in values) + "\n").encode())
+        self.append(csv_line(values).encode())
 
     def read(self) -> dict[str, np.ndarray]:
         """All rows, by column."""
@@ -159,175 +311,6 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
         columns = file.readline().rstrip().split(",")
         rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))
     return dict(zip(columns, rows.T, strict=True))
-
-
-class DCDTrajectory(GrowingFile):
-    """Frames of a DCD file, all of the same length.
-
-    OpenMM formats the frames; the number of frames in the header is raised after a frame has been written.
-    """
-
-    def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, size: int = 0, count: int = 0
-    ) -> None:
-        """
-        Args:
-            path: of the file.
-            topology: openmm.app.Topology of the atoms that are written.
-            dt: step, ps.
-            interval: steps between frames.
-            size: bytes of the file to keep.
-            count: frames in these bytes.
-        """
-        super().__init__(path, size, count)
-        self._topology, self._dt, self._interval = topology, dt, interval
-        if size:
-            self._patch_header()
-
-    def write(self, positions: Quantity, box: Quantity) -> None:
-        """Append a frame.
-
-        Args:
-            positions: (n, 3), nm.
-            box: periodic box vectors (a Quantity) or None.
-        """
-        buffer = io.BytesIO()
-        file = app.DCDFile(buffer, self._topology, self._dt, self._interval, self._interval)
-        header = buffer.tell()
-        file.writeModel(positions, periodicBoxVectors=box)
-        if not self.size:
-            buffer.getbuffer()[DCD_DATE] = bytes(DCD_DATE.stop - DCD_DATE.start)
-            self.append(buffer.getvalue()[:header], counts=False)
-        self.append(buffer.getvalue()[header:])
-        self._patch_header()
-
-    def _patch_header(self) -> None:
-        self.patch(8, struct.pack("<i", self.count))
-        self.patch(20, struct.pack("<i", min(self.count * self._interval, LARGEST_STEP)))
-
-    def finish(self) -> None:
-        self.close()
-
-
-class XTCTrajectory(GrowingFile):
-    """Frames of an XTC file, which follow each other without a header."""
-
-    def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, size: int = 0, count: int = 0
-    ) -> None:
-        super().__init__(path, size, count)
-        self._topology, self._dt, self._interval = topology, dt, interval
-
-    def write(self, positions: Quantity, box: Quantity) -> None:
-        with tempfile.TemporaryDirectory() as directory:
-            frame = Path(directory) / "frame.xtc"
-            step, dt = (self.count + 1) * self._interval, self._dt
-            if step > LARGEST_STEP:
-                step, dt = self.count + 1, self._dt * self._interval
-            app.XTCFile(str(frame), self._topology, dt, step).writeModel(positions, periodicBoxVectors=box)
-            self.append(frame.read_bytes())
-
-    def finish(self) -> None:
-        self.close()
-
-
-class HDF5Trajectory(DCDTrajectory):
-    """An HDF5 file in MDTraj's layout.
-
-    An HDF5 file that is cut off while being written is lost, so the frames are kept in a DCD file beside it until the
-    run ends.
-    """
-
-    def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, size: int = 0, count: int = 0
-    ) -> None:
-        self.target = path
-        if size and path.exists():
-            raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
-        super().__init__(path.with_name(path.name + ".dcd"), topology, dt, interval, size, count)
-
-    @staticmethod
-    def companions(path: Path) -> list[Path]:
-        return [path.with_name(path.name + ".dcd"), unfinished(path)]
-
-    def finish(self) -> None:
-        """Move the frames to the HDF5 file and remove the temporary one."""
-        self.close()
-        convert(self.path, self.target, self._write_frames)
-
-    def _write_frames(self, path: Path) -> None:
-        import mdtraj
-
-        with mdtraj.formats.HDF5TrajectoryFile(str(path), "w", force_overwrite=True) as file:
-            file.topology = mdtraj.Topology.from_openmm(self._topology)
-            for first in range(0, self.count, CHUNK):
-                positions, lengths, angles = self._read(first, min(CHUNK, self.count - first))
-                steps = (np.arange(len(positions)) + first + 1) * self._interval
-                file.write(coordinates=positions, time=steps * self._dt, cell_lengths=lengths, cell_angles=angles)
-
-    def _read(self, first: int, count: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """Positions of some frames in nm, and lengths (nm) and angles (degrees) of the box, None without one."""
-        mark, n = "<i4", self._topology.getNumAtoms()
-        record = [("x0", mark), ("x", "<f4", n), ("x1", mark), ("y0", mark), ("y", "<f4", n), ("y1", mark)]
-        record += [("z0", mark), ("z", "<f4", n), ("z1", mark)]
-        periodic = self._topology.getPeriodicBoxVectors() is not None
-        frame = np.dtype([("box0", mark), ("box", "<f8", 6), ("box1", mark), *record] if periodic else record)
-        start = self.size + (first - self.count) * frame.itemsize
-        frames = np.fromfile(self.path, frame, count, offset=start)
-        positions = np.stack([frames[axis] for axis in "xyz"], axis=-1) / 10
-        if not periodic:
-            return positions, None, None
-        a, cos_gamma, b, cos_beta, cos_alpha, c = frames["box"].T
-        angles = np.degrees(np.arccos([cos_alpha, cos_beta, cos_gamma]))
-        return positions, np.transpose([a, b, c]) / 10, angles.T
-
-
-def unfinished(path: Path) -> Path:
-    """Temporary path of an HDF5 file, which is moved to its place when it is complete."""
-    return path.with_name(f"unfinished-{path.name}")
-
-
-def convert(growing: Path, target: Path, write: Callable[[Path], None]) -> None:
-    """Make an HDF5 file from the frames of another file, which is then removed.
-
-    Args:
-        growing: holds the frames.
-        target: the HDF5 file.
-        write: writes the frames to a path.
-
-    Raises:
-        RecordError: the file could not be written. The frames stay where they were.
-    """
-    temporary = unfinished(target)
-    try:
-        write(temporary)
-        os.replace(temporary, target)
-    # PyTables and h5py raise RuntimeErrors of their own where the disk is full.
-    except (OSError, RuntimeError) as error:
-        temporary.unlink(missing_ok=True)
-        reason = " ".join(str(error).split())[-200:]
-        raise RecordError(f"{target} could not be written: {reason}. Its frames are kept in {growing}") from error
-    growing.unlink()
-
-
-FORMATS: dict[str, type[DCDTrajectory] | type[XTCTrajectory]] = {
-    ".dcd": DCDTrajectory,
-    ".xtc": XTCTrajectory,
-    ".h5": HDF5Trajectory,
-}
-
-
-def trajectory_format(path: Path) -> type[DCDTrajectory] | type[XTCTrajectory]:
-    """The class for a file name.
-
-    Raises:
-        RecordError: the ending is unknown, or a package that it needs is missing.
-    """
-    if path.suffix not in FORMATS:
-        raise RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
-    if path.suffix == ".h5" and find_spec("tables") is None:
-        raise RecordError("an .h5 trajectory needs PyTables; install it with: pip install tables")
-    return FORMATS[path.suffix]
 
 
 def temporary_checkpoint(path: Path) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +14,17 @@ from openmm import unit
 from openmm_sier.cli import records, runaway, summary
 from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
 from openmm_sier.cli.info import rigid_bodies
-from openmm_sier.cli.outputs import Outputs, check_outputs, output_paths
+from openmm_sier.cli.locks import FileLocks
+from openmm_sier.cli.outputs import (
+    Outputs,
+    check_belonging,
+    check_existing,
+    check_outputs,
+    files_of,
+    is_finished,
+    output_paths,
+    run_identity,
+)
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan, noted_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
@@ -47,19 +57,22 @@ def run(options: Options) -> None:
         Stopped: a signal ended the run; the message says how to go on.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
-    with StopRequests() as requests:
+    with FileLocks() as locks, StopRequests(locks.remove) as requests:
         try:
-            _run(options, requests)
-        except Stopped as stop:
-            if str(stop):
+            _run(options, requests, locks)
+        except BaseException:
+            if (signum := requests.interrupted) is None:
                 raise
-            message = f"stopped by {signal_name(stop.signum)} before the first step; nothing was written"
-            raise Stopped(stop.signum, message) from None
+            message = f"stopped by {signal_name(signum)} before the first step; nothing was written"
+            raise Stopped(signum, message) from None
 
 
-def _run(options: Options, requests: StopRequests) -> None:
+def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     _check_platform(options.platform)
     source = options.restart or options.start
+    if options.restart and options.restart.is_file():
+        # Before it is read, so that nobody replaces it from here on.
+        locks.hold([options.restart])
     state, notes = records.read_checkpoint(source) if source else (None, {})
     origin: Plan | None = None
     if options.restart:
@@ -70,10 +83,12 @@ def _run(options: Options, requests: StopRequests) -> None:
         checkpoint = plan.out.with_suffix(".chk")
         notes = {}
     paths = output_paths(plan, checkpoint)
-    existing = "continue" if options.restart else "replace" if options.overwrite else "refuse"
-    check_outputs(paths, _inputs(options), existing)
+    check_outputs(paths, _inputs(options))
+    locks.hold(files_of(paths).values())
+    check_existing(paths, "continue" if options.restart else "replace" if options.overwrite else "refuse")
+    noted = check_belonging(paths, notes) if options.restart else {}
     box = read_box(options.box, plan.forcefield, plan.constraints, plan.interactions)
-    check_outputs(paths, _inputs(options, box), existing)
+    check_outputs(paths, _inputs(options, box))
     note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
     bodies = rigid_bodies(box, plan.rigid)
     prepared = prepare_system(box.system, bodies)
@@ -84,7 +99,7 @@ def _run(options: Options, requests: StopRequests) -> None:
     fast = prepared.fastForceGroups
     if options.restart:
         context = _context(plan, box, bodies, fast, options.platform, notes["step"])
-        _restore(context, state, notes, options, plan, paths.values())
+        _restore(context, state, notes, options, plan, is_finished(paths))
     else:
         context = _begin(plan, box, bodies, fast, state, origin, options)
     # From here on, the step and all files are completed before a signal ends the run.
@@ -93,8 +108,10 @@ def _run(options: Options, requests: StopRequests) -> None:
         # The checkpoint is removed first, so that it is never left with files that are not its own.
         for path in paths.values():
             path.unlink(missing_ok=True)
+        notes = {"run": run_identity(plan, context)}
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
-    outputs = Outputs(plan, box, bodies, checkpoint, notes, conservation.columns(context.getIntegrator()))
+    columns = conservation.columns(context.getIntegrator())
+    outputs = Outputs(plan, box, bodies, checkpoint, notes["run"], columns, noted, notes.get("step"))
     dof = degrees_of_freedom(bodies, context.getIntegrator().conservesMomentum)
     guard = runaway.Guard(plan, dof, notes.get("start_energy"))
     cost = _advance(context, plan, outputs, guard, requests)
@@ -263,15 +280,15 @@ def _restore(
     notes: dict[str, Any],
     options: Options,
     plan: Plan,
-    paths: Iterable[Path],
+    finished: bool,
 ) -> None:
     """Set a Context to the state of a checkpoint.
 
     Raises:
         RunError: the checkpoint belongs to another system, or the run is already complete.
     """
-    # An .h5 file is written last: a run that was killed before that still has to be finished.
-    at_end = notes["step"] == plan.steps and all(path.exists() for path in paths)
+    # An .h5 file is made last: a run that was killed before that still has to be finished.
+    at_end = notes["step"] == plan.steps and finished
     if at_end or notes["step"] > plan.steps:
         raise (NothingLeft if at_end else RunError)(
             f"{options.restart} is at step {_length(plan, notes['step'])}, the run is to end at step {plan.steps}; "

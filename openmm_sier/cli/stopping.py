@@ -10,6 +10,7 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 #: The signals handled. One that the parent process ignores stays ignored, which `nohup` and background jobs rely on.
@@ -48,8 +49,13 @@ class StopRequests:
         received: number of the first signal; None before it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, at_once: Callable[[], None] = lambda: None) -> None:
+        """
+        Args:
+            at_once: what to do, in another thread, before the process is ended at once.
+        """
         self.received: int | None = None
+        self._at_once = at_once
         self._deferred = False
         self._previous: dict[int, Any] = {}
         self._leaving = False
@@ -60,9 +66,17 @@ class StopRequests:
         Raises:
             Stopped: a signal has arrived already.
         """
-        self._deferred = True
         if self.received is not None:
             raise Stopped(self.received)
+        self._deferred = True
+
+    @property
+    def interrupted(self) -> int | None:
+        """Number of a signal that was raised; None before it, and if it was only noted.
+
+        `Stopped` need not be what arrives: from within OpenMM's wrappers it comes as a SystemError, or not at all.
+        """
+        return None if self._deferred else self.received
 
     def __enter__(self) -> StopRequests:
         # Python handles signals in the main thread only.
@@ -104,7 +118,7 @@ class StopRequests:
             waits = first is not None and not self._deferred
             ready, _, _ = select.select([self._reader], [], [], PATIENCE if waits else None)
             if not ready:
-                _exit_now(first, "stopped before the first step; nothing was written")
+                self._exit_now(first, "stopped before the first step; nothing was written")
             data = self._reader.recv(64)
             if not data or self._leaving:
                 return
@@ -114,14 +128,25 @@ class StopRequests:
                 if first is None:
                     first, since = signum, time.monotonic()
                 elif time.monotonic() - since > SAME:
-                    _exit_now(signum, "ended at once by a second signal; go on from the last checkpoint")
+                    self._exit_now(signum, "ended at once by a second signal; go on from the last checkpoint")
+
+    def _exit_now(self, signum: int | None, message: str) -> None:
+        number = signum or 0
+        with contextlib.suppress(Exception):
+            self._at_once()
+            os.write(sys.stderr.fileno(), f"openmm-sier: {signal_name(number)}: {message}\n".encode())
+        os._exit(SIGNALLED + number)
 
 
-def _exit_now(signum: int | None, message: str) -> None:
-    number = signum or 0
-    with contextlib.suppress(Exception):
-        os.write(sys.stderr.fileno(), f"openmm-sier: {signal_name(number)}: {message}\n".encode())
-    os._exit(SIGNALLED + number)
+def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
+    """The Ctrl-C of which Python has made an error, or None.
+
+    Python runs the handlers of signals also within calls of OpenMM's wrappers. These are made by SWIG, and return as if
+    nothing had been raised; Python then raises a SystemError, whose cause is what the handler had raised.
+    """
+    while isinstance(error, SystemError):
+        error = error.__cause__ or error.__context__
+    return error if isinstance(error, KeyboardInterrupt) else None
 
 
 def signal_name(signum: int) -> str:

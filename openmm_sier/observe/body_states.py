@@ -13,9 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import openmm
 from numpy.typing import ArrayLike
+from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.observe import conservation
 
 if TYPE_CHECKING:
     import h5py
@@ -52,44 +55,47 @@ CHUNK = 8192
 CONTINUOUS, WRAPPED = "no", "into the box"
 
 
-def frame_shapes(n: int, periodic: bool) -> dict[str, tuple[int, ...]]:
-    """Shapes of what a frame of n bodies holds, by dataset."""
-    shapes: dict[str, tuple[int, ...]] = {"step": (), "time": (), "q": (n, 3), "quaternion": (n, 4), "p": (n, 3)}
-    return shapes | {"L": (n, 3), "heat": ()} | ({"box": (3, 3)} if periodic else {})
+def frame_type(n: int, periodic: bool) -> np.dtype:
+    """The numbers of one frame of n bodies; the names are those of the datasets."""
+    fields: list[tuple] = [("step", "<i8"), ("time", "<f8"), ("q", "<f8", (n, 3)), ("quaternion", "<f8", (n, 4))]
+    fields += [("p", "<f8", (n, 3)), ("L", "<f8", (n, 3)), ("heat", "<f8")]
+    return np.dtype([*fields, ("box", "<f8", (3, 3))] if periodic else fields)
 
 
-def body_frame_values(
-    step: int, time: float, motion: BodyState, box: np.ndarray | None = None, unwrapped: bool = True
-) -> dict[str, Any]:
-    """The contents of a frame by dataset.
+def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = True) -> np.ndarray:
+    """The bodies of a Context at its last completed step, (1,) of `frame_type`.
 
     Args:
-        step: number of the step.
-        time: ps.
-        motion: the bodies' phase point.
-        box: box vectors as rows, (3, 3), nm; None without periodic boundaries.
+        context: of an integrator of this package, or of a `StockIntegrator`.
+        state: a State of it.
         unwrapped: centres as they are in the Context, along continuous paths; otherwise their images in the box.
+
+    Raises:
+        TypeError: the Context has another integrator.
+        ModuleNotFoundError: h5py or scipy is missing.
     """
     _, Rotation = import_extras()
+    motion = conservation.sier_integrator(context).getBodyState()
+    periodic = context.getSystem().usesPeriodicBoundaryConditions()
+    frame = np.zeros(1, frame_type(motion.q.shape[1], periodic))
+    frame["step"] = state.getStepCount()
+    frame["time"] = state.getTime().value_in_unit(unit.picosecond)
+    frame["q"], frame["p"], frame["L"], frame["heat"] = motion.q.T, motion.p.T, motion.L.T, motion.heat
     turns = Rotation.from_matrix(motion.A.transpose(2, 1, 0))
-    values = {
-        "step": step,
-        "time": time,
-        "q": motion.q.T if unwrapped or box is None else wrapped(motion.q.T, box),
-        "quaternion": turns.as_quat(canonical=True, scalar_first=True),
-        "p": motion.p.T,
-        "L": motion.L.T,
-        "heat": motion.heat,
-    }
-    return values if box is None else values | {"box": np.asarray(box, dtype=float)}
+    frame["quaternion"] = turns.as_quat(canonical=True, scalar_first=True)
+    if periodic:
+        frame["box"] = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
+        if not unwrapped:
+            frame["q"] = wrapped(motion.q.T, frame["box"][0])
+    return frame
 
 
-def create_datasets(file: h5py.File, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
+def _create_datasets(file: h5py.File, bodies: RigidBodies, periodic: bool, unwrapped: bool) -> None:
     """Put empty datasets over frames, and all that does not change, into an open, empty HDF5 file."""
-    for name, shape in frame_shapes(bodies.n, periodic).items():
-        frames = max(1, CHUNK // max(1, int(np.prod(shape))))
-        kind = "i8" if name == "step" else "f8"
-        dataset = file.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=(frames, *shape))
+    for name, (kind, *_) in (frame_type(bodies.n, periodic).fields or {}).items():
+        frames = max(1, CHUNK // max(1, int(np.prod(kind.shape))))
+        size = {"shape": (0, *kind.shape), "maxshape": (None, *kind.shape), "chunks": (frames, *kind.shape)}
+        dataset = file.create_dataset(name, dtype=kind.base, **size)
         dataset.attrs["unit"] = UNITS[name]
     file.attrs.update(CONVENTIONS)
     file["q"].attrs["wrapped"] = _wrapping(periodic, unwrapped)
@@ -115,28 +121,34 @@ def _constant(group: h5py.Group, name: str, values: ArrayLike, unit: str) -> Non
 
 
 class BodyStateFile:
-    """An HDF5 file that grows one frame at a time.
+    """An HDF5 file that grows by frames.
 
-    Every frame is flushed, so that the file of a run that was killed can be read; the last frame may be damaged.
+    What is written is flushed, so that the file of a run that was killed can be read; the last frame may be damaged.
     """
 
     def __init__(
-        self, path: str | Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True, append: bool = False
+        self,
+        path: str | Path,
+        bodies: RigidBodies,
+        periodic: bool,
+        unwrapped: bool = True,
+        append: bool = False,
+        title: str = "",
     ) -> None:
         """
         Args:
             path: of the HDF5 file.
             bodies: the bodies whose states are written.
             periodic: whether there is a box.
-            unwrapped: see `body_frame_values`.
+            unwrapped: see `body_frame`.
             append: continue after the last frame of an existing file, instead of replacing it.
+            title: of a new file, an attribute of its root.
 
         Raises:
             ModuleNotFoundError: h5py or scipy is missing.
             ValueError: the file to be continued has another layout or wrapping, or is of other bodies.
         """
         h5py, _ = import_extras()
-        self._periodic, self._unwrapped = periodic, unwrapped
         # The oldest file format does not mark files as open for writing; the mark would lock readers out after a kill.
         self._file = h5py.File(path, "r+" if append else "w", libver="earliest")
         if append:
@@ -146,23 +158,33 @@ class BodyStateFile:
                 self._file.close()
                 raise
         else:
-            create_datasets(self._file, bodies, periodic, unwrapped)
-        self._count = len(self._file["step"])
+            _create_datasets(self._file, bodies, periodic, unwrapped)
+            self._file.attrs["title"] = title
         self._file.flush()
 
-    def write(self, step: int, time: float, motion: BodyState, box: np.ndarray | None = None) -> None:
-        """Append a frame, and flush it; the arguments are those of `body_frame_values`."""
-        values = body_frame_values(step, time, motion, box if self._periodic else None, self._unwrapped)
-        self._count += 1
-        for name, value in values.items():
-            dataset = self._file[name]
-            dataset.resize(self._count, axis=0)
-            dataset[-1] = value
+    def append(self, frames: np.ndarray) -> None:
+        """Write frames, (T,) of `frame_type`, and flush them."""
+        count = len(self._file["step"])
+        for name in frames.dtype.names or ():
+            self._file[name].resize(count + len(frames), axis=0)
+            self._file[name][count:] = frames[name]
         self._file.flush()
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def read_frames(file: h5py.File, first: int, last: int) -> np.ndarray:
+    """Frames of a file from one number up to another, (T,) of `frame_type`.
+
+    Raises:
+        KeyError: the file has no body states.
+    """
+    found = np.zeros(max(0, min(last, len(file["step"])) - first), frame_type(file["q"].shape[1], "box" in file))
+    for name in found.dtype.names or ():
+        found[name] = file[name][first:last]
+    return found
 
 
 def check_same(file: h5py.File, path: Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -98,3 +99,8 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         *integrator.reported().values(),
     )
     return (observed.getStepCount(), *(float(value) for value in values))
+
+
+def csv_line(values: Iterable[str | float]) -> str:
+    """A line of a CSV file: numbers in the fewest digits that give back the same number, and names without commas."""
+    return ",".join(map(str, values)) + "\n"

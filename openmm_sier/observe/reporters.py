@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import app
 
 from openmm_sier.observe import conservation, pressure
-from openmm_sier.observe.body_states import BodyStateFile, import_extras
+from openmm_sier.observe.body_states import BodyStateFile, body_frame, import_extras
 
 
 class _Reporter:
@@ -112,8 +110,7 @@ class _Table:
         """
         fresh = not (append and path.exists() and path.stat().st_size)
         self._path, self._header = path, None if fresh else _header(path, columns, owner)
-        self._out = path.open("a" if append else "w", newline="")
-        self._rows = csv.writer(self._out)
+        self._out = path.open("a" if append else "w", newline="\n")
 
     def write(self, columns: tuple[str, ...], row: tuple[float, ...]) -> None:
         """Write one row, and flush it.
@@ -123,14 +120,13 @@ class _Table:
         """
         if self._header is None:
             self._header = columns
-            self._rows.writerow(columns)
+            self._out.write(conservation.csv_line(columns))
         if self._header != columns:
             raise ValueError(
                 f"{self._path} cannot be continued: it has {len(self._header)} columns, and this integrator has "
                 f"{len(columns)} to report"
             )
-        step, *values = row
-        self._rows.writerow([step, *(repr(value) for value in values)])
+        self._out.write(conservation.csv_line(row))
         self._out.flush()
 
     def close(self) -> None:
@@ -142,8 +138,8 @@ class _Table:
 
 
 def _header(path: Path, columns: tuple[str, ...], owner: str) -> tuple[str, ...]:
-    with path.open(newline="") as file:
-        found = next(csv.reader(file), [])
+    with path.open() as file:
+        found = file.readline().rstrip().split(",")
     if tuple(found[: len(columns)]) != columns:
         raise ValueError(
             f"{path} cannot be continued: it has {len(found)} columns that begin with {', '.join(found[:3])}, expected "
@@ -187,13 +183,11 @@ class BodyStateReporter(_Reporter):
 
     def report(self, simulation: app.Simulation, state: openmm.State) -> None:
         """Write one frame, and flush it."""
-        integrator = conservation.sier_integrator(simulation.context)
         if self._file is None:
+            bodies = conservation.sier_integrator(simulation.context).bodies
             periodic = simulation.system.usesPeriodicBoundaryConditions()
-            self._file = BodyStateFile(self._path, integrator.bodies, periodic, self._unwrapped, self._append)
-        box = np.array(state.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
-        time = state.getTime().value_in_unit(unit.picosecond)
-        self._file.write(simulation.currentStep, time, integrator.getBodyState(), box)
+            self._file = BodyStateFile(self._path, bodies, periodic, self._unwrapped, self._append)
+        self._file.append(body_frame(simulation.context, state, self._unwrapped))
 
     def close(self) -> None:
         """Close the file."""

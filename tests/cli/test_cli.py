@@ -15,7 +15,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2Integrator
-from openmm_sier.cli import main, records
+from openmm_sier.cli import main, records, trajectories
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__
@@ -154,7 +154,7 @@ def test_frames_after_more_steps_than_the_formats_count(box, suffix):
     out = Path("long").with_suffix(suffix)
     pdb = app.PDBFile(str(box))
     # A frame every 2e9 steps: the second is beyond 32 bits.
-    file = records.trajectory_format(out)(out, pdb.topology, 0.001, 2_000_000_000)
+    file = trajectories.trajectory_format(out)(out, pdb.topology, 0.001, 2_000_000_000)
     for _ in range(3):
         file.write(pdb.getPositions(asNumpy=True), pdb.topology.getPeriodicBoxVectors())
     file.finish()

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from openmm_sier.cli import main, records
+from openmm_sier.cli import body_states, main, records, trajectories
 from openmm_sier.measure import starts
 from tests.support.commands import SMALL, complaint, frames, write_lattice
 
@@ -232,9 +232,10 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
     notes = records.read_checkpoint(Path("box.chk"))[1]
     assert f"of step {notes['step']};" in message
     assert not list(Path().glob("*.tmp"))
-    # No half of a frame is left: of 12 numbers and 13 a molecule, or of a box and three times 81 numbers with marks.
-    size = Path(name).stat().st_size
-    assert (size - 276) % (56 + 3 * (81 * 4 + 8)) == 0 if name == "box.dcd" else size % (8 * (12 + 27 * 13)) == 0
+    # No half of a frame is left after the header: of 12 numbers and 13 a molecule, or of a box and three times 81
+    # numbers with marks.
+    header, frame = (276, 56 + 3 * (81 * 4 + 8)) if name == "box.dcd" else (80, 8 * (12 + 27 * 13))
+    assert (Path(name).stat().st_size - header) % frame == 0
     more = notes["step"] + 5
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", str(more)]) == 0
     if name == "box.dcd":
@@ -314,10 +315,9 @@ def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, 
         path.write_bytes(b"half")
         raise RuntimeError("HDF5 error back trace\n ... No space left on device")
 
-    kind = "HDF5Trajectory" if option == "--out" else "BodyStates"
-    module = records if option == "--out" else __import__("openmm_sier.cli.body_states", fromlist=["BodyStates"])
+    kind = trajectories.HDF5Trajectory if option == "--out" else body_states.BodyStates
     with monkeypatch.context() as patch:
-        patch.setattr(getattr(module, kind), "_write_frames", full)
+        patch.setattr(kind, "_make", full)
         message = complaint(capsys, "run", box, *SMALL, "--steps", "10", option, "made.h5")
     frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
     assert "made.h5 could not be written" in message

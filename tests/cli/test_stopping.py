@@ -10,9 +10,10 @@ import time
 from pathlib import Path
 
 import numpy as np
+import openmm
 import pytest
 
-from openmm_sier.cli import main, outputs, records, run
+from openmm_sier.cli import info, main, outputs, records, run
 from tests.support.commands import SMALL, datasets, frames, log, wait_for
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
@@ -220,3 +221,77 @@ def test_stopped_writing_of_a_frame_is_completed(box, monkeypatch):
     signal.signal(signal.SIGTERM, previous)
     assert frames(Path("box.dcd"), box).n_frames == 1
     assert records.read_checkpoint(Path("box.chk"))[1]["step"] == 5
+
+
+# --- what OpenMM's wrappers make of a signal ---
+
+
+@pytest.mark.parametrize("made", [SystemError, TypeError, openmm.OpenMMException])
+def test_signal_that_arrives_as_another_error(box, signum, monkeypatch, capsys, made):
+    """Handlers also run within calls of the wrappers, which take what they raise for a failure of their own."""
+
+    def prepare(*_):
+        try:
+            os.kill(os.getpid(), signum)
+            time.sleep(LIMIT)
+        except BaseException as error:
+            raise made("<built-in function Context_getState> returned a result with an exception set") from error
+
+    monkeypatch.setattr(run, "prepare", prepare)
+    assert main.main(["run", str(box), *SMALL]) == 128 + signum
+    name = signal.Signals(signum).name
+    assert capsys.readouterr().err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"
+    assert not list(Path().iterdir())
+
+
+def test_error_after_a_signal_that_was_only_noted_is_an_error(box, signum, monkeypatch, capsys):
+    def fail(*_):
+        os.kill(os.getpid(), signum)
+        raise SystemError("not of the signal")
+
+    monkeypatch.setattr(outputs.Outputs, "_write_frame", fail)
+    assert main.main(["run", str(box), *SMALL, "--time", "0.1"]) == 1
+    assert "not of the signal" in capsys.readouterr().err
+
+
+def test_ctrl_c_within_openmm_ends_every_command(box, monkeypatch, capsys):
+    def interrupted(*_):
+        raise SystemError("<method> returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr(info, "info", interrupted)
+    assert main.main(["info", str(box)]) == 130
+    assert capsys.readouterr().err == "openmm-sier: interrupted\n"
+
+    def broken(*_):
+        raise SystemError("broken") from ValueError()
+
+    monkeypatch.setattr(info, "info", broken)
+    assert main.main(["info", str(box)]) == 1
+    assert "broken" in capsys.readouterr().err
+
+
+#: Python calls the handler of a signal before it calls whatever a wrapper is given, here the report of a minimization.
+WITHIN = """
+import openmm
+def within(context, positions, *_):
+    context.setPositions(positions)
+    class Reporter(openmm.MinimizationReporter):
+        def report(self, *_):
+            open("busy", "w").close()
+            while True:
+                pass
+            return False
+    openmm.LocalEnergyMinimizer.minimize(context, 0, 0, Reporter())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_signal_within_a_minimization(box, name):
+    """The interrupt really passes through OpenMM's own code."""
+    process = started(box, patch=f"{WITHIN}\nrun.prepare, stopping.PATIENCE = within, 60")
+    wait_for(Path("busy").exists, process)
+    process.send_signal(getattr(signal, name))
+    code, err = ended(process)
+    assert code == 128 + getattr(signal, name)
+    assert err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"

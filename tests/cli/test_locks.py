@@ -1,0 +1,190 @@
+"""Two commands on one output: the second is refused, and the next one starts when the first is gone."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from openmm_sier.cli import locks, main
+from openmm_sier.cli.locks import FileLocks
+from openmm_sier.cli.plan import RunError
+from tests.support.commands import SMALL, SYSTEMS, complaint, run, wait_for
+
+#: Seconds after which a test fails rather than wait.
+LIMIT = 120
+
+#: Locks the files that it is given and says so, until its standard input ends.
+HOLDER = """
+import sys
+from pathlib import Path
+from openmm_sier.cli.locks import FileLocks
+with FileLocks() as locks:
+    locks.hold(map(Path, sys.argv[1:]))
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def holder():
+    """A function that makes another process lock files."""
+    started = []
+
+    def hold(*names):
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLDER, *names], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        started.append(process)
+        assert process.stdout.readline() == "held\n"
+        return process
+
+    yield hold
+    for process in started:
+        process.kill()
+        process.communicate(timeout=LIMIT)
+
+
+def contents():
+    """All files in the current directory, hidden ones too, with their bytes."""
+    return {path: path.read_bytes() for path in sorted(Path().rglob("*")) if path.is_file()}
+
+
+def test_second_holder_is_refused_and_told_of_the_first(holder):
+    first = holder("a.dcd", "a.csv")
+    with FileLocks() as mine, pytest.raises(RunError) as refusal:
+        mine.hold([Path("b.csv"), Path("a.csv")])
+    said = str(refusal.value)
+    assert said.startswith(f"a.csv is being written by process {first.pid} on {os.uname().nodename} since 20")
+    assert said.endswith(" UTC: openmm-sier a.dcd a.csv")
+    # The lock on b.csv that it got first is gone, and a second refusal says the same.
+    assert sorted(path.name for path in contents()) == [".a.csv.lock", ".a.dcd.lock"]
+    with FileLocks() as mine, pytest.raises(RunError, match=f"process {first.pid} on"):
+        mine.hold([Path("a.csv")])
+
+
+def test_locks_leave_nothing_behind(holder):
+    first = holder("a.dcd")
+    first.communicate("", timeout=LIMIT)
+    assert first.returncode == 0
+    assert not contents()
+
+
+def test_lock_of_a_killed_process_is_free(holder):
+    first = holder("a.dcd")
+    first.send_signal(signal.SIGKILL)
+    first.wait(LIMIT)
+    assert [path.name for path in contents()] == [".a.dcd.lock"]
+    with FileLocks() as mine:
+        mine.hold([Path("a.dcd")])
+        assert json.loads(Path(".a.dcd.lock").read_text())["process"] == os.getpid()
+    assert not contents()
+
+
+def test_a_file_has_one_lock_by_all_its_names(holder):
+    Path("there").mkdir()
+    Path("link.dcd").symlink_to("there/a.dcd")
+    Path("here").symlink_to("there")
+    holder("link.dcd")
+    # By its own name too, since --overwrite would replace the link.
+    for name in ("there/a.dcd", "here/a.dcd", "link.dcd", os.path.abspath("link.dcd")):
+        with FileLocks() as mine, pytest.raises(RunError, match="is being written by"):
+            mine.hold([Path(name)])
+
+
+def test_lock_on_a_removed_file_is_not_taken_for_one(monkeypatch):
+    """The holder removes the file between the opening and the locking by the next one."""
+    stat, calls = os.stat, []
+
+    def remove_first(path, *arguments, **more):
+        if str(path).endswith(".a.dcd.lock") and not calls:
+            calls.append(path)
+            os.unlink(path)
+        return stat(path, *arguments, **more)
+
+    monkeypatch.setattr(locks.os, "stat", remove_first)
+    with FileLocks() as mine:
+        mine.hold([Path("a.dcd")])
+        assert calls
+        assert Path(".a.dcd.lock").exists()
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_file_systems_without_locks(monkeypatch, number):
+    """The existence of a file is the lock then."""
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with FileLocks() as mine:
+        mine.hold([Path("a.dcd")])
+        with FileLocks() as other, pytest.raises(RunError, match=rf"written by process {os.getpid()}. If that has"):
+            other.hold([Path("a.dcd")])
+        assert [path.name for path in contents()] == [".a.dcd.held"]
+    assert not contents()
+
+
+OUTPUTS = ["--out", "a.h5", "--bodies", "b.h5", "--pressure-tensor", "p.csv"]
+
+
+@pytest.mark.parametrize(
+    "taken", ["a.chk", "a.chk.tmp", "a.h5", "a.h5.dcd", "a.csv", "b.h5", "b.h5.frames", "unfinished-b.h5", "p.csv"]
+)
+def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
+    pytest.importorskip("h5py")
+    first = holder(taken)
+    Path("a.csv").write_text("mine\n")
+    before = contents()
+    message = complaint(capsys, "run", box, *SMALL, *OUTPUTS, "--overwrite")
+    assert f"{taken} is being written by process {first.pid} on" in message
+    assert contents() == before
+
+
+def test_running_run_is_named_rather_than_its_files(box, holder, capsys):
+    first = holder("box.chk")
+    Path("box.dcd").write_text("mine\n")
+    assert f"process {first.pid} on" in complaint(capsys, "run", box, *SMALL)
+
+
+def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
+    run("run", box, *SMALL, "--steps", "5")
+    capsys.readouterr()
+    first = holder("box.csv")
+    again = ["run", box, "--platform", "Reference", "--restart", "box.chk", "--steps", "10"]
+    before = contents()
+    assert f"box.csv is being written by process {first.pid} on" in complaint(capsys, *again)
+    assert contents() == before
+    Path("box.chk").write_bytes(b"half")
+    assert "no checkpoint" in complaint(capsys, *again)
+    holder("box.chk")
+    assert "box.chk is being written by" in complaint(capsys, *again)
+
+
+@pytest.mark.slow
+def test_killed_run_does_not_keep_its_files(box):
+    command = [sys.executable, "-m", "openmm_sier.cli", "run", str(box), *SMALL, "--time", "1000"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    wait_for(Path("box.chk").exists, process)
+    process.send_signal(signal.SIGKILL)
+    process.wait(LIMIT)
+    assert Path(".box.chk.lock").exists()
+    assert main.main(["run", str(box), *SMALL, "--steps", "5", "--overwrite"]) == 0
+    assert sorted(path.name for path in contents()) == ["box.chk", "box.csv", "box.dcd"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "second"), [("run", "restart"), ("restart", "run"), ("run", "ensemble")])
+def test_two_commands_started_one_after_the_other(first, second):
+    """What benchmarks/two_commands.py does a hundred times for each pair, in a process that it may fork."""
+    program = [sys.executable, SYSTEMS.parent / "benchmarks" / "two_commands.py", "--times", "2"]
+    done = subprocess.run(
+        [*program, "--pairs", f"{first},{second}"], capture_output=True, text=True, timeout=LIMIT, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"{first},{second}: ")
