@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import os
 import signal
 import sys
 import warnings
@@ -15,6 +16,7 @@ from openmm_sier.cli.methods import METHODS, RECOMMENDED
 from openmm_sier.cli.parser import FORCEFIELD_HELP, Parser, UsageError
 from openmm_sier.cli.plan import Options
 from openmm_sier.cli.values import any_number, not_negative, positive, whole
+from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.version import __version__
 
 if TYPE_CHECKING:
@@ -64,6 +66,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not streams.open_closed_streams():
         streams.complain("standard output is closed; send it to a file, or to /dev/null")
         return FAILED
+    # Otherwise OpenMM counts the cores of the machine, for the threads of PME even where a Context has fewer.
+    os.environ.setdefault("OPENMM_CPU_THREADS", str(cores()))
     try:
         with warnings.catch_warnings():
             warnings.showwarning = streams.note_warning
@@ -206,8 +210,15 @@ def _add_ensemble(commands: Commands) -> argparse.ArgumentParser:
     )
     parser.add_argument("plan", metavar="PLAN.toml", type=Path, help="options of the runs, and what varies among them")
     parser.add_argument("--out", metavar="DIR", type=Path, help="for the runs (default: the plan's name)")
-    parser.add_argument("--processes", metavar="N", type=whole, help="at a time (default: one for each core)")
-    parser.add_argument("--threads", metavar="N", type=whole, help="of each (default: 1; more if cores are left)")
+    parser.add_argument(
+        "--processes", metavar="N", type=whole, help="at a time (default: one for each core that is there to use)"
+    )
+    parser.add_argument(
+        "--threads",
+        metavar="N",
+        type=whole,
+        help="of each (default: 1; more if cores are left; with a scheduler 1, or OPENMM_CPU_THREADS of its workers)",
+    )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of dask.distributed, whose workers take the runs")
     parser.add_argument("--list", action="store_true", help="list the members and what is complete, and do nothing")
     parser.set_defaults(execute=_ensemble)

@@ -241,17 +241,5 @@ def project_graphs(q, p, atoms, starts, graph, new_p):
         put_momenta(part[0], part[1], atoms, p, v, inverse_masses, new_p)
 
 
-#: The functions to compile, each after those that it calls.
-HELPERS = (
-    bonds,
-    factor,
-    substitute,
-    push,
-    constrain_graph,
-    project_graph,
-    take,
-    put_positions,
-    put_momenta,
-    room,
-)
+#: The functions that are called from outside.
 LOOPS = (drift_graphs, displace_graphs, project_graphs)

@@ -1,7 +1,4 @@
-"""Functions of this package compiled by Numba together with all that they call.
-
-Compiled code is cached on disk, in NUMBA_CACHE_DIR if that is set.
-"""
+"""Functions of this package compiled by Numba together with all that they call, and kept on disk (`numba_cache`)."""
 
 from __future__ import annotations
 
@@ -31,6 +28,8 @@ def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., A
     """
     import numba
 
+    from openmm_sier.dynamics.backend.numba_cache import UserCache
+
     helpers: dict[FunctionType, Any] = {}
 
     def link(function: FunctionType) -> FunctionType:
@@ -43,18 +42,18 @@ def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., A
                 if value not in linked:
                     linked[value] = numba.njit(link(value), forceinline=formula, **OPTIONS)
                 namespace[name] = linked[value]
-        clone = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__)
-        clone.__module__, clone.__qualname__ = function.__module__, function.__qualname__
+        clone = FunctionType(
+            function.__code__, namespace, function.__name__, function.__defaults__, function.__closure__
+        )
+        # Code from the disk is linked by names, which must not be those of other code that this process has compiled.
+        clone.__module__ = function.__module__
+        clone.__qualname__ = f"{function.__name__}_{_digest(function, replaced)}"
         return clone
 
     clone = link(loop)
-    # The cache on disk watches only the loop's own file, so that its name carries a digest of all else that it depends
-    # on.
-    clone.__qualname__ = f"{loop.__name__}_{_digest(loop, replaced)}"
-    try:
-        return numba.njit(clone, cache=True, **OPTIONS)
-    except RuntimeError:
-        return numba.njit(clone, **OPTIONS)
+    dispatcher: Any = numba.njit(clone, **OPTIONS)
+    dispatcher._cache = UserCache(clone.__qualname__)
+    return dispatcher
 
 
 def _globals_of(function: FunctionType, replaced: Mapping[Any, Any]) -> Iterator[tuple[str, Any]]:
@@ -71,7 +70,8 @@ def _digest(loop: FunctionType, replaced: Mapping[Any, Any]) -> str:
     parts = [Path(__file__).read_bytes()]
     for function in (pending := list(seen)):
         code = function.__code__
-        parts.append(repr((code.co_code, code.co_consts, code.co_names)).encode())
+        enclosed = [cell.cell_contents for cell in function.__closure__ or ()]
+        parts.append(repr((code.co_code, code.co_consts, code.co_names, enclosed)).encode())
         for name, value in _globals_of(function, replaced):
             if isinstance(value, FunctionType):
                 if value not in seen:

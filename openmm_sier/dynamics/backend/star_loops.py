@@ -303,22 +303,5 @@ def project_stars(q, p, centres, leaves, light, heavy, squares, new_p):
         project_star(q, p, star, scratch, new_p)
 
 
-#: The functions to compile, each after those that it calls.
-HELPERS = (
-    open_star,
-    close_positions,
-    close_momenta,
-    accelerate,
-    reach,
-    gram,
-    solve,
-    project_rates,
-    centripetal,
-    constrain,
-    turn,
-    drift_star,
-    displace_star,
-    project_star,
-    scratch_of,
-)
+#: The functions that are called from outside.
 LOOPS = (drift_stars, displace_stars, project_stars)
