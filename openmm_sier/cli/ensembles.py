@@ -12,7 +12,7 @@ A plan names a command, the options that all members share, and the values of th
     seed = [1, 2, 3]
 
 Members are all combinations, here twelve. Several tables [[members]] add up, for example for methods that each have
-their own steps. Files are looked for beside the plan, then among the project's own boxes, then under the given path.
+their own steps. Files are looked for beside the plan, then among the project's own boxes.
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ def read_plan(path: Path) -> list[Member]:
     """The members of a plan.
 
     Raises:
-        PlanError: an option is unknown, has a wrong value, or is set by the ensemble itself; or two members have the
-            same name.
+        PlanError: an option is unknown, has a wrong value, or is set by the ensemble itself; there is no such box; or
+            two members have the same name.
         OSError: the file cannot be read.
     """
     try:
@@ -150,6 +150,9 @@ def _member(path: Path, command: str, options: Mapping[str, Any], varied: list[s
     for key in POSITIONAL:
         if key in options:
             arguments.append(_text(path, options[key]))
+    # Members have directories of their own, where a relative path means another file.
+    if "box" in options and not ((box := Path(arguments[1])).is_absolute() and box.is_file()):
+        raise PlanError(f"{path}: box {box} is neither a file beside the plan nor one of the project's own boxes")
     for key, value in options.items():
         if key not in POSITIONAL:
             arguments += _option(path, key, value)

@@ -82,13 +82,17 @@ def _is_constant(values: np.ndarray) -> bool:
 
 def inefficiency(values: np.ndarray) -> float:
     """How many samples of a series (n,) are worth one independent sample."""
+    # At its import, pymbar advises to install JAX.
+    log = logging.getLogger("pymbar")
+    before = log.level
+    log.setLevel(logging.ERROR)
     try:
-        # At each import, pymbar advises to install JAX.
-        logging.getLogger("pymbar").setLevel(logging.ERROR)
         from pymbar.timeseries import statistical_inefficiency
     except ModuleNotFoundError as error:
         message = "properties need pymbar; install it with: pip install 'openmm-sier[properties]'"
         raise ModuleNotFoundError(message) from error
+    finally:
+        log.setLevel(before)
     return float(statistical_inefficiency(values))
 
 
