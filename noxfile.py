@@ -17,7 +17,7 @@ nox.options.default_venv_backend = "uv|virtualenv"
 @nox.session(python=PYTHONS)
 @nox.parametrize("dependencies", ["oldest", "newest"], ids=["oldest", "newest"])
 def tests(session: nox.Session, dependencies: str) -> None:
-    """The fast tests, or what is given to pytest: `nox -s "tests-3.13(oldest)" -- tests/context`."""
+    """The fast tests, or what is given to pytest: `nox -s "tests-3.13(oldest)" -- tests/engines`."""
     session.install("uv")
     resolution = "lowest-direct" if dependencies == "oldest" else "highest"
     wanted = Path(session.create_tmp()) / "requirements.txt"

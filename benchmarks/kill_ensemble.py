@@ -25,6 +25,7 @@ from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 
+from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.measure.ensemble import WORKER, EnsembleError, Member, Outcome, ensemble
 from openmm_sier.measure.forcefields import shipped_box
 
@@ -121,7 +122,7 @@ def main() -> int:
     undisturbed(members, out / "quiet", 1, 1)
     if options.throughput:
         undisturbed(members, out / "pool-undisturbed", 2, 1)
-        undisturbed(members, out / "threads", 1, os.cpu_count() or 1)
+        undisturbed(members, out / "threads", 1, cores())
     expected, wrong = files(out / "quiet"), 0
     for name in options.on:
         begun = perf_counter()

@@ -82,9 +82,17 @@ def _add_ensemble(commands: Commands) -> Parser:
     )
     parser.add_argument("plan", metavar="PLAN.toml", type=Path, help="options of the runs, and what varies among them")
     parser.add_argument("--out", metavar="DIR", type=Path, help="for the runs (default: the plan's name)")
-    parser.add_argument("--processes", metavar="N", type=reading(COUNT), help="at a time (default: one for each core)")
     parser.add_argument(
-        "--threads", metavar="N", type=reading(COUNT), help="of each (default: 1; more if cores are left)"
+        "--processes",
+        metavar="N",
+        type=reading(COUNT),
+        help="at a time (default: one for each core that is there to use)",
+    )
+    parser.add_argument(
+        "--threads",
+        metavar="N",
+        type=reading(COUNT),
+        help="of each (default: 1; more if cores are left; with a scheduler 1, or OPENMM_CPU_THREADS of its workers)",
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="of dask.distributed, whose workers take the runs (default: none)"

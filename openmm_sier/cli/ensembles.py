@@ -119,8 +119,8 @@ def read_plan(path: Path) -> list[Member]:
     """The members of a plan.
 
     Raises:
-        PlanError, OptionError: an option is unknown, has a wrong value, or is set by the ensemble itself; or two
-            members have the same name.
+        PlanError, OptionError: an option is unknown, has a wrong value, or is set by the ensemble itself; there is no
+            such box; or two members have the same name.
         OSError: the file cannot be read.
     """
     try:
@@ -170,6 +170,10 @@ def _member(path: Path, options: dict[str, Any], varied: list[str]) -> Member:
     checked = check_table(str(path), options)
     if "box" not in options:
         raise PlanError(f"{path}: box is missing")
+    box = Path(_texts(path, "box", options["box"])[0])
+    # Members have directories of their own, where a relative path means another file.
+    if not (box.is_absolute() and box.is_file()):
+        raise PlanError(f"{path}: box {box} is neither a file beside the plan nor one of the project's own boxes")
     try:
         new_plan(Options(**checked))
     except RunError as error:

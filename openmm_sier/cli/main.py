@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import warnings
@@ -10,6 +11,7 @@ from collections.abc import Callable
 
 from openmm_sier.cli import streams
 from openmm_sier.cli.stopping import interrupt_behind
+from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier_command.arguments import parse
 from openmm_sier_command.options import given_options
 from openmm_sier_command.parser import MISUSED as MISUSED
@@ -28,6 +30,8 @@ def carry_out(options: argparse.Namespace) -> int:
     if not streams.open_closed_streams():
         streams.complain("standard output is closed; send it to a file, or to /dev/null")
         return FAILED
+    # Otherwise OpenMM counts the cores of the machine, for the threads of PME even where a Context has fewer.
+    os.environ.setdefault("OPENMM_CPU_THREADS", str(cores()))
     try:
         _execute(options)
     except KeyboardInterrupt as stop:

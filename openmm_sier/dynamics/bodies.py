@@ -123,6 +123,22 @@ class RigidBodies:
             raise ValueError(f"{self.describe(extended[0])} is linked to another body and is no point")
         self.molecules = self._joined() if molecules is None else np.asarray(molecules)
 
+    def __repr__(self) -> str:
+        """Bodies by their numbers of atoms, and the constraints between points: `print(integrator.bodies)`."""
+        kinds: dict[int, list[int]] = {}
+        for s in self.species:
+            kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
+        points, constraints = sum(kinds.pop(1, [])), len(self.links[1])
+        parts = [
+            f"{sum(counts)} rigid of {size} atoms" + (f" ({len(counts)} kinds)" if len(counts) > 1 else "")
+            for size, counts in sorted(kinds.items())
+        ]
+        if points:
+            parts.append(f"{points} point{'s' if points > 1 else ''}")
+        if constraints:
+            parts.append(f"{constraints} constraint{'s' if constraints > 1 else ''} between points")
+        return f"<{type(self).__name__}: {', '.join(parts) or 'none'}>"
+
     def _joined(self) -> np.ndarray:
         molecules = np.arange(self.n)
         for number in self.constraints.components:

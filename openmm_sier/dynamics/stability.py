@@ -11,15 +11,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
 
 #: The mean kinetic energy of a mode may differ from its potential energy by this fraction at `accuracy_limit`. For
 #: velocity Verlet that is at ten steps a period, a common rule of thumb.
 INEQUALITY = 0.1
-
-_X = Polynomial([0.0, 1.0])
 
 
 def stability_limit(stages: Sequence[Stage]) -> float:
@@ -28,8 +25,9 @@ def stability_limit(stages: Sequence[Stage]) -> float:
     The matrix has the determinant 1, so that its eigenvalues are on the unit circle where |trace| < 2.
     """
     (a, _), (_, d) = _propagation(stages)
+    x = _polynomial(0.0, 1.0)
     # The trace is 2 at x = 0, which is no limit.
-    return math.sqrt(min(_first_root((a + d - 2) // _X), _first_root(a + d + 2)))
+    return math.sqrt(min(_first_root((a + d - 2) // x), _first_root(a + d + 2)))
 
 
 def accuracy_limit(stages: Sequence[Stage]) -> float:
@@ -39,24 +37,30 @@ def accuracy_limit(stages: Sequence[Stage]) -> float:
     over that of the kinetic one is -x b / c.
     """
     (_, b), (c, _) = _propagation(stages)
-    unequal = [_first_root(b + factor * (c // _X)) for factor in (1 - INEQUALITY, 1 + INEQUALITY)]
+    x = _polynomial(0.0, 1.0)
+    unequal = [_first_root(b + factor * (c // x)) for factor in (1 - INEQUALITY, 1 + INEQUALITY)]
     return min(stability_limit(stages), math.sqrt(min(unequal)))
 
 
 def _propagation(stages: Sequence[Stage]) -> tuple[Any, Any]:
     """Rows of the matrix. Stages that are neither kick nor drift, such as a heat bath, are left out."""
-    one, zero = Polynomial([1.0]), Polynomial([0.0])
+    one, zero, x = _polynomial(1.0), _polynomial(0.0), _polynomial(0.0, 1.0)
     q, p = (one, zero), (zero, one)
     for stage in stages:
         if stage.operator == DRIFT:
             q = q[0] + stage.fraction * p[0], q[1] + stage.fraction * p[1]
         elif stage.flow == KICK:
-            pull = stage.fraction * _X * (1 - stage.shift * _X)
+            pull = stage.fraction * x * (1 - stage.shift * x)
             p = p[0] - pull * q[0], p[1] - pull * q[1]
     return q, p
 
 
-def _first_root(polynomial: Polynomial) -> float:
+def _polynomial(*coefficients: float) -> Any:
+    # NumPy imports its polynomials when they are asked for, which takes a tenth of the time that this package does.
+    return np.polynomial.Polynomial(coefficients)
+
+
+def _first_root(polynomial: Any) -> float:
     """The smallest positive root; infinity if there is none."""
     roots = polynomial.roots()
     # Roots of simple polynomials come with imaginary parts of rounding.

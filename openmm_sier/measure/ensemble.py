@@ -18,6 +18,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
 
+from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.measure.report import SILENT, Advance, Report
 
 #: The module that executes a member in a process of its own; its docstring explains its arguments.
@@ -91,8 +92,10 @@ def ensemble(
         members: with different names.
         directory: holds a directory for each member; workers must see it under this path.
         executor: takes the members; None runs `processes` processes on this machine.
-        processes: number at a time, without an executor; None: one for each core.
-        threads: of OpenMM in each process; None: the cores divided by the processes, at least one.
+        processes: number at a time, without an executor; None: one for each core that this process may use.
+        threads: of OpenMM in each process; None: these cores divided by the processes, at least one. With an executor
+            None leaves them to each worker, which takes its OPENMM_CPU_THREADS, or one: it does not know what else is
+            at work on its machine, and with one thread the bytes are the same everywhere.
         report: receives the progress.
 
     Returns:
@@ -110,12 +113,11 @@ def ensemble(
     for name, number in (("processes", processes), ("threads", threads)):
         if number is not None and number < 1:
             raise ValueError(f"{name} must be at least 1, got {number}")
-    cores = os.cpu_count() or 1
-    processes = processes or max(1, min(cores, len(members)))
-    threads = threads or max(1, cores // processes)
     place = Path(directory).resolve()
     if executor is not None:
         return _sorted(members, _carry_out(executor, members, place, threads, report))
+    processes = processes or max(1, min(cores(), len(members)))
+    threads = threads or max(1, cores() // processes)
     with _CHILDREN, ThreadPoolExecutor(processes) as pool:
         try:
             return _sorted(members, _carry_out(pool, members, place, threads, report))
@@ -136,7 +138,7 @@ def _sorted(members: Sequence[Member], found: dict[str, Outcome]) -> list[Outcom
 
 
 def _carry_out(
-    executor: Executor, members: Sequence[Member], place: Path, threads: int, report: Report
+    executor: Executor, members: Sequence[Member], place: Path, threads: int | None, report: Report
 ) -> dict[str, Outcome]:
     """Submit all members, and resubmit those whose worker was lost."""
     found = {m.name: Outcome(m.name, "", 0, 0.0) for m in members if is_complete(m, place)}
@@ -162,7 +164,7 @@ def _carry_out(
     return found
 
 
-def _submit(executor: Executor, member: Member, place: Path, threads: int) -> Future[Outcome]:
+def _submit(executor: Executor, member: Member, place: Path, threads: int | None) -> Future[Outcome]:
     return executor.submit(carry_out, member, str(place), threads)
 
 
@@ -271,13 +273,13 @@ class _Children:
 _CHILDREN = _Children()
 
 
-def carry_out(member: Member, place: str, threads: int) -> Outcome:
+def carry_out(member: Member, place: str, threads: int | None) -> Outcome:
     """Execute a member in a process of its own, and restart it from its checkpoint whenever that process is killed.
 
     Args:
         member: of the ensemble.
         place: directory of the ensemble.
-        threads: of OpenMM.
+        threads: of OpenMM; None: the worker's OPENMM_CPU_THREADS, or one.
 
     Returns:
         The outcome of the member, which reports its errors; they are not raised.
@@ -286,7 +288,9 @@ def carry_out(member: Member, place: str, threads: int) -> Outcome:
     directory.mkdir(parents=True, exist_ok=True)
     begun, restarts, kills, reached = monotonic(), 0, 0, -1.0
     command = [sys.executable, "-m", WORKER, *member.arguments]
-    environment = os.environ | {"OPENMM_CPU_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
+    environment = {"OPENMM_CPU_THREADS": "1"} | os.environ
+    if threads is not None:
+        environment["OPENMM_CPU_THREADS"] = str(threads)
     while True:
         code = _wait_for(command, directory, environment)
         if code == 0:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
@@ -63,14 +65,27 @@ class EquilibrationWarning(UserWarning):
 
 
 def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
-    """A Context on the named platform, in mixed precision if it offers a choice; None takes the fastest platform."""
-    for index in range(openmm.Platform.getNumPlatforms()):
-        known = openmm.Platform.getPlatform(index)
-        if "Precision" in known.getPropertyNames():
-            known.setPropertyDefaultValue("Precision", "mixed")
-    if platform is None:
-        return openmm.Context(system, integrator)
-    return openmm.Context(system, integrator, openmm.Platform.getPlatformByName(platform))
+    """A Context in mixed precision, where there is a choice, with no more threads than cores that this process may use.
+
+    Args:
+        system, integrator: of the Context.
+        platform: its name; None takes the platform that OpenMM takes by itself, the fastest that works here.
+    """
+    chosen = _usual_platform() if platform is None else openmm.Platform.getPlatformByName(platform)
+    properties, names = {}, chosen.getPropertyNames()
+    if "Precision" in names:
+        properties["Precision"] = "mixed"
+    if "Threads" in names:
+        # OpenMM counts the cores of the machine.
+        properties["Threads"] = str(min(int(chosen.getPropertyDefaultValue("Threads")), cores()))
+    return openmm.Context(system, integrator, chosen, properties)
+
+
+@cache
+def _usual_platform() -> openmm.Platform:
+    particle = openmm.System()
+    particle.addParticle(1.0)
+    return openmm.Context(particle, openmm.VerletIntegrator(0.001)).getPlatform()
 
 
 def equilibrated(

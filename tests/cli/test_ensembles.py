@@ -99,13 +99,22 @@ def test_tables_of_members_add_up(plan):
         ("dt = [4]", "rigid = [['A', 3]]", "rigid: expected a name, got 3"),
         ('box = ["box.pdb"]', "", "box is missing"),
         ("time = 0.4", "time = ", "is no TOML file"),
+        ("box.pdb", "bx.pdb", r"box bx\.pdb is neither a file beside the plan nor one of the project's own boxes"),
+        ("box.pdb", "/box.pdb", r"box /box\.pdb is neither"),
+        # A file, but of the directory in which the command is called.
+        ("box.pdb", "here/box.pdb", r"box here/box\.pdb is neither"),
     ],
 )
-def test_wrong_plans_are_refused_before_anything_runs(plan, capsys, old, new, message):
+def test_wrong_plans_are_refused_before_anything_runs(plan, capsys, monkeypatch, tmp_path, old, new, message):
+    elsewhere = tmp_path / "elsewhere"
+    (elsewhere / "here").mkdir(parents=True)
+    (elsewhere / "here" / "box.pdb").touch()
+    monkeypatch.chdir(elsewhere)
     plan.write_text(PLAN.replace(old, new))
     with pytest.raises((PlanError, OptionError), match=message):
         read_plan(plan)
-    assert str(plan) in complaint(capsys, "ensemble", plan)
+    for more in ([], ["--list"]):
+        assert str(plan) in complaint(capsys, "ensemble", plan, *more)
     assert not plan.with_suffix("").exists()
 
 

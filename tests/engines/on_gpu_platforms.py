@@ -14,6 +14,7 @@ from openmm import unit
 
 from openmm_sier import SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.engines.native import program as native_program
+from openmm_sier.measure.starts import make_context
 from tests.support import opencl
 from tests.support.commands import log, run, write_lattice
 from tests.support.ethane import ethane
@@ -158,3 +159,13 @@ def test_command_runs_and_restarts(gpu, tmp_path, monkeypatch, capsys):
     assert rows["Step"].tolist() == [0, 5, 10, 15]
     # 27 molecules have some 200 kJ/mol of kinetic energy, of which 1e-3 is lost at 2 fs with SIER4.
     assert np.ptp(rows["Total Energy (kJ/mole)"]) < 0.5
+
+
+def test_mixed_precision_is_a_property_of_one_context(gpu):
+    """Others keep the default of the platform."""
+    chosen, system = platform(gpu), openmm.System()
+    system.addParticle(1.0)
+    usual = chosen.getPropertyDefaultValue("Precision")
+    context = make_context(system, openmm.VerletIntegrator(0.001), gpu)
+    assert chosen.getPropertyValue(context, "Precision") == "mixed"
+    assert chosen.getPropertyDefaultValue("Precision") == usual != "mixed"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from openmm_sier.measure import ensemble as module
-from openmm_sier.measure.ensemble import COMPLETE, LOG, EnsembleError, Member, ensemble, fraction_done
+from openmm_sier.measure.ensemble import COMPLETE, LOG, OUTPUT, EnsembleError, Member, ensemble, fraction_done
 from tests.support import members
 from tests.support.members import HEADING
 
@@ -139,6 +139,29 @@ def test_an_interrupt_stops_the_children(tmp_path):
         ensemble(counters(1000), tmp_path, report=Interrupting())
     # It would take 20 s to count so far.
     assert 1 < (tmp_path / "to1000" / LOG).read_text().count("\n") < 1000
+
+
+def threads_of(place, name):
+    return int((place / name / OUTPUT).read_text())
+
+
+def test_members_on_this_machine_share_the_cores_that_this_process_may_use(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "cores", lambda: 7)
+    monkeypatch.setattr(module.os, "cpu_count", lambda: 64)
+    ensemble(counters(2, 3), tmp_path)
+    assert [threads_of(tmp_path, name) for name in ("to2", "to3")] == [3, 3]
+
+
+@pytest.mark.parametrize(("asked", "set_there", "found"), [(None, None, 1), (None, "5", 5), (4, "5", 4)])
+def test_workers_of_an_executor_know_their_threads(tmp_path, monkeypatch, asked, set_there, found):
+    """Not the machine that submits, whatever its cores."""
+    monkeypatch.setattr(module, "cores", lambda: 7)
+    monkeypatch.delenv("OPENMM_CPU_THREADS")
+    if set_there:
+        monkeypatch.setenv("OPENMM_CPU_THREADS", set_there)
+    with ThreadPoolExecutor(1) as worker:
+        ensemble(counters(2), tmp_path, worker, threads=asked)
+    assert threads_of(tmp_path, "to2") == found
 
 
 def test_wrong_arguments(tmp_path):

@@ -191,6 +191,29 @@ def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path):
     assert np.abs(positions - expected).max() < 1e-14
 
 
+def test_threads_are_no_more_than_the_cores_of_the_process(monkeypatch):
+    """OpenMM counts those of the machine; who has set fewer keeps them."""
+    cpu = platform("CPU")
+    usual = cpu.getPropertyDefaultValue("Threads")
+    monkeypatch.setattr(starts, "cores", lambda: 2)
+    try:
+        for default, found in (("3", "2"), ("1", "1")):
+            cpu.setPropertyDefaultValue("Threads", default)
+            context = starts.make_context(system_of([spc()])[0], openmm.VerletIntegrator(0.001), "CPU")
+            assert cpu.getPropertyValue(context, "Threads") == found
+            assert cpu.getPropertyDefaultValue("Threads") == default
+    finally:
+        cpu.setPropertyDefaultValue("Threads", usual)
+
+
+def test_the_platform_is_the_one_that_openmm_takes_by_itself():
+    found, usual = (
+        make(system_of([spc()])[0], openmm.VerletIntegrator(0.001), *rest).getPlatform().getName()
+        for make, rest in ((starts.make_context, [None]), (openmm.Context, []))
+    )
+    assert found == usual
+
+
 WITHOUT_EXTRAS = """
 import sys
 

@@ -37,12 +37,13 @@ def write_run(name, values, **options):
     columns["Step"] = plan.interval(plan.report_every) * np.arange(rows)
     write_rows(Path(plan.report), columns)
     notes = {
+        "run": "identity",
         "plan": plan.noted(checkpoint),
         "step": plan.steps,
         "potential_energy": float(columns["Potential Energy (kJ/mole)"][-1]),
         "start_energy": None,
-        "trajectory": {"size": 0, "count": 0},
-        "log": {"size": Path(plan.report).stat().st_size, "count": rows},
+        "trajectory": {"size": 0, "count": 0, "fingerprint": "none"},
+        "log": {"size": Path(plan.report).stat().st_size, "count": rows, "fingerprint": "none"},
     }
     records.write_checkpoint(checkpoint, empty_state(), notes)
     return name
@@ -51,7 +52,7 @@ def write_run(name, values, **options):
 def note_count(checkpoint, file, count):
     """Let a checkpoint note that a file has so many records."""
     state, notes = records.read_checkpoint(Path(checkpoint))
-    notes[file] = notes.get(file, {"size": 0}) | {"count": count}
+    notes[file] = notes.get(file, {"size": 0, "fingerprint": "none"}) | {"count": count}
     records.write_checkpoint(Path(checkpoint), state, notes)
 
 

@@ -1,10 +1,11 @@
 """A member of an ensemble that counts instead of simulating: `python -m tests.support.members NUMBER`.
 
-Each row of its log is one number more, and it goes on with the next one after its process was killed. Arguments that
-are no number are an error.
+It prints the number of threads that OpenMM would have. Each row of its log is one number more, and it goes on with the
+next one after its process was killed. Arguments that are no number are an error.
 """
 
 import json
+import os
 import select
 import signal
 import sys
@@ -32,5 +33,6 @@ def count_to(last):
 if __name__ == "__main__":
     if not sys.argv[1].isdigit():
         sys.exit(f"expected a number, got {sys.argv[1]}")
+    print(os.environ["OPENMM_CPU_THREADS"], flush=True)
     count_to(int(sys.argv[1]))
     Path(COMPLETE).write_text(json.dumps(sys.argv[1:]))

@@ -1,7 +1,4 @@
-"""Functions of this package compiled by Numba together with all that they call.
-
-Compiled code is cached on disk, in NUMBA_CACHE_DIR if that is set.
-"""
+"""Functions of this package compiled by Numba together with all that they call, and kept on disk (`numba_cache`)."""
 
 from __future__ import annotations
 
@@ -31,6 +28,8 @@ def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., A
     """
     import numba
 
+    from openmm_sier.dynamics.backend.numba_cache import UserCache
+
     def link(function: FunctionType) -> FunctionType:
         """The function, calling compiled functions."""
         namespace = dict(_globals_of(function, replaced))
@@ -41,14 +40,14 @@ def compiled(loop: FunctionType, replaced: Mapping[Any, Any]) -> Callable[..., A
                     _given[key] = numba.njit(link(value), forceinline=key[1], **OPTIONS)
                 namespace[name] = _given[key]
         clone = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__)
+        # Code from the disk is linked by names, which must not be those of other code that this process has compiled.
         clone.__module__, clone.__qualname__ = function.__module__, _name(function, replaced)
         return clone
 
     clone = link(loop)
-    try:
-        return numba.njit(clone, cache=True, **OPTIONS)
-    except RuntimeError:
-        return numba.njit(clone, **OPTIONS)
+    dispatcher: Any = numba.njit(clone, **OPTIONS)
+    dispatcher._cache = UserCache(clone.__qualname__)
+    return dispatcher
 
 
 def _globals_of(function: FunctionType, replaced: Mapping[Any, Any]) -> Iterator[tuple[str, Any]]:

@@ -7,7 +7,6 @@ differs is written down in `DIFFERENCES` and printed with the comparison.
 from __future__ import annotations
 
 import math
-import os
 import re
 import shutil
 import subprocess
@@ -20,6 +19,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.measure.sampling import Energies
 
 KCAL = 4.184
@@ -135,17 +135,13 @@ def _execute(command: list[str], directory: Path, given: str = "") -> str:
     return done.stdout
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 class _Lammps:
     """LAMMPS, on all cores if the `mpiexec` that belongs to it lies beside it."""
 
     def __init__(self, program: str):
         # An MPI other than the one that LAMMPS was built with would start that many independent runs.
         launcher = shutil.which("mpiexec", path=str(Path(program).parent))
-        self.command = [*([launcher, "-n", str(_cores())] if launcher else []), program, "-in", "in.lmp", "-log", "log"]
+        self.command = [*([launcher, "-n", str(cores())] if launcher else []), program, "-in", "in.lmp", "-log", "log"]
 
     def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> tuple[Energies, float]:
         (directory / "data").write_text(_lammps_data(liquid))
@@ -229,7 +225,7 @@ class _Gromacs:
         (directory / "topol.top").write_text(_topology(liquid))
         (directory / "grompp.mdp").write_text(_mdp(liquid, step, steps, every))
         _execute([self.program, "grompp", "-maxwarn", "10"], directory)
-        _execute([self.program, "mdrun", "-ntmpi", "1", "-ntomp", str(_cores()), "-pin", "off"], directory)
+        _execute([self.program, "mdrun", "-ntmpi", "1", "-ntomp", str(cores()), "-pin", "off"], directory)
         _execute([self.program, "energy", "-dp", "-o", "e.xvg"], directory, "Potential\nKinetic-En.\n\n")
         time, potential, kinetic = np.loadtxt(directory / "e.xvg", comments=("#", "@")).T
         wall = re.search(r"^ +Time: +[\d.]+ +([\d.]+)", (directory / "md.log").read_text(), re.M)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import time
 from collections.abc import Callable, Mapping
@@ -60,7 +59,7 @@ def machine() -> dict:
             break
     return {
         "processor": model,
-        "cores": os.cpu_count(),
+        "cores": threads.cores(),
         "threads": threads.count(),
         "python": platform.python_version(),
         "numpy": np.__version__,

@@ -6,13 +6,13 @@ import csv
 import dataclasses
 import json
 import math
-import os
 import platform
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.version import __version__
 
 #: Packages that results can depend on.
@@ -27,7 +27,7 @@ def provenance() -> dict[str, object]:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return {"versions": versions, "machine": platform.platform(), "processors": os.cpu_count()}
+    return {"versions": versions, "machine": platform.platform(), "processors": cores()}
 
 
 def write_json(path: Path, result: Any, seconds: float) -> None:
