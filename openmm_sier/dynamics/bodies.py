@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend, fitting
 from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics.constraint_graph import joined
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
 
@@ -205,14 +206,7 @@ class RigidBodies:
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
             raise ValueError(f"{self.describe(extended[0])} is linked to another body and is no point")
-        self.molecules = self._joined() if molecules is None else np.asarray(molecules)
-
-    def _joined(self) -> np.ndarray:
-        molecules = np.arange(self.n)
-        for number in self.constraints.components:
-            members = np.unique(self.constraints.pairs[number])
-            molecules[members] = members[0]
-        return molecules
+        self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     @cached_property
     def constraints(self) -> Constraints:

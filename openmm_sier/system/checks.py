@@ -9,6 +9,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
+from openmm_sier.system import tables
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.notices import tell
 
@@ -122,7 +123,7 @@ def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None
     lines = [s for s in bodies.species if s.atoms.shape[1] > 2 and s.moments[0] == 0]
     if not lines:
         return
-    pairs = {tuple(sorted(system.getConstraintParameters(i)[:2])) for i in range(system.getNumConstraints())}
+    pairs = tables.constraints(system).pair_set()
     for species in lines:
         for row in species.atoms.tolist():
             if all(pair in pairs for pair in combinations(sorted(row), 2)):

@@ -16,12 +16,12 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.minimizer import descent
 from openmm_sier.engines.exact.engine import Engine
+from openmm_sier.system import tables
 
 
 def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
     """Whether every distance inside every body is constrained."""
-    ends = np.array([system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())], dtype=np.int64)
-    pairs = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0)
+    pairs = np.unique(np.sort(tables.constraints(system).pairs, axis=1), axis=0)
     owner = bodies.owners
     inside = owner[pairs[:, 0]]
     found = np.bincount(inside[(inside == owner[pairs[:, 1]]) & (inside >= 0)], minlength=bodies.n)

@@ -31,6 +31,7 @@ from openmm_sier.engines.trial_record import (
     THERMAL,
     TRIALS,
 )
+from openmm_sier.system import tables
 
 
 class SamplingHost(Host, Protocol):
@@ -64,7 +65,7 @@ class NativeTrials(NativeEngine):
         self._known: tuple[tuple[int, int], float] | None = None
         super().__init__(integrator, context)
         system = context.getSystem()
-        self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+        self._masses = tables.masses(system)
 
     @property
     def _sampler(self) -> SamplingHost:
