@@ -25,6 +25,7 @@ from openmm_sier.engines.native.program import EXACT_ONLY, FRICTION, PART, THERM
 from openmm_sier.engines.stored_state import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES
 from openmm_sier.engines.temperature import Temperatures
 from openmm_sier.integrators import stored_settings
+from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, groups_of, step_size, whole_number
 from openmm_sier.system.find_bodies import BodyPlan, KnownBodies, plan_bodies
 
@@ -316,6 +317,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 self.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
 
     def _bind(self, context: openmm.Context) -> None:
+        checks.tell_of_frozen_atoms_that_move(context.getSystem())
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
         self._engine = None
         exact = self._wanted_engine == "exact"

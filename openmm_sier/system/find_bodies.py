@@ -45,7 +45,7 @@ class RigidBodies(dynamics.RigidBodies):
         Particles that the user names form bodies with their present geometry. Of the others, molecules in which every
         distance is constrained form bodies whose geometry the constraint lengths define. Every remaining particle with
         mass is a point body, joined to others by its constraints. Virtual sites follow their atoms. Massless particles
-        that are not virtual sites stay where they are.
+        that are not virtual sites are frozen: they stay where they are, and constraints between them are ignored.
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
         geometry, and a warning says so.
@@ -145,7 +145,7 @@ class BodyPlan:
     # --- which particles ---
 
     def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
-        """Named bodies without their virtual sites."""
+        """Named bodies without their virtual sites; those that are frozen entirely are none."""
         clusters = []
         seen: set[int] = set()
         for indices in groups:
@@ -155,14 +155,17 @@ class BodyPlan:
                     raise ValueError(f"bodies name particle {i}, the System has {self._n} particles")
                 if i in seen:
                     raise ValueError(f"bodies name particle {i} twice")
-                if self._masses[i] == 0:
+                seen.add(i)
+            massive = self._masses[list(cluster)] > 0
+            if not massive.any():
+                continue
+            for i, has_mass in zip(cluster, massive.tolist(), strict=True):
+                if not has_mass:
                     raise RigidityError(
                         f"{self._describe(cluster)}: atom {i} has no mass and is no virtual site. Give it a mass, or "
-                        "leave it out of the body"
+                        "leave it out of the body; or freeze all atoms of the body"
                     )
-                seen.add(i)
-            if cluster:
-                clusters.append(cluster)
+            clusters.append(cluster)
         return clusters
 
     def _collect(self, named: list[Cluster], lengths: Lengths) -> list[Kind]:
