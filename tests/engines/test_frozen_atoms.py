@@ -160,8 +160,7 @@ def test_barostats_that_move_frozen_atoms_are_spoken_of(engine):
     with pytest.warns(UserWarning, match="MonteCarloBarostat moves all molecules .* such as atom 0"):
         context = context_at(system, integrator, (positions, 0 * positions))
     integrator.step(20)
-    x, box = phase_point(context)[0], context.getState().getPeriodicBoxVectors(asNumpy=True)._value
+    x = phase_point(context)[0]
     # As with OpenMM's own integrators, the frozen molecule keeps its shape and moves with the box.
     assert np.ptp(x[atoms] - positions[atoms], axis=0).max() < 1e-6
     assert np.abs(x[atoms] - positions[atoms]).max() > 1e-6
-    assert not np.array_equal(box, np.array(system.getDefaultPeriodicBoxVectors()._value))
