@@ -186,6 +186,7 @@ def _telling_of_moved_atoms(method: Method) -> Method:
         integrator = _integrator_of(self)
         if integrator is not None and integrator._engine is not None:
             integrator._engine.notice()
+            integrator._watch.forget()
         return result
 
     return wrapper
@@ -208,6 +209,7 @@ def _take_over(integrator: SIERIntegrator, context: openmm.Context) -> None:
     integrator._tell_program()
     if integrator._engine is not None:
         integrator._engine.notice()
+        integrator._watch.forget()
 
 
 def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> None:

@@ -60,6 +60,9 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
             pressure, interval = found[1].tolist()
             self._piston = MonteCarloVolumeMove(pressure, int(interval), bath)
 
+    def _bath_temperature(self) -> float:
+        return self._bath.temperature
+
     def getTemperature(self) -> unit.Quantity:
         """Temperature of the bath, a quantity in K."""
         return self._bath.temperature * unit.kelvin

@@ -28,6 +28,7 @@ from openmm_sier.integrators import stored_settings
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, groups_of, step_size, whole_number
 from openmm_sier.system.find_bodies import BodyPlan, KnownBodies, plan_bodies
+from openmm_sier.system.runaway import RunawayWatch
 
 #: The platforms on which `engine="auto"` takes the exact engine, since their forces are in memory that Python can read.
 EXACT_PLATFORMS = ("CPU", "Reference")
@@ -123,6 +124,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
         ):
             if self.getGlobalVariableByName(name) != value:
                 self.setGlobalVariableByName(name, value)
+
+    def _bath_temperature(self) -> float | None:
+        """Temperature of the heat bath in K, None without one."""
+        return None
 
     def _needs_package(self) -> bool:
         """Whether the program, executed now by OpenMM alone, would do less than this integrator."""
@@ -252,7 +257,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             RigidityError: positions set from outside do not form the bodies.
             openmm.OpenMMException: there is no Context, a force is not finite, or the step is too long for a bond.
         """
-        self._bound().run(whole_number("steps", steps))
+        engine, count = self._bound(), whole_number("steps", steps)
+        self._watch.over(engine.run, count, self)
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
@@ -302,7 +308,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return _unpickled, (openmm.XmlSerializer.serialize(self), type(self), self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("this", "_engine")}
+        return {name: value for name, value in vars(self).items() if name not in ("this", "_engine", "_watch")}
 
     # --- for the engine and for subclasses ---
 
@@ -318,6 +324,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _bind(self, context: openmm.Context) -> None:
         checks.tell_of_frozen_atoms_that_move(context.getSystem())
+        self._watch = RunawayWatch(context)
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
         self._engine = None
         exact = self._wanted_engine == "exact"
@@ -385,6 +392,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def _extra_operators(self, bodies: RigidBodies) -> dict[str, Operator]:
         """Operators other than kick and drift."""
         return {}
+
+    #: Looks for temperatures that have run away; set with the engine.
+    _watch: RunawayWatch
 
     #: The Monte Carlo move of the volume between steps; None keeps the volume.
     _piston: MonteCarloVolumeMove | None = None
