@@ -104,7 +104,8 @@ class RunawayWatch:
             self._look(integrator)
 
     def _look(self, integrator: Bathed) -> None:
-        now, atoms = self._largest_temperature(), np.count_nonzero(self._masses)
+        now = self._largest_temperature()
+        atoms = 0 if self._masses is None else int(np.count_nonzero(self._masses))
         if now <= max(HOTTEST, GROWTH * (self._start or 0.0)) or atoms < FEWEST_ATOMS:
             return
         found, bath = now, integrator._bath_temperature()
@@ -132,4 +133,4 @@ class RunawayWatch:
             self._masses = tables.masses(context.getSystem())
         velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
-        return float(2 * energy / (max(1, np.count_nonzero(self._masses)) * GAS_CONSTANT))
+        return float(2 * energy / (max(1, int(np.count_nonzero(self._masses))) * GAS_CONSTANT))

@@ -25,6 +25,7 @@ from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.stored_state import SITES, STATE_VARIABLES
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.system import checks
+from openmm_sier.system.stiffness import stiffest_force
 from openmm_sier.system.vibrations import Vibrations
 
 
@@ -190,11 +191,18 @@ class Engine:
             state = step(self._actors.swept(self.bodies, state, steps))
         except ConstraintError as error:
             raise openmm.OpenMMException(
-                f"In step {steps + 1} {error}. Is the step size too long? The Context is left at the last completed "
-                "step."
+                f"In step {steps + 1} {error}. Is the step size too long{self._stiffest_force_on(error.bodies)}? The "
+                "Context is left at the last completed step."
             ) from error
         # All in one assignment, so that an interrupt finds the clock and the bodies in agreement.
         self._point = _Point(state, time + h, steps + 1)
+
+    def _stiffest_force_on(self, bodies: np.ndarray) -> str:
+        """What a message says of the stiffest force on some bodies at the last completed step."""
+        state, atoms = self.state, [int(i) for body in bodies.tolist() for i in self.bodies.atoms_of(body)]
+        positions = self.bodies.place(state.q, state.A, self._atoms.positions.copy())
+        found = stiffest_force(self._context, positions, atoms)
+        return "" if found is None else f", or a force too stiff for it ({found})"
 
     def _acted_on(self, h: float) -> BodyState:
         state = self.state
