@@ -26,10 +26,13 @@ from typing import Any, TypeAlias
 
 import openmm
 
+from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.variables import DRAWS, SEED
-from openmm_sier.integrators.integrator import SIERIntegrator, revived
+from openmm_sier.integrators.copies import revived
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
+from openmm_sier.system.notices import tell
 from openmm_sier.system.unchanged import UnchangedSystem
 
 #: A method of OpenMM, or its wrapper, which an attribute marks as such.
@@ -85,7 +88,7 @@ def _binding_new_context(method: Method) -> Method:
         # OpenMM's constructor takes its arguments by position.
         if len(args) > 1:
             _refuse_parts(args[1])
-            if isinstance(revived(args[1]), SIERIntegrator):
+            if isinstance(revived(args[1], SIERIntegrator), SIERIntegrator):
                 args[1]._prepare_for(args[0])
         method(self, *args, **kwargs)
         if (integrator := _integrator_of(self)) is not None:
@@ -103,7 +106,7 @@ def _binding_again(method: Method) -> Method:
         if (integrator := _integrator_of(self)) is not None:
             # OpenMM clears the per-atom variables without the state, but not the global ones.
             if not preserveState:
-                integrator._clear_record()
+                integrator._record.clear()
             integrator._bind(self)
         return result
 
@@ -194,10 +197,22 @@ def _accepting(method: Method) -> Method:
         integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
         integrator._take_over()
         if state.getDataTypes() & openmm.State.IntegratorParameters:
-            integrator._tell_of_lost_noise()
+            _tell_of_lost_noise(integrator)
         return None
 
     return wrapper
+
+
+def _tell_of_lost_noise(integrator: SIERIntegrator) -> None:
+    """After a State was loaded, say once where noise goes on differently than in the run that wrote the State."""
+    if integrator._engine is None or integrator._engine.repeats_noise or integrator._told_of_noise:
+        return
+    if BATH in integrator._flow().scheme.operators:
+        integrator._told_of_noise = True
+        tell(
+            "With the native engine the noise of Langevin dynamics is OpenMM's, which no State holds: the run goes on "
+            "in the same ensemble, but not on the same trajectory. A checkpoint repeats it bit for bit"
+        )
 
 
 def _telling_of_moved_atoms(method: Method) -> Method:
@@ -208,6 +223,7 @@ def _telling_of_moved_atoms(method: Method) -> Method:
         result = method(self, *args, **kwargs)
         integrator = _integrator_of(self)
         if integrator is not None and integrator._engine is not None:
+            integrator._watch.forget()
             integrator._engine.atoms_moved()
         return result
 
@@ -246,7 +262,7 @@ def _reviving(method: Method) -> Method:
 
     @functools.wraps(method)
     def wrapper(source: str) -> Any:
-        return revived(method(source))
+        return revived(method(source), SIERIntegrator)
 
     return wrapper
 

@@ -11,8 +11,8 @@ A plan has the options of `openmm-sier run` that all members share, and the valu
     seed = [1, 2, 3]
 
 Members are all combinations, here twelve. Several tables [[members]] add up, for example for methods that each have
-their own steps. Files that runs read are looked for beside the plan, then among the project's own boxes, then under the
-given path. Files that they write lie in the directory of each member.
+their own steps. Files that runs read are looked for beside the plan, and then
+among the project's own boxes. Files that they write lie in the directory of each member.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from openmm_sier.cli.console import note, table
 from openmm_sier.dynamics.species import Species
 from openmm_sier.measure.forcefields import Box, read_box
 from openmm_sier.observe.conservation import density
+from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import RigidBodies
 from openmm_sier_command.options import OPTIONS
 
@@ -112,6 +113,6 @@ def _extent(box: Box) -> str:
     if vectors is None:
         return ", no periodic box"
     edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
-    masses = [box.system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(box.system.getNumParticles())]
+    masses = tables.masses(box.system)
     volume = abs(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer))))
     return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density(sum(masses), volume):.3f} g/cm3"

@@ -20,6 +20,7 @@ from openmm_sier.measure.observables import energy_error, number_of_windows
 from openmm_sier.measure.statistics import rms
 from openmm_sier.observe import conservation
 from openmm_sier.observe.stock import BrokenDownError
+from openmm_sier.system.runaway import hottest
 
 #: Exit code of a run that was stopped for this reason.
 EXIT_CODE = 3
@@ -31,12 +32,6 @@ FASTEST, WINDOW = 0.1, 1.0
 #: Change of H since the start, over K, that stops a run at constant energy. The liquid is then hotter or colder by a
 #: quarter. With a heat bath there is no such bound, since the bath takes up what slowly accumulates.
 LARGEST = 0.5
-
-#: A temperature in K that rigid molecules are not meant for. Runs of the comparisons of integrators end there too.
-HOTTEST = 3000.0
-
-#: A few bodies may be hotter by chance. They exceed what `_by_chance` allows with a probability below exp(-this).
-UNLIKELY = 50.0
 
 #: rms(H)/rms(V) above which the final table warns. Recommended steps give SIER2 0.9 to 1.3 % and the schemes of fourth
 #: order 0.01 to 0.41 %, by water model; these bounds are two to three times the largest values.
@@ -72,7 +67,7 @@ class Guard:
         """
         self.start = start
         self._plan = plan
-        self._bounds = [max(HOTTEST, _by_chance(plan.temperature, number)) for number in dof]
+        self._bounds = [hottest(plan.temperature, number) for number in dof]
         self._recent: deque[tuple[float, float]] = deque()
         self._kinetic_sum, self._looks = 0.0, 0
 
@@ -121,16 +116,6 @@ class Guard:
                 f"the conserved energy has changed by {change:+.3g} kJ/mol {when}, by more than the {bound:.3g} kJ/mol "
                 "that its kinetic energy allows"
             )
-
-
-def _by_chance(temperature: float, freedoms: float) -> float:
-    """A temperature in K that this many degrees of freedom practically never exceed in equilibrium.
-
-    Laurent and Massart, Ann. Statist. 28, 1302 (2000), Lemma 1, for the chi-squared distribution.
-    """
-    if freedoms < 1:
-        return 0.0
-    return temperature * (1 + 2 * math.sqrt(UNLIKELY / freedoms) + 2 * UNLIKELY / freedoms)
 
 
 def is_runaway(error: BaseException) -> bool:

@@ -8,7 +8,7 @@ Arrays of atoms have OpenMM's shape (N, 3).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TypeVar
@@ -18,6 +18,7 @@ import numpy as np
 from openmm_sier.dynamics import backend, fitting
 from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
 from openmm_sier.dynamics.constraints import Constraints
+from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species
 
@@ -121,7 +122,7 @@ class RigidBodies:
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
             raise ValueError(f"{self.describe(extended[0])} is linked to another body and is no point")
-        self.molecules = self._joined() if molecules is None else np.asarray(molecules)
+        self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
         """Bodies by their numbers of atoms, and the constraints between points: `print(integrator.bodies)`."""
@@ -138,13 +139,6 @@ class RigidBodies:
         if constraints:
             parts.append(f"{constraints} constraint{'s' if constraints > 1 else ''} between points")
         return f"<{type(self).__name__}: {', '.join(parts) or 'none'}>"
-
-    def _joined(self) -> np.ndarray:
-        molecules = np.arange(self.n)
-        for number in self.constraints.components:
-            members = np.unique(self.constraints.pairs[number])
-            molecules[members] = members[0]
-        return molecules
 
     @cached_property
     def constraints(self) -> Constraints:
@@ -364,6 +358,12 @@ class RigidBodies:
     def centre_velocity(self, p: np.ndarray) -> np.ndarray:
         """Velocity of the centre of mass of all bodies, (3, 1), nm/ps, at momenta (3, n)."""
         return p.sum(axis=1, keepdims=True) / self.masses.sum()
+
+    def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
+        """The state with a velocity, (3, 1), nm/ps, added to all bodies, and its energy to the heat."""
+        moving = self.masses.sum() * (self.centre_velocity(state.p) + 0.5 * velocity)
+        gained = float((moving * velocity).sum())
+        return replace(state, p=state.p + self.masses * velocity, heat=state.heat + gained)
 
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""

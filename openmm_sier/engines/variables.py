@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+
 import openmm
 
 #: What the names begin with, so that no parameter of a Force has the same name.
@@ -13,6 +15,44 @@ HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 #: Per-atom variables in which the exact engine stores the bodies' state, see `exact.packing`, and their geometry.
 STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
 SITES = PREFIX + "sites"
+
+
+class Record:
+    """Global variables that travel in checkpoints, beside the values that they had after the last step."""
+
+    def __init__(self, integrator: openmm.CustomIntegrator, names: tuple[str, ...]):
+        """
+        Args:
+            integrator: has the variables.
+            names: of the variables besides heat, draws and seed.
+        """
+        # The integrator holds this.
+        self._integrator, self._names = weakref.ref(integrator), (HEAT, DRAWS, *names)
+        self._known: dict[str, float] = {}
+
+    @property
+    def _globals(self) -> Globals:
+        integrator = self._integrator()
+        assert integrator is not None
+        return Globals(integrator)
+
+    def clear(self) -> None:
+        """Set all to zero but the seed."""
+        for name in self._names:
+            self._globals[name] = 0.0
+
+    def keep(self) -> None:
+        """Note the values that they have."""
+        self._known = {name: self._globals[name] for name in (SEED, *self._names)}
+
+    def restore(self) -> None:
+        """Restore the noted values if somebody wrote the variables of another integrator over ours.
+
+        openmmtools' ContextCache does so. Noise must not be used twice.
+        """
+        if self._known.get(SEED) and self._globals[SEED] == 0:
+            for name, value in self._known.items():
+                self._globals[name] = value
 
 
 class Globals:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import inspect
-import math
 import secrets
 from collections.abc import Iterable
 from dataclasses import replace
@@ -19,26 +16,25 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 from openmm_sier.engines import interrupts
-from openmm_sier.engines.exact.engine import ExactEngine
+from openmm_sier.engines.choice import engine_for
+from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
-from openmm_sier.engines.native.engine import TOLERANCE, NativeEngine
+from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.program import PART, VECTORS, WORK, Program
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.rewriting import rewrite
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.temperature import Temperatures
-from openmm_sier.engines.variables import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Globals
+from openmm_sier.engines.variables import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Globals, Record
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
-from openmm_sier.integrators import settings
+from openmm_sier.integrators import copies, settings
 from openmm_sier.integrators.settings import ENGINES, Settings
 from openmm_sier.prepare.close_pairs import fast_force_groups
 from openmm_sier.prepare.limits import tell_of_pme
+from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, groups_of, step_size, whole_number
-from openmm_sier.system.notices import tell
+from openmm_sier.system.runaway import RunawayWatch
 from openmm_sier.system.unchanged import UnchangedSystem
-
-#: The platforms on which `engine="auto"` takes the exact engine, since their forces are in memory that Python can read.
-EXACT_PLATFORMS = ("CPU", "Reference")
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
@@ -117,7 +113,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         for name in (HEAT, DRAWS, SEED, *given.ensemble.record):
             self.addGlobalVariable(name, 0)
         self._use(given)
-        native_program.install(self._program if isinstance(self._program, Program) else None, self)
+        installation.install(self._program if isinstance(self._program, Program) else None, self)
         self.setConstraintTolerance(TOLERANCE)
         self._store()
 
@@ -127,8 +123,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._program = _written(given)
         self._engine: Engine | None = None
         self._system: UnchangedSystem | None = None
-        self._known: dict[str, float] = {}
+        self._record = Record(self, given.ensemble.record)
         self._told_of_noise = False
+        self._watch: RunawayWatch
 
     def _change(self, **changes: Any) -> None:
         """Replace settings, here and in what OpenMM serializes."""
@@ -167,7 +164,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Set the program's variables to the values that they must have, whatever was loaded."""
         flow = self._flow()
         less = self._ensemble.needs_package or self._settings.bodies is not None
-        native_program.set_variables(self, flow.bath, less or why_not(flow, self._program) is not None)
+        installation.set_variables(self, flow.bath, less or why_not(flow, self._program) is not None)
 
     # --- what users ask ---
 
@@ -253,11 +250,16 @@ class SIERIntegrator(openmm.CustomIntegrator):
             openmm.OpenMMException: there is no Context, its System was changed, a force is not finite, or the step is
                 too long for a bond.
         """
-        count, engine = whole_number("steps", steps), self._bound()
+        count = whole_number("steps", steps)
+        self._bound()
         if self._system is not None:
             self._system.check()
+        self._watch.over(self._advance, count, self)
+
+    def _advance(self, count: int) -> None:
+        engine = self._bound()
         with interrupts.deferred():
-            self._restore_record()
+            self._record.restore()
             flow = self._flow()
             engine.begin(flow)
             try:
@@ -267,7 +269,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 engine.recover()
                 raise
             finally:
-                self._know_record()
+                self._record.keep()
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
@@ -308,18 +310,20 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def __copy__(self) -> SIERIntegrator:
         """An integrator with the same settings and variables, bound to no Context."""
-        return _restored(_plain_clone(self), type(self), self._attributes())
+        return copies.restored(copies.plain_clone(self), type(self), self._attributes())
 
     def __deepcopy__(self, memo: dict[int, Any]) -> SIERIntegrator:
         return self.__copy__()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _unpickled, (openmm.XmlSerializer.serialize(self), type(self), self._attributes())
+        return copies.unpickled, (openmm.XmlSerializer.serialize(self), type(self), self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
         """What XML does not hold in full: the settings with their objects, and attributes of subclasses."""
         return {
-            name: value for name, value in vars(self).items() if name not in ("this", "_engine", "_system", "_known")
+            name: value
+            for name, value in vars(self).items()
+            if name not in ("this", "_engine", "_system", "_record", "_watch")
         }
 
     # --- for the hooks ---
@@ -329,7 +333,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._find_fast_forces(system)
         if self.scheme.without(BATH).order >= 4:
             tell_of_pme(system, self.scheme.name)
-        self._clear_record()
+        self._record.clear()
         for name in (SEED, PART):
             self.setGlobalVariableByName(name, 0)
         for name in (*STATE_VARIABLES, SITES, *VECTORS):
@@ -348,6 +352,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._store()
 
     def _bind(self, context: openmm.Context) -> None:
+        checks.tell_of_frozen_atoms_that_move(context.getSystem())
+        self._watch = RunawayWatch(context)
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
         self._engine, self._system = None, UnchangedSystem(context)
         finds = self._settings.finds_fast_groups
@@ -355,7 +361,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             raise openmm.OpenMMException(
                 "The System was prepared after the integrator was given to its Context: create a new Context"
             )
-        engine = self._new_engine(context)
+        given = self._settings
+        engine = engine_for(given.engine, self, context, self._flow(), given.bodies, self._program)
         self._ensemble.check(context.getSystem(), engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.
@@ -363,14 +370,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             seed = self.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
             self.setGlobalVariableByName(SEED, seed)
         self._set_program_variables()
-        self._know_record()
-
-    def _new_engine(self, context: openmm.Context) -> Engine:
-        wanted, flow, bodies = self._settings.engine, self._flow(), self._settings.bodies
-        on_host = context.getPlatform().getName() in EXACT_PLATFORMS
-        if wanted == "exact" or (wanted == "auto" and on_host):
-            return ExactEngine(self, context, flow, bodies)
-        return NativeEngine(self, context, flow, bodies, self._program)
+        self._record.keep()
 
     def _take_over(self) -> None:
         """Take over what a loaded State or checkpoint holds, whichever engine wrote it.
@@ -383,87 +383,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
             self.setPerDofVariableByName(WORK, np.zeros(work.shape))
         self._set_program_variables()
         if self._engine is not None:
+            self._watch.forget()
             self._engine.atoms_moved()
-
-    def _tell_of_lost_noise(self) -> None:
-        """After a State was loaded, say so where the noise goes on differently than in the run that wrote it."""
-        if self._engine is None or self._engine.repeats_noise or self._told_of_noise:
-            return
-        if BATH in self._flow().scheme.operators:
-            self._told_of_noise = True
-            tell(
-                "With the native engine the noise of Langevin dynamics is OpenMM's, which no State holds: the run goes "
-                "on in the same ensemble, but not on the same trajectory. A checkpoint repeats it bit for bit"
-            )
 
     def _bound(self) -> Engine:
         if self._engine is None:
             raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
         return self._engine
-
-    # --- what travels in checkpoints besides the phase point ---
-
-    @property
-    def _record(self) -> tuple[str, ...]:
-        return (HEAT, DRAWS, *self._ensemble.record)
-
-    def _clear_record(self) -> None:
-        for name in self._record:
-            self.setGlobalVariableByName(name, 0)
-
-    def _know_record(self) -> None:
-        self._known = {name: self.getGlobalVariableByName(name) for name in (SEED, *self._record)}
-
-    def _restore_record(self) -> None:
-        """Restore the values known before, if somebody wrote the variables of another integrator over ours.
-
-        openmmtools' ContextCache does so. Noise must not be used twice.
-        """
-        if self._known.get(SEED) and self.getGlobalVariableByName(SEED) == 0:
-            for name, value in self._known.items():
-                self.setGlobalVariableByName(name, value)
-
-
-def revived(integrator: openmm.Integrator) -> openmm.Integrator:
-    """Turn a plain CustomIntegrator read from XML back into the SIER integrator it was; return others unchanged.
-
-    Raises:
-        settings.SettingsError: what is stored cannot be used here, as the message says.
-    """
-    if type(integrator) is openmm.CustomIntegrator and settings.is_stored(integrator):
-        found = settings.stored(integrator)
-        _give_class(integrator, settings.class_at(found.kind, SIERIntegrator), found)
-    return integrator
-
-
-def _give_class(plain: openmm.CustomIntegrator, cls: type[SIERIntegrator], found: Settings) -> None:
-    missing = set(found.ensemble.record) - {
-        plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())
-    }
-    if missing:
-        raise settings.SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
-    plain.__class__ = cls
-    plain._use(found)
-    step = openmm.CustomIntegrator.getStepSize(plain)._value * plain._native_steps
-    if not math.isclose(step, found.step, rel_tol=1e-12):
-        # The step was set where this package was not imported.
-        plain._settings = replace(found, step=step)
-
-
-def _plain_clone(integrator: SIERIntegrator) -> openmm.CustomIntegrator:
-    return inspect.unwrap(openmm.XmlSerializer._cloneIntegrator)(integrator)
-
-
-def _restored(plain: openmm.CustomIntegrator, cls: type[SIERIntegrator], attributes: dict[str, Any]) -> SIERIntegrator:
-    """Turn a plain CustomIntegrator back into one of ours, with the attributes that XML does not hold in full."""
-    _give_class(plain, cls, attributes["_settings"])
-    for name in attributes.keys() - vars(plain).keys():
-        setattr(plain, name, copy.deepcopy(attributes[name]))
-    return plain
-
-
-def _unpickled(xml: str, cls: type[SIERIntegrator], attributes: dict[str, Any]) -> SIERIntegrator:
-    return _restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
 
 
 def _written(given: Settings) -> Program | str:

@@ -21,6 +21,7 @@ from openmm_sier.integrators.constant_temperature import ConstantTemperatureInte
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.measure.report import SILENT, Advance, Report
+from openmm_sier.system import tables
 from openmm_sier.system.vibrations import Vibrations
 
 if TYPE_CHECKING:
@@ -319,7 +320,7 @@ def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time:
 def stop_centre_of_mass(context: openmm.Context) -> None:
     """Bring the centre of mass of a Context to rest."""
     system = context.getSystem()
-    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    masses = tables.masses(system)
     velocities = context.getState(velocities=True).getVelocities(asNumpy=True)
     velocities = velocities.value_in_unit(unit.nanometer / unit.picosecond)
     velocities[masses > 0] -= masses @ velocities / masses.sum()

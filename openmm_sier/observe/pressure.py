@@ -13,10 +13,11 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies, molecule_of_atoms
 from openmm_sier.dynamics.constants import BAR
-from openmm_sier.dynamics.constraints.graph import components
+from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.engines import neighbour_list
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.body_states import wrapped
+from openmm_sier.system import tables
 
 #: Components of a symmetric tensor in the order of `MolecularPressure.components`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -54,7 +55,7 @@ class MolecularPressure:
         system = context.getSystem()
         _check(system)
         self._source, self._system = context, system
-        self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+        self._masses = tables.masses(system)
         self._owners, self._molecule_masses = _molecules(context, self._masses)
         self._context = _second_context(context)
         self._forgets = neighbour_list.is_remembered(self._context)
@@ -149,13 +150,8 @@ def _joined(owners: np.ndarray, bodies: RigidBodies) -> np.ndarray:
         np.stack(np.broadcast_arrays(owners[species.atoms[:, :1]], owners[species.atoms]), axis=-1).reshape(-1, 2)
         for species in bodies.species
     ]
-    pairs = np.unique(np.concatenate(edges), axis=0)
-    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    labels = np.arange(owners.max() + 1)
-    for numbers in components(pairs):
-        members = np.unique(pairs[numbers])
-        labels[members] = members[0]
-    return np.unique(labels[owners], return_inverse=True)[1]
+    merged = joined(int(owners.max()) + 1, np.concatenate(edges))
+    return np.unique(merged[owners], return_inverse=True)[1]
 
 
 def _second_context(context: openmm.Context) -> openmm.Context:

@@ -21,6 +21,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
+from openmm_sier.system import tables
 
 #: Tolerance of constraints; SETTLE is not better than 1e-8.
 CONSTRAINT_TOLERANCE = 1e-7
@@ -187,7 +188,7 @@ def shift_velocities(context: openmm.Context, time: float) -> None:
     undoes this.
     """
     system = context.getSystem()
-    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    masses = tables.masses(system)
     state = context.getState(velocities=True, forces=True)
     velocities = state.getVelocities(asNumpy=True).value_in_unit(VELOCITY)
     massive = masses > 0

@@ -11,6 +11,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.limits import energy_limits
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, whole_number
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
 from openmm_sier.system.find_bodies import BodyPlan, constraint_lengths, tied
@@ -75,6 +76,8 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     forces = [force for i, force in enumerate(system.getForces()) if i not in own]
     acting = [force for force in forces if not isinstance(force, WITHOUT_FORCES)]
     owner, point = _owners(system, bodies)
+    # Terms between frozen atoms do no work, like those inside one body.
+    owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
     fast = [force for force in acting if _is_fast(force, owner, point)]
     for force in acting:
         if force.getForceGroup() == group and force not in fast:
@@ -101,7 +104,8 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
         force.getName() for force in acting if force not in fast and bonded_kind(force) and _has_terms(force, owner)
     ]
     if left:
-        done.append(f"These stay in the kicks, since they act on rigid bodies or virtual sites: {', '.join(left)}.")
+        why = "they act on rigid bodies, virtual sites or frozen atoms"
+        done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     return Preparation(frozenset({group} if fast else ()), tuple(done), energy_limits(system))
 
 

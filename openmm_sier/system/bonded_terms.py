@@ -38,7 +38,18 @@ def bonded_kind(force: openmm.Force) -> type | None:
 
 def bonded_terms(force: openmm.Force) -> np.ndarray:
     """Particles of each term of a Force that has a `bonded_kind`, (t, k)."""
-    tag, attributes = TERMS[bonded_kind(force)]
-    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
-    found = [[int(term.attrib[name]) for name in attributes] for parent in root.iter(f"{tag}s") for term in parent]
+    _, attributes = TERMS[bonded_kind(force)]
+    found = [[int(term.attrib[name]) for name in attributes] for term in _elements(force)]
     return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
+
+
+def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray]:
+    """Particles of each bond, (b, 2), and force constants, (b,), kJ/mol/nm^2."""
+    strengths = [float(term.attrib["k"]) for term in _elements(force)]
+    return bonded_terms(force), np.array(strengths, dtype=float)
+
+
+def _elements(force: openmm.Force) -> list[ElementTree.Element]:
+    tag, _ = TERMS[bonded_kind(force)]
+    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
+    return [term for parent in root.iter(f"{tag}s") for term in parent]

@@ -9,6 +9,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
+from openmm_sier.system import tables
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.notices import tell
 
@@ -73,7 +74,8 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
         if not system.isVirtualSite(i):
             raise openmm.OpenMMException(
                 f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
-                "has no mass or was left out of `bodies`: keep the volume, or do without it"
+                "has no mass or was left out of `bodies`: leave out `pressure`, or give it a mass and restrain it by a "
+                "force"
             )
 
 
@@ -110,6 +112,17 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
             )
 
 
+def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
+    """Warn of a barostat of OpenMM in a System with frozen atoms, which it moves too."""
+    barostat = next((force for force in system.getForces() if isinstance(force, BAROSTATS)), None)
+    if barostat is not None and (frozen := tables.frozen_atoms(system)).size:
+        tell(
+            f"{type(barostat).__name__} moves all molecules with the box, also those of frozen atoms (of the mass "
+            f"0, such as atom {frozen[0]}), and counts them among those that share the heat. To hold atoms in place at "
+            "constant pressure, restrain them by forces"
+        )
+
+
 def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:
     """Refuse rigid bodies of three or more atoms on a line that constraints hold.
 
@@ -122,14 +135,15 @@ def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None
     lines = [s for s in bodies.species if s.atoms.shape[1] > 2 and s.moments[0] == 0]
     if not lines:
         return
-    pairs = {tuple(sorted(system.getConstraintParameters(i)[:2])) for i in range(system.getNumConstraints())}
+    pairs = tables.constraints(system).pair_set()
     for species in lines:
         for row in species.atoms.tolist():
             if all(pair in pairs for pair in combinations(sorted(row), 2)):
                 raise RigidityError(
-                    f"{bodies.describe_atoms(row)}: atoms in a row are held by constraints between all of them, of "
-                    "which OpenMM makes NaN. Give the mass to the two outer atoms and make the others virtual sites; "
-                    "or leave out these constraints and name the atoms in `bodies`"
+                    f"{bodies.describe_atoms(row)}: these atoms lie on a line, and every two of them are constrained. "
+                    "OpenMM cannot solve such constraints and sets their positions to NaN. Give the mass to the two "
+                    "outer atoms and make the others virtual sites; or remove these constraints and name the atoms in "
+                    "`bodies`"
                 )
 
 

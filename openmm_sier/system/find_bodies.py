@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain, combinations
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,9 @@ from openmm import unit
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
-from openmm_sier.system import geometries
+from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.geometries import EMBEDDING_TOLERANCE, Cluster, Kind, KindCollector, Sharing
 from openmm_sier.system.links import Links, joins_a_body
@@ -46,7 +46,7 @@ class RigidBodies(dynamics.RigidBodies):
         Particles that the user names form bodies with their present geometry. Of the others, molecules in which every
         distance is constrained form bodies whose geometry the constraint lengths define. Every remaining particle with
         mass is a point body, joined to others by its constraints. Virtual sites follow their atoms. Massless particles
-        that are not virtual sites stay where they are.
+        that are not virtual sites are frozen: they stay where they are, and constraints between them are ignored.
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
         geometry, and a warning says so.
@@ -88,7 +88,7 @@ class BodyPlan:
         self._labels = None if topology is None else _residue_labels(topology, n)
         self._n = n
         self._describe = RigidBodies([], n, self._labels).describe_atoms
-        self._masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(n)])
+        self._masses = tables.masses(system)
         lengths = constraint_lengths(system)
         self._links = Links(system, lengths)
         named = self._checked(_named(topology, rigid, lengths, self._links), system)
@@ -146,7 +146,7 @@ class BodyPlan:
     # --- which particles ---
 
     def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
-        """Named bodies without their virtual sites."""
+        """Named bodies without their virtual sites; those that are frozen entirely are none."""
         clusters = []
         seen: set[int] = set()
         for indices in groups:
@@ -156,14 +156,17 @@ class BodyPlan:
                     raise ValueError(f"bodies name particle {i}, the System has {self._n} particles")
                 if i in seen:
                     raise ValueError(f"bodies name particle {i} twice")
-                if self._masses[i] == 0:
+                seen.add(i)
+            massive = self._masses[list(cluster)] > 0
+            if not massive.any():
+                continue
+            for i, has_mass in zip(cluster, massive.tolist(), strict=True):
+                if not has_mass:
                     raise RigidityError(
                         f"{self._describe(cluster)}: atom {i} has no mass and is no virtual site. Give it a mass, or "
-                        "leave it out of the body"
+                        "leave it out of the body; or freeze all atoms of the body"
                     )
-                seen.add(i)
-            if cluster:
-                clusters.append(cluster)
+            clusters.append(cluster)
         return clusters
 
     def _collect(self, named: list[Cluster], lengths: Lengths) -> list[Kind]:
@@ -174,7 +177,6 @@ class BodyPlan:
             collector.add(cluster, self._masses[list(cluster)], constraints)
             free[list(cluster)] = False
         for cluster, rigid in _constrained_clusters(loose, self._links):
-            self._check(cluster)
             if rigid:
                 pairs = {pair: lengths[pair] for pair in combinations(cluster, 2)}
                 collector.add(cluster, self._masses[list(cluster)], pairs)
@@ -183,14 +185,6 @@ class BodyPlan:
         for atom in np.flatnonzero(free).tolist():
             collector.add((atom,), (masses[atom],), {})
         return collector.kinds(self._describe)
-
-    def _check(self, cluster: Cluster) -> None:
-        for atom in cluster:
-            if self._masses[atom] == 0:
-                raise RigidityError(
-                    f"{self._describe(cluster)}: atom {atom} is constrained but has no mass. Give it a mass, or make "
-                    "it a virtual site"
-                )
 
     def _demand_extent(self, kind: Kind, positions: np.ndarray) -> None:
         for cluster in kind.clusters:
@@ -296,13 +290,11 @@ def constraint_lengths(system: openmm.System) -> Lengths:
     """Lengths in nm by ascending pairs of particles.
 
     Raises:
-        RigidityError: a pair has two lengths.
+        RigidityError: a pair has two lengths, or only one atom of a pair has mass.
     """
     lengths: Lengths = {}
-    for i in range(system.getNumConstraints()):
-        a, b, distance = system.getConstraintParameters(i)
-        length = distance.value_in_unit(unit.nanometer)
-        pair = min(a, b), max(a, b)
+    found = tables.constraints(system)
+    for pair, length in zip(map(tuple, np.sort(found.pairs, axis=1).tolist()), found.lengths.tolist(), strict=True):
         other = lengths.setdefault(pair, length)
         if abs(other - length) > EMBEDDING_TOLERANCE:
             raise RigidityError(
@@ -335,36 +327,14 @@ def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Clus
 
     A rigid group in a larger molecule does not count: fast forces move only points, so constraints hold its atoms.
     """
-    clusters = _clusters(lengths)
-    sizes = np.fromiter(map(len, clusters), int, len(clusters))
-    number = np.empty(links.n_particles, dtype=int)
-    number[np.fromiter(chain.from_iterable(clusters), int, sizes.sum())] = np.repeat(np.arange(len(clusters)), sizes)
-    of_constraints = number[np.fromiter((first for first, _ in lengths), int, len(lengths))]
-    complete = np.bincount(of_constraints, minlength=len(clusters)) == sizes * (sizes - 1) // 2
+    pairs = np.array(list(lengths), dtype=np.int64).reshape(-1, 2)
+    members, first = np.unique(pairs), joined(links.n_particles, pairs)
+    names, sizes = np.unique(first[members], return_counts=True)
+    ordered = members[np.argsort(first[members], kind="stable")]
+    clusters = [tuple(part.tolist()) for part in np.split(ordered, np.cumsum(sizes)[:-1])][: len(names)]
+    found = np.bincount(np.searchsorted(names, first[pairs[:, 0]]), minlength=len(names))
+    complete = found == sizes * (sizes - 1) // 2
     return zip(clusters, (complete & ~links.leave(clusters)).tolist(), strict=True)
-
-
-def _clusters(pairs: Iterable[tuple[int, int]]) -> list[Cluster]:
-    """Connected components of a graph, each in ascending order, ordered by their first particle."""
-    neighbours: dict[int, list[int]] = defaultdict(list)
-    for a, b in pairs:
-        neighbours[a].append(b)
-        neighbours[b].append(a)
-    seen: set[int] = set()
-    clusters = []
-    for start in sorted(neighbours):
-        if start in seen:
-            continue
-        seen.add(start)
-        stack, members = [start], []
-        while stack:
-            node = stack.pop()
-            members.append(node)
-            fresh = [other for other in neighbours[node] if other not in seen]
-            seen.update(fresh)
-            stack.extend(fresh)
-        clusters.append(tuple(sorted(members)))
-    return clusters
 
 
 def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
@@ -382,7 +352,7 @@ def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidB
 
 
 def _refuse_other_masses(system: openmm.System, bodies: dynamics.RigidBodies) -> None:
-    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(bodies.n_particles)])
+    masses = tables.masses(system)
     for species in bodies.species:
         wrong = np.argwhere(masses[species.atoms] != species.masses)
         if len(wrong):

@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
-from openmm_sier.dynamics.constraints.graph import components
+from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.system.bonded_terms import bonded_terms
 
-#: How many atoms the terms of a Force join, and the methods that give the number of terms and their parameters.
-_TERMS: dict[type, tuple[int, Callable, Callable]] = {
-    openmm.HarmonicBondForce: (2, openmm.HarmonicBondForce.getNumBonds, openmm.HarmonicBondForce.getBondParameters),
-    openmm.HarmonicAngleForce: (
-        3,
-        openmm.HarmonicAngleForce.getNumAngles,
-        openmm.HarmonicAngleForce.getAngleParameters,
-    ),
-    openmm.PeriodicTorsionForce: (
-        4,
-        openmm.PeriodicTorsionForce.getNumTorsions,
-        openmm.PeriodicTorsionForce.getTorsionParameters,
-    ),
-    openmm.RBTorsionForce: (4, openmm.RBTorsionForce.getNumTorsions, openmm.RBTorsionForce.getTorsionParameters),
-}
-
+#: Forces whose terms join their atoms into a molecule, besides bonds.
+_JOINING = (openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce)
 
 Bodies = TypeVar("Bodies", bound=RigidBodies)
 
@@ -52,13 +38,11 @@ class Links:
             lengths: of its constraints, nm, by pairs of particles.
         """
         self.n_particles = system.getNumParticles()
-        self.pairs, self.lengths = _pairs(lengths), np.array(list(lengths.values()), dtype=float)
-        forces = system.getForces()
-        harmonic = [force for force in forces if isinstance(force, openmm.HarmonicBondForce)]
-        self.bonds = _pairs({pair for force in harmonic for pair in _joined(force)})
-        self.terms = _pairs({pair for force in forces if force not in harmonic for pair in _joined(force)})
-        custom = [force for force in forces if isinstance(force, openmm.CustomBondForce)]
-        self.custom = _pairs({tuple(f.getBondParameters(i)[:2]) for f in custom for i in range(f.getNumBonds())})
+        self.pairs = np.array(list(lengths), dtype=np.int64).reshape(-1, 2)
+        self.lengths = np.array(list(lengths.values()), dtype=float)
+        self.bonds = _pairs(system, openmm.HarmonicBondForce)
+        self.terms = _pairs(system, _JOINING)
+        self.custom = _pairs(system, openmm.CustomBondForce)
 
     def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
         """For each cluster of particles whether a bond joins it to a particle outside."""
@@ -89,12 +73,7 @@ class Links:
 
     def _molecules(self, bodies: RigidBodies) -> np.ndarray:
         edges = bodies.owners[np.concatenate([self.pairs, self.bonds, self.terms, self.custom])]
-        edges = np.unique(edges[(edges >= 0).all(axis=1) & (edges[:, 0] != edges[:, 1])], axis=0)
-        molecules = np.arange(bodies.n)
-        for numbers in components(edges):
-            members = np.unique(edges[numbers])
-            molecules[members] = members[0]
-        return molecules
+        return joined(bodies.n, edges[(edges >= 0).all(axis=1)])
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:
@@ -106,13 +85,8 @@ def joins_a_body(a: int, b: int) -> RigidityError:
     )
 
 
-def _pairs(found: Iterable[tuple[int, int]]) -> np.ndarray:
-    return np.array(list(found), dtype=np.int64).reshape(-1, 2)
-
-
-def _joined(force: openmm.Force) -> Iterator[tuple[int, int]]:
-    for kind, (size, count, parameters) in _TERMS.items():
-        if isinstance(force, kind):
-            for term in range(count(force)):
-                atoms = parameters(force, term)[:size]
-                yield from pairwise(atoms)
+def _pairs(system: openmm.System, kinds: type | tuple[type, ...]) -> np.ndarray:
+    """Distinct pairs of neighbours in the terms of all Forces of some kinds, (m, 2)."""
+    terms = [bonded_terms(force) for force in system.getForces() if isinstance(force, kinds)]
+    pairs = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
+    return np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]), axis=0)

@@ -1,4 +1,4 @@
-"""Unconstrained bonds, and the step at which they are stable."""
+"""Unconstrained bonds and librations, and the steps at which they are stable."""
 
 from __future__ import annotations
 
@@ -11,11 +11,17 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, constraint_lengths
+from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import harmonic_bonds
+from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
+from openmm_sier.system.librations import HEATING, HOPELESS, Libration, fastest_librations
 from openmm_sier.system.notices import tell
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
+
+#: From this step in ps on, a number in fs has more likely been given than a step of picoseconds been meant.
+SLIP = 0.5
 
 SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
 MORE_SUBSTEPS = "Take more substeps or a shorter step"
@@ -40,12 +46,13 @@ class Bond(NamedTuple):
 
 
 class Vibrations:
-    """The fastest unconstrained bonds of a System, and whether a step is short enough for them.
+    """The fastest unconstrained bonds and librations of a System, and whether a step is short enough for them.
 
-    Only the System's HarmonicBondForces are looked at, as they are when the Context is created. Each bond is treated on
-    its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up
-    to a quarter faster. Angles are ignored: those of hydrogens are slower than bonds by a factor of two. The energy of
-    a CustomBondForce, or of any other force, is an expression, from which no period can be read.
+    Of bonded forces only the System's HarmonicBondForces are looked at, as they are when the Context is created. Each
+    bond is treated on its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms that share an
+    atom (CO2) vibrate up to a quarter faster. Angles are ignored: those of hydrogens are slower than bonds by a factor
+    of two. The energy of a CustomBondForce, or of any other force, is an expression, from which no period can be read.
+    Librations are estimates, see `librations`.
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
@@ -58,15 +65,19 @@ class Vibrations:
         forces = [force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
         forces = [force for force in forces if force.getNumBonds()]
         self._bonds: list[Bond] = []
+        mobility = mobilities(bodies)
         if forces:
-            owner, mobility = bodies.owners, _mobilities(bodies)
-            held = set(constraint_lengths(system))
-            found = [_fastest(force, owner, mobility, held) for force in forces]
+            held = tables.constraints(system).pair_set()
+            found = [_fastest(force, bodies.owners, mobility, held) for force in forces]
             self._bonds = sorted(bond for bond in found if bond is not None)
+        self._librations = fastest_librations(system, bodies, mobility)
         self._warned = False
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
         """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.
+
+        The same holds for librations, whose frequencies are estimates: steps are refused for them only from twice the
+        stability limit on.
 
         Args:
             scheme: the scheme that makes the step.
@@ -77,6 +88,7 @@ class Vibrations:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
         """
         self._check("A step", scheme, h, groups, SHORTER_STEP)
+        self._check_libration(scheme, h, groups)
 
     def check_nested(self, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
         """The same for fast forces within drifts, which must also not resonate with the kicks.
@@ -111,18 +123,19 @@ class Vibrations:
             groups: bit mask of the force groups that act in its kicks.
             fast: bit mask of those that act within its drifts, with inner steps that are short enough.
         """
-        slow, within = self._fastest_of(groups), self._fastest_of(fast)
-        limits = [scheme.accuracy_limit * slow.period / (2 * math.pi)] if slow else []
+        slow = self._fastest_of(groups), self._fastest_libration_of(groups)
+        limits = [_limits(scheme, motion.period)[1] for motion in slow if motion is not None]
+        within = self._fastest_of(fast)
         return min([*limits, *([RESONANCE * within.period] if within else [])], default=math.inf)
 
     def _check(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
         bond = self._fastest_of(groups)
         if bond is None:
             return
-        stable, accurate = (limit * bond.period / (2 * math.pi) for limit in _limits(scheme))
+        stable, accurate = _limits(scheme, bond.period)
         described = (
-            f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}, which {scheme.name} "
-            f"follows with steps of up to {_fs(accurate)} and bears with less than {_fs(stable)}. {remedy}, or "
+            f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} follows it "
+            f"accurately with steps of up to {_fs(accurate)}, and is unstable from {_fs(stable)} on. {remedy}, or "
             f"{CONSTRAIN}"
         )
         if h >= stable:
@@ -130,8 +143,29 @@ class Vibrations:
         if h > accurate:
             self._tell_once(f"{what} of {_fs(h)} is long: {described}")
 
+    def _check_libration(self, scheme: Scheme, h: float, groups: int) -> None:
+        libration = self._fastest_libration_of(groups)
+        if libration is None:
+            return
+        stable, accurate = _limits(scheme, libration.period)
+        body = self._bodies.describe(int(self._bodies.owners[libration.atom]))
+        described = (
+            f"other molecules can make {body} swing with a period of {_fs(libration.period)}. {scheme.name} follows "
+            f"that accurately with steps of up to {_fs(accurate)}, and liquids heat up from about "
+            f"{_fs(max(accurate, HEATING * stable))} on"
+        )
+        if h >= HOPELESS * stable:
+            slip = f". A number is a time in ps: for {h:g} fs give {h:g}*unit.femtoseconds" if h >= SLIP else ""
+            raise openmm.OpenMMException(f"A step of {_fs(h)} is too long: {described}{slip}")
+        if h > accurate:
+            self._tell_once(f"A step of {_fs(h)} is long: {described}. Take a shorter step")
+
     def _fastest_of(self, groups: int) -> Bond | None:
         return next((bond for bond in self._bonds if groups >> bond.group & 1), None)
+
+    def _fastest_libration_of(self, groups: int) -> Libration | None:
+        acting = [libration for libration in self._librations if groups >> libration.group & 1]
+        return min(acting, default=None)
 
     def _name(self, bond: Bond) -> str:
         return f"the bond between {_names(bond.atoms, self._bodies.labels)}"
@@ -142,8 +176,9 @@ class Vibrations:
             tell(message)
 
 
-def _limits(scheme: Scheme) -> tuple[float, float]:
-    return scheme.stability_limit, scheme.accuracy_limit
+def _limits(scheme: Scheme, period: float) -> tuple[float, float]:
+    """Steps in ps at which a motion becomes unstable, and up to which its energies are right within a tenth."""
+    return scheme.stability_limit * period / (2 * math.pi), scheme.accuracy_limit * period / (2 * math.pi)
 
 
 def _names(atoms: tuple[int, int], labels: Sequence[str] | None) -> str:
@@ -152,18 +187,14 @@ def _names(atoms: tuple[int, int], labels: Sequence[str] | None) -> str:
 
 
 def _fs(time: float) -> str:
-    return f"{1000 * time:.3g} fs"
+    return f"{1000 * time:.3g} fs" if time < 1 else f"{time:.4g} ps"
 
 
 def _fastest(
     force: openmm.HarmonicBondForce, owner: np.ndarray, mobility: np.ndarray, held: set[tuple[int, int]]
 ) -> Bond | None:
     """The bond of shortest period between two bodies whose ends are not a pair in `held`; None if there is none."""
-    count = force.getNumBonds()
-    ends, strength = np.empty((count, 2), dtype=np.int64), np.empty(count)
-    for i in range(count):
-        a, b, _, k = force.getBondParameters(i)
-        ends[i], strength[i] = (a, b), k._value
+    ends, strength = harmonic_bonds(force)
     apart = (owner[ends[:, 0]] != owner[ends[:, 1]]) | (owner[ends[:, 0]] < 0)
     apart &= np.array([pair not in held for pair in map(tuple, np.sort(ends, axis=1).tolist())])
     squares = apart * strength * mobility[ends].sum(axis=1)
@@ -174,7 +205,7 @@ def _fastest(
     return Bond(2 * math.pi / math.sqrt(squares[fastest]), (a, b), force.getForceGroup())
 
 
-def _mobilities(bodies: RigidBodies) -> np.ndarray:
+def mobilities(bodies: RigidBodies) -> np.ndarray:
     """For each particle its largest inverse effective mass in any direction, 1/dalton; 0 for particles of no body.
 
     A force f at the site r of a body accelerates it there by f / M + I^-1 (r x f) x r.

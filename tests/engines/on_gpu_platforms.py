@@ -13,6 +13,7 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.measure.starts import make_context
 from tests.support import opencl
@@ -130,7 +131,7 @@ def test_solutes_in_mixed_precision(gpu):
         force.setForceGroup(isinstance(force, openmm.HarmonicBondForce))
     program = native_program.write(SIER4G, 1, {1})
     integrator = openmm.CustomIntegrator(0.002 / len(program.parts))
-    native_program.install(program, integrator)
+    installation.install(program, integrator)
     integrator.setConstraintTolerance(1e-9)
     context = gpu_context(gpu, "mixed", system, integrator, (positions, np.zeros((8, 3))))
     context.setVelocitiesToTemperature(300, 1)

@@ -8,6 +8,7 @@ import pytest
 
 from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator
 from openmm_sier.dynamics.schemes import BATH, CATALOGUE
+from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.fast_forces import refuse
 from tests.support.ethane import ethane
@@ -44,7 +45,7 @@ def system_of(points: Points) -> openmm.System:
 
 def integrator_of(program: native_program.Program, h: float) -> openmm.CustomIntegrator:
     integrator = openmm.CustomIntegrator(h / len(program.parts))
-    native_program.install(program, integrator)
+    installation.install(program, integrator)
     integrator.setConstraintTolerance(1e-12)
     return integrator
 

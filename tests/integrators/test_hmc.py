@@ -10,7 +10,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.engines.native.program import EXACT_ONLY
+from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.observe.reporters import ConservationReporter
 from tests.support.methanols import positions_of, system_of
 from tests.support.restarts import assert_same

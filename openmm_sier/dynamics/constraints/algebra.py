@@ -32,7 +32,13 @@ NAMED = 8
 
 
 class ConstraintError(ValueError):
-    """Constraints that cannot be satisfied."""
+    """Constraints that cannot be satisfied.
+
+    Attributes:
+        bodies: columns of the state that they join, if they have no solution near a phase point; else empty.
+    """
+
+    bodies: np.ndarray = np.empty(0, dtype=np.int64)
 
 
 class Constraints:
@@ -240,10 +246,12 @@ class Constraints:
 
     def _demand(self, unsolved: np.ndarray | None) -> None:
         if unsolved is not None:
-            raise ConstraintError(
+            error = ConstraintError(
                 f"the constraints of {self._name(*unsolved)} have no solution near: they contradict each other, their "
                 "atoms are far from where they belong, or they move too fast for this time"
             )
+            error.bodies = unsolved
+            raise error
 
 
 def _plain(vectors: ArrayLike) -> np.ndarray:

@@ -12,29 +12,27 @@ from openmm_sier.dynamics.backend.constraint_tables import Graphs, Pattern, Star
 from openmm_sier.dynamics.backend.star_loops import MOST_LEAVES
 
 
+def joined(n: int, pairs: np.ndarray) -> np.ndarray:
+    """For each of n nodes the smallest number in its connected component of the graph with edges (c, 2), (n,)."""
+    ends = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+    first = np.arange(n)
+    while (apart := first[ends[:, 0]] != first[ends[:, 1]]).any():
+        ends = ends[apart]
+        low, high = np.sort(first[ends], axis=1).T
+        np.minimum.at(first, high, low)
+        # Each node now points to a smaller one of its component, and in the end to the smallest.
+        while not np.array_equal(further := first[first], first):
+            first = further
+    return first
+
+
 def components(pairs: np.ndarray) -> list[list[int]]:
     """Numbers of the pairs (c, 2) of each connected component, ordered by their first pair."""
-    at: dict[int, list[int]] = defaultdict(list)
-    for number, pair in enumerate(pairs):
-        for atom in pair:
-            at[int(atom)].append(number)
-    seen = np.zeros(len(pairs), dtype=bool)
-    found = []
-    for first in range(len(pairs)):
-        if seen[first]:
-            continue
-        seen[first] = True
-        stack, members = [first], []
-        while stack:
-            number = stack.pop()
-            members.append(number)
-            for atom in pairs[number]:
-                for other in at[int(atom)]:
-                    if not seen[other]:
-                        seen[other] = True
-                        stack.append(other)
-        found.append(sorted(members))
-    return found
+    pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+    labels = joined(int(pairs.max(initial=-1)) + 1, pairs)[pairs[:, 0]]
+    _, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
+    members = np.split(np.argsort(inverse.reshape(-1), kind="stable"), np.cumsum(counts))[:-1]
+    return [members[number].tolist() for number in np.argsort(first)]
 
 
 def star_centre(pairs: Sequence[Sequence[int]], masses: np.ndarray) -> int | None:

@@ -84,29 +84,3 @@ class Atoms:
     def box(self) -> np.ndarray:
         """Periodic box vectors as rows, nm."""
         return self.context.getState().getPeriodicBoxVectors(asNumpy=True)._value
-
-
-class PotentialEnergies:
-    """Potential energies of a Context's bodies; the last two are kept, for the start and end of a trajectory."""
-
-    def __init__(self, atoms: Atoms) -> None:
-        self._atoms = atoms
-        self.forget()
-
-    def forget(self) -> None:
-        """Drop the kept energies: positions, box or potential were changed."""
-        self._kept: list[tuple[np.ndarray, np.ndarray, float]] = []
-
-    def __call__(self, bodies: RigidBodies, q: np.ndarray, A: np.ndarray, groups: int) -> float:
-        """The energy in kJ/mol with bodies at (q, A), of force groups that must not change between calls.
-
-        Raises:
-            NotFiniteError: a position is not finite.
-        """
-        found = next((kept for kept in self._kept if kept[0] is q and kept[1] is A), None)
-        if found is None:
-            self._atoms.place(bodies, q, A)
-            state = self._atoms.context.getState(energy=True, groups=groups)
-            found = (q, A, state.getPotentialEnergy()._value)
-        self._kept = [*(kept for kept in self._kept if kept is not found), found][-2:]
-        return found[2]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -12,19 +11,21 @@ import openmm
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import MoleculeCentres
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import neighbour_list
+from openmm_sier.engines.binding import Binding
 from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.actors import Actors
-from openmm_sier.engines.exact.atoms import Atoms, PotentialEnergies
+from openmm_sier.engines.exact.atoms import Atoms
+from openmm_sier.engines.exact.forces import BodyForces, weakly
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
 from openmm_sier.engines.exact.motion import Motion, inner_step
 from openmm_sier.engines.exact.reconciliation import Reconciliation
 from openmm_sier.engines.interrupts import act_on_pending
-from openmm_sier.engines.native.program import updating_context
+from openmm_sier.engines.native.installation import updating_context
 from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
@@ -32,6 +33,7 @@ from openmm_sier.engines.variables import DRAWS, HEAT, SITES, STATE_VARIABLES
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.find_bodies import plan_bodies
+from openmm_sier.system.stiffness import stiffest_force
 from openmm_sier.system.vibrations import Vibrations
 
 
@@ -43,14 +45,14 @@ class _Memory(NamedTuple):
     box: np.ndarray
 
 
-class ExactEngine:
+class ExactEngine(Binding):
     """Implements `protocol.Engine` by a Python layer over the Context.
 
     After `publish` the Context agrees with the engine's state. `_last_written` is a snapshot of the Context from then:
     one that later differs from it was changed from outside.
 
     Attributes:
-        forces: forces and torques on the bodies, computed by the Context.
+        forces: forces and torques on the bodies, computed by the Context, and energies.
     """
 
     name = "exact"
@@ -67,8 +69,7 @@ class ExactEngine:
         Raises:
             RigidityError, openmm.OpenMMException: the System or the step is refused, as the message says.
         """
-        # The Context owns its integrator, so that a strong reference back would keep both alive.
-        self._integrator_ref = weakref.ref(integrator)
+        super().__init__(integrator, context)
         self._flow = flow
         self._atoms = Atoms(context)
         system = context.getSystem()
@@ -76,12 +77,10 @@ class ExactEngine:
         self._actors = Actors(system)
         self._remembers_list = neighbour_list.is_remembered(context)
         self._starts_anew = False
-        self._groups = integrator.getIntegrationForceGroups()
         self._last_written: Snapshot | None = None
         self._state: BodyState | None = None
         self.clock = Clock(0.0, 0)
-        self._energies = PotentialEnergies(self._atoms)
-        self.forces = operators.CachedForces(_weakly(self._compute_forces))
+        self.forces = BodyForces(self._atoms, weakly(self._next_step))
         self._bodies: RigidBodies | None = None
         self._momentum: MomentumConservation | None = None
         self._centres: MoleculeCentres | None = None
@@ -95,19 +94,8 @@ class ExactEngine:
             self._settle(plan.bodies(None))
 
     @property
-    def _context(self) -> openmm.Context:
-        return self._atoms.context
-
-    @property
-    def _integrator(self) -> openmm.CustomIntegrator:
-        integrator = self._integrator_ref()
-        if integrator is None:
-            raise openmm.OpenMMException("The integrator of this Context no longer exists")
-        return integrator
-
-    @property
     def evaluations(self) -> int:
-        return self.forces.evaluations
+        return self.forces.in_kicks.evaluations
 
     @property
     def bodies(self) -> RigidBodies:
@@ -148,13 +136,14 @@ class ExactEngine:
         if self._moves_volume:
             self._centres = self._new_centres(bodies)
         self._motion, self._bodies = self._new_motion(bodies), bodies
-        self._reconciliation = Reconciliation(bodies, self._atoms, _weakly(self._forget_forces))
+        self.forces.act_on(bodies)
+        self._reconciliation = Reconciliation(bodies, self._atoms, weakly(self._forget_forces))
         self._vibrations = vibrations
         return bodies
 
     def _new_motion(self, bodies: RigidBodies) -> Motion:
         fast = self._integrator.getIntegrationForceGroups() & self._flow.fast_groups
-        return Motion(self._context, bodies, self.forces, self._flow.rotation, fast)
+        return Motion(self._context, bodies, self.forces.in_kicks, self._flow.rotation, fast)
 
     def _check_step(self, vibrations: Vibrations) -> None:
         flow, groups = self._flow, self._integrator.getIntegrationForceGroups()
@@ -185,7 +174,7 @@ class ExactEngine:
     def publish(self) -> None:
         """Write the bodies' state to the Context and to the variables that travel in checkpoints."""
         state, integrator, context = self._reached, self._integrator, self._context
-        self._place(state.q, state.A)
+        self.forces.place(state.q, state.A)
         context.setVelocities(self.bodies.move(state, self._atoms.velocities))
         for name, values in zip(STATE_VARIABLES, packing.pack(self.bodies, state), strict=True):
             integrator.setPerDofVariableByName(name, values)
@@ -204,9 +193,10 @@ class ExactEngine:
 
     def _step_with_actors(self, step: operators.Stepper) -> None:
         """Make one step, after the System's barostats and thermostats have acted."""
+        act = self._update_box if self._actors.are_barostats else self._update_all
         before, mark = self._state, self._context.getState(positions=True)
         try:
-            self._complete(self._acted_on(), step)
+            self._complete(act(), step)
         except BaseException:
             if self._state is before:
                 self._atoms.rewind(mark)
@@ -215,19 +205,16 @@ class ExactEngine:
     def _complete(self, state: BodyState, step: operators.Stepper) -> None:
         time, steps = self.clock
         if self._flow.updates_context and self._actors.removes_momentum(steps):
-            state = _shifted(self.bodies, state, -self.bodies.centre_velocity(state.p))
+            state = self.bodies.shifted(state, -self.bodies.centre_velocity(state.p))
         try:
             state = step(state)
         except ConstraintError as error:
             raise TrajectoryError(
-                f"In step {steps + 1} {error}. Is the step size too long? The Context is left at the last completed "
-                "step."
+                f"In step {steps + 1} {error}. Is the step size too long{self._stiffest_force_on(error.bodies)}? The "
+                "Context is left at the last completed step."
             ) from error
         # In one assignment, so that an error finds the clock and the bodies in agreement.
         self._state, self.clock = state, Clock(time + self._flow.step, steps + 1)
-
-    def _acted_on(self) -> BodyState:
-        return self._update_box() if self._actors.are_barostats else self._update_all()
 
     def _update_all(self) -> BodyState:
         self.publish()
@@ -241,7 +228,7 @@ class ExactEngine:
     def _update_box(self) -> BodyState:
         """Let barostats act. Most often they change nothing, and then nothing is read back."""
         state = self._reached
-        self._place(state.q, state.A)
+        self.forces.place(state.q, state.A)
         before = self._atoms.box()
         self._let_openmm_act()
         if np.array_equal(self._atoms.box(), before):
@@ -266,57 +253,31 @@ class ExactEngine:
 
     # --- forces ---
 
-    def _compute_forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces and torques on bodies in kicks."""
-        return self._forces_of(self._groups & ~self._flow.fast_groups, q, A)
-
-    def all_forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces and torques on bodies at (q, A), each (3, n), including fast forces."""
-        self.forces.evaluations += 1
-        return self._forces_of(self._groups, q, A)
-
-    def _forces_of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        self._place(q, A)
-        try:
-            return self.bodies.forces_and_torques(self._atoms.forces(groups), A)
-        except NotFiniteError as error:
-            raise self._blown_up("force on", error) from None
-
     def potential_energy(self) -> float:
-        state = self._reached
-        try:
-            return self._energies(self.bodies, state.q, state.A, self._groups)
-        except NotFiniteError as error:
-            raise self._blown_up("position of", error) from None
+        return self.forces.energy(self._reached)
 
     def _forget_forces(self) -> None:
         """Compute forces anew next time: positions, box or parameters were changed."""
-        self._energies.forget()
-        self.forces.invalidate()
+        self.forces.forget()
         if self._motion.fast is not None:
             self._motion.fast.follow(self._context)
 
     def forces_changed(self) -> None:
-        self._energies.forget()
-        self.forces.invalidate()
+        self.forces.forget()
         if self._bodies is not None:
             self._motion = self._new_motion(self._bodies)
 
     def groups_changed(self) -> None:
         self.forces_changed()
 
-    def _place(self, q: np.ndarray, A: np.ndarray) -> None:
-        try:
-            self._atoms.place(self.bodies, q, A)
-        except NotFiniteError as error:
-            raise self._blown_up("position of", error) from None
+    def _next_step(self) -> int:
+        return self._context.getStepCount() if self._state is None else self.clock.steps + 1
 
-    def _blown_up(self, what: str, error: NotFiniteError) -> TrajectoryError:
-        step = self._context.getStepCount() if self._state is None else self.clock.steps + 1
-        return TrajectoryError(
-            f"The {what} {self.bodies.describe(error.body)} is not finite in step {step}. Is the step size "
-            "too long, or do atoms overlap? The Context is left at the last completed step."
-        )
+    def _stiffest_force_on(self, bodies: np.ndarray) -> str:
+        """What a message says of the stiffest force on some bodies at the last completed step."""
+        atoms = [int(i) for body in bodies.tolist() for i in self.bodies.atoms_of(body)]
+        found = stiffest_force(self._context, self.positions(), atoms)
+        return "" if found is None else f", or a force too stiff for it ({found})"
 
     # --- between flows ---
 
@@ -352,7 +313,7 @@ class ExactEngine:
         return self.bodies.centre_velocity(self._reached.p)[:, 0]
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
-        self._state = _shifted(self.bodies, self._reached, velocity[:, None])
+        self._state = self.bodies.shifted(self._reached, velocity[:, None])
 
     def prepare_for_volume_moves(self) -> None:
         self._moves_volume = True
@@ -443,30 +404,7 @@ class ExactEngine:
             state = self._reached
             self._reconciliation.notice_environment(self._last_written, now)
         self._atoms.velocities[:] = now.velocities
-        self._groups = integrator.getIntegrationForceGroups()
+        self.forces.select(integrator.getIntegrationForceGroups(), self._flow.fast_groups)
         heat, draws = map(integrator.getGlobalVariableByName, (HEAT, DRAWS))
         self._state = replace(state, heat=heat, draws=int(draws))
         self.clock, self._last_written = Clock(now.time, now.steps), now
-
-
-def _shifted(bodies: RigidBodies, state: BodyState, velocity: np.ndarray) -> BodyState:
-    """The state with a velocity, (3, 1), added to all bodies, and its energy to the heat."""
-    moving = bodies.masses.sum() * (bodies.centre_velocity(state.p) + 0.5 * velocity)
-    gained = float((moving * velocity).sum())
-    return replace(state, p=state.p + bodies.masses * velocity, heat=state.heat + gained)
-
-
-def _weakly(method: Callable[..., Any]) -> Callable[..., Any]:
-    """A method that does not keep its object alive.
-
-    The engine owns a Context for fast forces, and so must not be left to the garbage collector, which may delete that
-    Context's System before the Context.
-    """
-    reference = weakref.WeakMethod(method)
-
-    def call(*arguments: Any) -> Any:
-        found = reference()
-        assert found is not None
-        return found(*arguments)
-
-    return call

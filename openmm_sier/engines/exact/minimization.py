@@ -15,6 +15,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.minimizer import descent
+from openmm_sier.system import tables
 
 if TYPE_CHECKING:
     from openmm_sier.engines.exact.engine import ExactEngine
@@ -22,8 +23,7 @@ if TYPE_CHECKING:
 
 def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
     """Whether every distance inside every body is constrained."""
-    ends = np.array([system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())], dtype=np.int64)
-    pairs = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0)
+    pairs = np.unique(np.sort(tables.constraints(system).pairs, axis=1), axis=0)
     owner = bodies.owners
     inside = owner[pairs[:, 0]]
     found = np.bincount(inside[(inside == owner[pairs[:, 1]]) & (inside >= 0)], minlength=bodies.n)
@@ -57,7 +57,7 @@ def minimize_bodies(
     if unit.is_quantity(tolerance):
         tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
     state = engine.state()
-    points = descent(engine.bodies, engine.all_forces, state.q, state.A)
+    points = descent(engine.bodies, engine.forces.of_all_groups, state.q, state.A)
     try:
         for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
             if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):

@@ -21,6 +21,7 @@ from openmm_sier.dynamics.schemes import BATH, DRIFT, WITHIN_DRIFTS, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.exact.solute import SoluteForces, solute_system
 from openmm_sier.engines.protocol import Flow
+from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
 
 #: The longest inner step where the number of substeps is left open, ps.
@@ -125,6 +126,7 @@ def _fast_forces(context: openmm.Context, bodies: RigidBodies, members: np.ndarr
         return None
     atoms = [int(bodies.atoms_of(body)[0]) for body in members.tolist()]
     rigid = np.where(bodies.point_particles, -1, bodies.owners)
+    rigid[tables.frozen_atoms(context.getSystem())] = bodies.n
     if not atoms:
         # Nothing to compute, but forces that cannot be fast are refused here too.
         solute_system(context.getSystem(), atoms, groups, rigid)

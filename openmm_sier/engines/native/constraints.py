@@ -7,6 +7,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.system import tables
 
 #: Atoms further than this off their constraints, in nm or nm/ps, were put there from outside and are moved onto them.
 #: OpenMM's own constraints leave errors of up to 5e-9 nm, since SETTLE works with lengths in single precision.
@@ -25,9 +26,7 @@ class SystemConstraints:
     """
 
     def __init__(self, system: openmm.System):
-        found = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
-        self.pairs = np.array([(a, b) for a, b, _ in found], dtype=np.int64).reshape(-1, 2)
-        self.lengths = np.array([length._value for *_, length in found])
+        self.pairs, self.lengths = tables.constraints(system)
 
     def satisfy(self, context: openmm.Context, tolerance: float) -> None:
         """Move the atoms of a Context, and their velocities, onto the constraints.

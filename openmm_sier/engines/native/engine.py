@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import weakref
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -16,16 +15,12 @@ from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import neighbour_list
+from openmm_sier.engines.binding import Binding
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import fast_forces, refusals
 from openmm_sier.engines.native.constraints import SystemConstraints
-from openmm_sier.engines.native.program import (
-    EXACT_ONLY,
-    WORK,
-    Program,
-    longest_inner_step,
-    set_variables,
-)
+from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
+from openmm_sier.engines.native.program import WORK, Program, longest_inner_step
 from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import (
@@ -36,7 +31,7 @@ from openmm_sier.engines.temperature import (
     thermal_energies,
 )
 from openmm_sier.engines.variables import DRAWS, HEAT
-from openmm_sier.system import checks
+from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.find_bodies import plan_bodies
 from openmm_sier.system.vibrations import Vibrations
@@ -59,7 +54,7 @@ class _Memory(NamedTuple):
     draws: int
 
 
-class NativeEngine:
+class NativeEngine(Binding):
     """Implements `protocol.Engine` with the program of the integrator.
 
     The Context has the state at any time. An error in mid-step leaves it where it happened, as with OpenMM's
@@ -89,9 +84,7 @@ class NativeEngine:
             openmm.OpenMMException: the integrator needs what only the exact engine has, or the System has a Force that
                 does not work with divided steps.
         """
-        # The Context owns its integrator, so that a strong reference back would keep both alive.
-        self._context_ref = weakref.ref(context)
-        self._integrator_ref = weakref.ref(integrator)
+        super().__init__(integrator, context)
         system = context.getSystem()
         self._program = refusals.refuse(flow, bodies, program, system)
         self._flow = flow
@@ -108,9 +101,7 @@ class NativeEngine:
         self._checked: tuple[Any, ...] = ()
         self._check_step()
         self._momentum = MomentumConservation.of_system(system, self._points)
-        self._masses = np.zeros(system.getNumParticles())
-        for species in self._points.species:
-            self._masses[species.atoms] = species.masses
+        self._masses = tables.masses(system)
         self._centres: MoleculeCentres | None = None
         self._potential: float | None = None
         self._environment: Any = None
@@ -118,20 +109,6 @@ class NativeEngine:
         self._is_fresh = True
         self.evaluations = 0
         _loosen_for_single_precision(integrator, context)
-
-    @property
-    def _context(self) -> openmm.Context:
-        context = self._context_ref()
-        if context is None:
-            raise openmm.OpenMMException("The Context of this integrator no longer exists")
-        return context
-
-    @property
-    def _integrator(self) -> openmm.CustomIntegrator:
-        integrator = self._integrator_ref()
-        if integrator is None:
-            raise openmm.OpenMMException("The integrator of this Context no longer exists")
-        return integrator
 
     @property
     def bodies(self) -> RigidBodies:

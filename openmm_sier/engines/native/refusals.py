@@ -12,7 +12,7 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.native.program import Program
 from openmm_sier.engines.protocol import Flow
-from openmm_sier.system import checks
+from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies
 
 
@@ -62,9 +62,9 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
     if given is None:
         return None
     rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given
-    held = {tuple(sorted(system.getConstraintParameters(i)[:2])) for i in range(system.getNumConstraints())}
+    held, masses = tables.constraints(system).pair_set(), tables.masses(system)
     for row in rows:
-        massive = sorted(int(i) for i in row if system.getParticleMass(int(i))._value > 0)
+        massive = sorted(int(i) for i in row if 0 <= i < len(masses) and masses[i] > 0)
         for pair in combinations(massive, 2):
             if pair not in held:
                 return (
@@ -76,7 +76,7 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
 
 def points(system: openmm.System) -> RigidBodies:
     """The massive atoms of a System, each a body of its own."""
-    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    masses = tables.masses(system)
     kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
     return RigidBodies(
         [Species(atoms, np.array([mass]), np.zeros((3, 1)), np.zeros(3)) for mass, atoms in kinds], len(masses)

@@ -7,7 +7,8 @@ from xml.etree import ElementTree
 
 import openmm
 
-from openmm_sier.engines.native.program import Program, install
+from openmm_sier.engines.native.installation import install
+from openmm_sier.engines.native.program import Program
 
 
 def rewrite(integrator: openmm.CustomIntegrator, program: Program | None) -> None:

@@ -1,0 +1,37 @@
+"""Which engine an integrator gets."""
+
+from __future__ import annotations
+
+import openmm
+
+from openmm_sier.engines.exact.engine import ExactEngine
+from openmm_sier.engines.native.engine import NativeEngine
+from openmm_sier.engines.native.program import Program
+from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.system.arguments import Bodies
+
+#: The platforms on which "auto" takes the exact engine, since their forces are in memory that Python can read.
+EXACT_PLATFORMS = ("CPU", "Reference")
+
+
+def engine_for(
+    wanted: str,
+    integrator: openmm.CustomIntegrator,
+    context: openmm.Context,
+    flow: Flow,
+    bodies: Bodies,
+    program: Program | str,
+) -> Engine:
+    """The engine of a Context.
+
+    Args:
+        wanted: "exact", "native" or "auto".
+        integrator, context: what it is bound to.
+        flow: what will be followed.
+        bodies: as users give them.
+        program: of the flow, or the reason why there is none.
+    """
+    on_host = context.getPlatform().getName() in EXACT_PLATFORMS
+    if wanted == "exact" or (wanted == "auto" and on_host):
+        return ExactEngine(integrator, context, flow, bodies)
+    return NativeEngine(integrator, context, flow, bodies, program)

@@ -1,0 +1,115 @@
+"""A program as the computations of an OpenMM CustomIntegrator, with the variables that it uses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import openmm
+
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines.native.program import (
+    CONSTRAIN_V,
+    CONSTRAIN_X,
+    FRICTION,
+    PART,
+    THERMAL,
+    UPDATE,
+    VECTORS,
+    Program,
+    Statement,
+)
+from openmm_sier.engines.variables import PREFIX
+
+#: Global variable that is 1 if only the exact engine can do what the integrator was made for.
+EXACT_ONLY = PREFIX + "exact_only"
+
+#: The name of an undefined variable, so that OpenMM's error message about it tells what is wrong.
+LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
+
+
+def install(program: Program | None, integrator: openmm.CustomIntegrator) -> None:
+    """Give an openmm.CustomIntegrator a program and the variables of this module.
+
+    `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
+    the exact engine uses this.
+
+    Args:
+        program: None for an integrator that only the exact engine can execute.
+        integrator: openmm.CustomIntegrator.
+    """
+    for name in VECTORS:
+        integrator.addPerDofVariable(name, 0)
+    for name in (EXACT_ONLY, PART, FRICTION, THERMAL):
+        integrator.addGlobalVariable(name, 0)
+    _add_guard(integrator)
+    integrator.beginIfBlock(f"{PART} < 0")
+    integrator.addUpdateContextState()
+    integrator.endBlock()
+    if program is None:
+        return
+    n = len(program.parts)
+    for k, part in enumerate(program.parts):
+        integrator.beginIfBlock(f"{PART} = {k}")
+        for line in part:
+            for statement, lengths in line.executed():
+                _add_statement(statement, integrator, f"{lengths}; h = {n}*dt")
+        integrator.endBlock()
+    integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
+
+
+def set_variables(integrator: openmm.CustomIntegrator, bath: OrnsteinUhlenbeck | None, is_guarded: bool) -> None:
+    """Set the program's variables to the values that they must have, whatever was loaded.
+
+    Args:
+        integrator: openmm.CustomIntegrator with a program of `install`.
+        bath: of the scheme.
+        is_guarded: whether the program must refuse to run, since it would do less than what was asked for.
+    """
+    friction, thermal = (0.0, 0.0) if bath is None else (bath.friction, GAS_CONSTANT * bath.temperature)
+    for name, value in ((EXACT_ONLY, float(is_guarded)), (PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
+        if integrator.getGlobalVariableByName(name) != value:
+            integrator.setGlobalVariableByName(name, value)
+
+
+@contextmanager
+def updating_context(integrator: openmm.CustomIntegrator, step: float) -> Iterator[None]:
+    """Make native steps update the Context's state and do nothing else.
+
+    Args:
+        integrator: openmm.CustomIntegrator with a program of `install`.
+        step: the step that Forces such as AndersenThermostat are to see, ps.
+    """
+    native_step = openmm.CustomIntegrator.getStepSize(integrator)
+    try:
+        integrator.setGlobalVariableByName(PART, -1)
+        openmm.CustomIntegrator.setStepSize(integrator, step)
+        yield
+    finally:
+        openmm.CustomIntegrator.setStepSize(integrator, native_step)
+        integrator.setGlobalVariableByName(PART, 0)
+
+
+def _add_guard(integrator: openmm.CustomIntegrator) -> None:
+    """Make the program fail where it cannot do all that was asked for, and this package is not there to do it.
+
+    XML gives a plain CustomIntegrator there. Reference and CPU name the undefined variable in an error; other platforms
+    stop at positions that are NaN.
+    """
+    integrator.beginIfBlock(f"{EXACT_ONLY}*step({PART}) > 0.5")
+    integrator.addComputePerDof(LOST, "0")
+    integrator.addComputePerDof("x", f"x + sqrt(-{EXACT_ONLY})")
+    integrator.addComputeGlobal(EXACT_ONLY, "energy")
+    integrator.endBlock()
+
+
+def _add_statement(statement: Statement, integrator: openmm.CustomIntegrator, definitions: str) -> None:
+    if statement.target == CONSTRAIN_X:
+        integrator.addConstrainPositions()
+    elif statement.target == CONSTRAIN_V:
+        integrator.addConstrainVelocities()
+    elif statement.target == UPDATE:
+        integrator.addUpdateContextState()
+    else:
+        integrator.addComputePerDof(statement.target, statement.expression + definitions)

@@ -1,0 +1,60 @@
+"""Masses and constraints of a System as arrays.
+
+They are read anew at each call, since users change them between Contexts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidityError
+
+
+class Constraints(NamedTuple):
+    """Distances that are held fixed.
+
+    Attributes:
+        pairs: particle indices, (c, 2).
+        lengths: (c,), nm.
+    """
+
+    pairs: np.ndarray
+    lengths: np.ndarray
+
+    def pair_set(self) -> set[tuple[int, int]]:
+        """The pairs, the smaller particle first."""
+        return set(map(tuple, np.sort(self.pairs, axis=1).tolist()))
+
+
+def masses(system: openmm.System) -> np.ndarray:
+    """Masses of all particles, (N,), dalton; 0 for virtual sites and for atoms that are frozen."""
+    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())], dtype=float)
+
+
+def constraints(system: openmm.System) -> Constraints:
+    """The constraints that act, in the System's order: those between two frozen atoms do not, as in OpenMM.
+
+    Raises:
+        RigidityError: a constraint joins an atom with mass to one without, which OpenMM refuses too.
+    """
+    found = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    pairs = np.array([(a, b) for a, b, _ in found], dtype=np.int64).reshape(-1, 2)
+    lengths = np.array([length._value for *_, length in found], dtype=float)
+    frozen = masses(system)[pairs] == 0
+    if (wrong := np.flatnonzero(frozen[:, 0] != frozen[:, 1])).size:
+        row = int(wrong[0])
+        still, moving = pairs[row][np.argsort(~frozen[row])].tolist()
+        raise RigidityError(
+            f"a constraint joins atom {moving} to atom {still}, which has no mass, and OpenMM refuses such: give both "
+            "a mass, or freeze both by the mass 0, or remove the constraint, which a virtual site needs none of"
+        )
+    act = ~frozen.any(axis=1)
+    return Constraints(pairs[act], lengths[act])
+
+
+def frozen_atoms(system: openmm.System) -> np.ndarray:
+    """Particles without mass that are no virtual sites, (f,): they exert forces and do not move."""
+    return np.array([i for i in np.flatnonzero(masses(system) == 0).tolist() if not system.isVirtualSite(i)], dtype=int)

@@ -1,0 +1,166 @@
+"""Atoms frozen by the mass 0: they exert forces and stay where they are, and their constraints are ignored."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import RigidBodies, SIER4GIntegrator, SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.observe.stock import shift_velocities
+from tests.support.peptides import capped_alanine, capped_alanine_box, forcefield
+from tests.support.waters import array, cluster_system, context_at, energies, periodic_system, phase_point, relaxed
+
+ENGINES = ("exact", "native")
+
+
+def freeze(system, atoms):
+    for atom in atoms:
+        if not system.isVirtualSite(atom):
+            system.setParticleMass(atom, 0)
+    return list(atoms)
+
+
+def frozen_water(model):
+    topology, positions, system = cluster_system(4, model)
+    return topology, positions, system, freeze(system, range(system.getNumParticles() // 4))
+
+
+def frozen_peptide():
+    system, positions = capped_alanine(4)
+    topology, _ = capped_alanine_box(4)
+    return topology, positions, system, freeze(system, [a.index for a in topology.atoms() if a.residue.name != "HOH"])
+
+
+def frozen_residue():
+    """The peptide with one residue frozen, so that bonded forces join frozen atoms to others."""
+    system, positions = capped_alanine(4)
+    topology, _ = capped_alanine_box(4)
+    return topology, positions, system, freeze(system, [a.index for a in topology.atoms() if a.residue.name == "ALA"])
+
+
+CASES = {
+    "TIP3P": lambda: frozen_water("tip3p"),
+    "TIP4P-Ew": lambda: frozen_water("tip4pew"),
+    "peptide": frozen_peptide,
+    "one residue": frozen_residue,
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def frozen(request):
+    topology, positions, system, atoms = CASES[request.param]()
+    return system, relaxed(topology, positions, system, steps=100), atoms
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_others_move_as_with_verlet_at_a_tiny_step(frozen, engine):
+    system, point, atoms = frozen
+    integrator = SIER4GIntegrator(0.0005, engine=engine)
+    context = context_at(system, integrator, point)
+    integrator.step(20)
+    tiny = openmm.VerletIntegrator(1e-5)
+    tiny.setConstraintTolerance(1e-10)
+    peer = context_at(system, tiny, point)
+    shift_velocities(peer, -0.5e-5)
+    tiny.step(1000)
+    found, expected = phase_point(context)[0], phase_point(peer)[0]
+    # Accelerations of 1e4 nm/ps^2 give Verlet an error of 1e4 (1e-5 ps)^2 in each period of 0.01 ps, 1e-6 nm. Bonds
+    # without constraints, whose periods are 20 fs, add as much to a step of 0.5 fs. The atoms move by 1e-2 nm.
+    assert np.abs(found - expected).max() < 5e-6
+    assert np.array_equal(found[atoms], point[0][atoms])
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_frozen_atoms_hold_no_heat(frozen, engine):
+    system, point, atoms = frozen
+    integrator = SIER4GIntegrator(0.0005, engine=engine)
+    context = context_at(system, integrator, point)
+    context.setVelocitiesToTemperature(300, 1)
+    assert not phase_point(context)[1][atoms].any()
+    massive = [i for i in range(system.getNumParticles()) if system.getParticleMass(i)._value > 0]
+    pairs = (system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints()))
+    dof = 3 * len(massive) - sum(a in massive for a, _ in pairs)
+    assert not integrator.conservesMomentum
+    _, kinetic = energies(context)
+    # OpenMM's SETTLE leaves velocities off their constraints by 1e-9, see the table of its facts.
+    expected = 2 * kinetic / (dof * GAS_CONSTANT)
+    assert integrator.computeSystemTemperature()._value == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_baths_trials_and_minimizer_leave_them(engine):
+    topology, positions, system, atoms = frozen_water("tip3p")
+    point = relaxed(topology, positions, system, steps=100)
+    for integrator in (
+        SIERLangevinIntegrator(300, 5, 0.004, engine=engine),
+        SIERHMCIntegrator(300, 0.004, stepsPerTrial=5, engine=engine),
+    ):
+        context = context_at(system, integrator, point)
+        integrator.step(20)
+        openmm.LocalEnergyMinimizer.minimize(context, maxIterations=5)
+        assert np.array_equal(phase_point(context)[0][atoms], point[0][atoms])
+        assert np.abs(phase_point(context)[0] - point[0]).max() > 1e-3
+
+
+def test_fast_forces_ignore_terms_between_frozen_atoms():
+    """Two peptides in one System, the first frozen: the bonds of the second are fast."""
+    topology, positions = capped_alanine_box(0)
+    both = app.Modeller(topology, positions * unit.nanometer)
+    both.add(topology, (positions + np.array([2.0, 0, 0])) * unit.nanometer)
+    single, _ = capped_alanine(0)
+    system = forcefield().createSystem(both.topology, constraints=app.HBonds, removeCMMotion=False)
+    atoms = freeze(system, range(single.getNumParticles()))
+    point = relaxed(both.topology, array(both.positions), system, steps=100)
+    prepared = prepare_system(system)
+    assert prepared.fastForceGroups
+    ends = []
+    for groups in (prepared.fastForceGroups, None):
+        integrator = SIER4GIntegrator(0.0005, fastForceGroups=groups)
+        context = context_at(system, integrator, point)
+        integrator.step(20)
+        ends.append(phase_point(context)[0])
+    assert np.array_equal(ends[0][atoms], point[0][atoms])
+    # Both follow bonds with periods of 20 fs, of which a step of 0.5 fs is a fortieth.
+    assert np.abs(ends[0] - ends[1]).max() < 5e-6
+
+
+def test_a_constraint_between_a_frozen_atom_and_another_is_refused_as_by_openmm():
+    _, _, system = cluster_system(2)
+    system.setParticleMass(1, 0)
+    with pytest.raises(RigidityError, match="joins atom 0 to atom 1, which has no mass"):
+        RigidBodies.from_system(system)
+    for integrator in (openmm.VerletIntegrator(0.001), SIER4GIntegrator(0.001)):
+        with pytest.raises(openmm.OpenMMException, match="massless particle"):
+            openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
+
+
+def test_named_bodies_may_be_frozen_as_wholes():
+    topology, positions, system = cluster_system(3, rigidWater=False)
+    freeze(system, range(3))
+    bodies = RigidBodies.from_system(system, topology, "heavy atoms with hydrogens", positions)
+    assert (bodies.owners >= 0).tolist() == 3 * [False] + 6 * [True]
+    assert RigidBodies.from_system(system, rigid=[[0, 1, 2], [3, 4, 5]], positions=positions).n == 4
+    system.setParticleMass(4, 0)
+    with pytest.raises(RigidityError, match="atom 4 has no mass"):
+        RigidBodies.from_system(system, rigid=[[3, 4, 5]], positions=positions)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_barostats_that_move_frozen_atoms_are_spoken_of(engine):
+    _, positions, system = periodic_system()
+    atoms = freeze(system, range(3))
+    with pytest.raises(openmm.OpenMMException, match="particle 0 belongs to no body"):
+        context_at(system, SIERLangevinIntegrator(300, 1, 0.002, pressure=1), (positions, 0 * positions))
+    system.addForce(openmm.MonteCarloBarostat(1, 300, 1))
+    integrator = SIERLangevinIntegrator(300, 1, 0.002, engine=engine)
+    with pytest.warns(UserWarning, match="MonteCarloBarostat moves all molecules .* such as atom 0"):
+        context = context_at(system, integrator, (positions, 0 * positions))
+    integrator.step(20)
+    x = phase_point(context)[0]
+    # As with OpenMM's own integrators, the frozen molecule keeps its shape and moves with the box.
+    assert np.ptp(x[atoms] - positions[atoms], axis=0).max() < 1e-6
+    assert np.abs(x[atoms] - positions[atoms]).max() > 1e-6

@@ -1,0 +1,148 @@
+"""Steps that are too long for the librations of molecules: said where they are inaccurate, refused where hopeless."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier import SIER2, SIER4G, RigidBodies, SIER2Integrator, SIER4GIntegrator, SIERIntegrator
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.system.librations import HOPELESS
+from openmm_sier.system.vibrations import Vibrations, mobilities
+from tests.support.waters import cluster_system, context_at, energies, periodic_system, platform, relaxed
+
+ENGINES = ("exact", "native")
+
+
+def silently(system, integrator):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return openmm.Context(system, integrator, platform())
+
+
+def longest(system, scheme=SIER4G):
+    return Vibrations(system, RigidBodies.from_system(system)).longest_step(scheme, 1, 0)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("model", ["tip3p", "spce", "tip4pew", "tip5p"])
+def test_steps_in_use_are_taken(model, engine):
+    """README's 6 fs and the studies' 9 fs without a word, and Verlet's 3 fs; 4 and 12 fs are spoken of."""
+    _, _, system = cluster_system(3, model)
+    for integrator in (SIER4GIntegrator(0.009, engine=engine), SIER2Integrator(0.003, engine=engine)):
+        silently(system, integrator)
+    for integrator in (SIER4GIntegrator(0.012, engine=engine), SIER2Integrator(0.004, engine=engine)):
+        with pytest.warns(UserWarning, match=r"is long: other molecules can make .* swing with a period of 31\.5 fs"):
+            openmm.Context(system, integrator, platform())
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_picoseconds_in_place_of_femtoseconds(engine):
+    _, positions, system = cluster_system(3)
+    with pytest.raises(openmm.OpenMMException, match=r"A step of 6 ps is too long: .* give 6\*unit\.femtoseconds"):
+        openmm.Context(system, SIER4GIntegrator(6, engine=engine), platform())
+    integrator = SIER4GIntegrator(0.006, engine=engine)
+    context = context_at(system, integrator, (positions, 0 * positions))
+    integrator.setStepSize(6)
+    with pytest.raises(openmm.OpenMMException, match="is too long"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+@pytest.fixture(scope="module")
+def liquid():
+    topology, positions, system = periodic_system()
+    return system, relaxed(topology, positions, system, steps=50)
+
+
+@pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=lambda scheme: scheme.name)
+def test_refused_steps_are_hopeless(liquid, scheme):
+    """Just below the refusal a liquid gains a third of its kinetic energy within 1.2 ps."""
+    system, point = liquid
+    h = 0.999 * HOPELESS * longest(system, scheme) * scheme.stability_limit / scheme.accuracy_limit
+    integrator = SIERIntegrator(h, scheme)
+    with pytest.warns(UserWarning, match="is long"):
+        context = context_at(system, integrator, point, "CPU")
+    (potential, kinetic), gain, time = energies(context), 0.0, 0.0
+    # SIER4V, the slowest to do so, was seen to gain 0.7; at 6 fs SIER4G changes by less than 0.01.
+    while gain < kinetic / 3 and time < 1.2:
+        integrator.step(2)
+        gain, time = sum(energies(context)) - potential - kinetic, time + 2 * h
+    assert gain >= kinetic / 3
+    integrator.setStepSize(h / 0.998)
+    with pytest.raises(openmm.OpenMMException, match="is too long"):
+        integrator.step(1)
+
+
+def test_heavier_hydrogens_are_slower():
+    """Masses times four: half the frequency, and twice the step, whatever the model."""
+    _, _, light = cluster_system(3)
+    _, _, heavy = cluster_system(3)
+    for i in range(9):
+        heavy.setParticleMass(i, 4 * light.getParticleMass(i))
+    assert longest(heavy) == pytest.approx(2 * longest(light), rel=1e-12)
+
+
+def test_the_mobility_is_the_acceleration_by_a_force():
+    """A force on a hydrogen of water across its plane, and the acceleration by Newton's and Euler's laws."""
+    _, positions, system = cluster_system(1)
+    bodies = RigidBodies.from_system(system)
+    normal = np.cross(positions[1] - positions[0], positions[2] - positions[0])
+    force = np.zeros((3, 3))
+    force[1] = normal / np.linalg.norm(normal)
+    q, A = bodies.fit(positions)
+    F, tau = bodies.forces_and_torques(force, A)
+    arms = positions - q[:, 0]
+    masses = [system.getParticleMass(i)._value for i in range(3)]
+    inertia = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, arms, strict=True))
+    acceleration = F[:, 0] / sum(masses) + np.cross(np.linalg.solve(inertia, tau[:, 0]), arms[1])
+    # Positions of the file are off the geometry by its rounding, 1e-4 nm in 0.1.
+    assert acceleration @ force[1] == pytest.approx(mobilities(bodies)[1], rel=1e-2)
+
+
+def gas(charge=0.0, epsilon=0.0):
+    """Two rigid dumbbells of hydrogens in a NonbondedForce."""
+    system, force = openmm.System(), openmm.NonbondedForce()
+    for i in range(4):
+        system.addParticle(1.0)
+        force.addParticle((-1) ** i * charge, 0.3, epsilon)
+    for i in (0, 2):
+        system.addConstraint(i, i + 1, 0.1)
+    system.addForce(force)
+    return system
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_what_nothing_holds_takes_any_step(engine):
+    alone, with_frozen = cluster_system(1)[2], cluster_system(2)[2]
+    free = openmm.System()
+    for _ in range(2):
+        free.addParticle(18.0)
+
+    def long():
+        return SIER4GIntegrator(6, engine=engine)
+
+    for system in (free, gas(), alone):
+        silently(system, long())
+    for i in range(3):
+        with_frozen.setParticleMass(i, 0)
+    for system in (gas(charge=0.5), gas(epsilon=1.0), with_frozen):
+        with pytest.raises(openmm.OpenMMException, match="is too long"):
+            openmm.Context(system, long(), platform())
+    silently(gas(charge=0.5), SIER4GIntegrator(0, engine=engine))
+    ignored = long()
+    ignored.setIntegrationForceGroups({1})
+    silently(gas(charge=0.5), ignored)
+
+
+def test_argon():
+    """Mass 39.95: the estimate is near the Einstein frequency of the liquid, 7.5/ps (Rahman, Phys. Rev. 136, A405)."""
+    system, force = openmm.System(), openmm.NonbondedForce()
+    for _ in range(2):
+        system.addParticle(39.95)
+        force.addParticle(0, 0.3405, 0.996)
+    system.addForce(force)
+    assert SIER2.accuracy_limit / longest(system, SIER2) == pytest.approx(7.5, rel=0.15)

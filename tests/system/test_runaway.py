@@ -1,0 +1,128 @@
+"""Integrators say it when steps have made a System impossibly hot, and say nothing of what users do themselves."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier import SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator
+from openmm_sier.system import runaway
+from tests.support.waters import context_at, periodic_system, platform, relaxed
+
+ENGINES = ("exact", "native")
+
+
+@pytest.fixture(scope="module")
+def liquid():
+    topology, positions, system = periodic_system()
+    return system, relaxed(topology, positions, system, steps=50)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_runaway_is_said_at_the_users_line(liquid, engine, monkeypatch):
+    monkeypatch.setattr(runaway, "INTERVAL", 10)
+    system, point = liquid
+    integrator = SIER2Integrator(0.012, engine=engine)
+    with pytest.warns(UserWarning, match="is long"):
+        context = context_at(system, integrator, point)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        # SIER2 is unstable from 10 fs on.
+        while not said and context.getStepCount() < 500:
+            integrator.step(10)
+    (message,) = said
+    assert "Steps of 12 fs have raised the temperature to" in str(message.message)
+    assert message.filename == __file__
+    context.setPositions(point[0])
+    context.setVelocities(point[1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        integrator.setStepSize(0.0001)
+        integrator.step(10)
+
+
+def gas(n=100):
+    system = openmm.System()
+    for _ in range(n):
+        system.addParticle(18.0)
+    return system, np.random.default_rng(1).normal(size=(n, 3))
+
+
+def looks(integrator, calls=3):
+    """Steps in calls of several lengths, after each of which the watch looks."""
+    for _ in range(calls):
+        integrator.step(1)
+        integrator.step(runaway.INTERVAL)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("engine", ENGINES)
+def test_hot_starts_and_hot_baths_are_the_users_own(engine):
+    system, positions = gas()
+    integrator = SIER4GIntegrator(0.002, engine=engine)
+    context = openmm.Context(system, integrator, platform())
+    context.setPositions(positions)
+    for temperature in (300, 20000, 100, 50000):
+        context.setVelocitiesToTemperature(temperature, 1)
+        looks(integrator)
+    saved = context.getState(positions=True, velocities=True)
+    context.setVelocitiesToTemperature(300, 1)
+    looks(integrator)
+    context.setState(saved)
+    looks(integrator)
+    bath = SIERLangevinIntegrator(300, 20, 0.002, engine=engine)
+    context = openmm.Context(system, bath, platform())
+    context.setPositions(positions)
+    # From 0 K to that of the bath, simulated annealing from 10,000 K on, and a bath that cools slowly.
+    for temperature in (300, 10000, 3000, 300):
+        bath.setTemperature(temperature)
+        looks(bath)
+    bath.setTemperature(20000)
+    looks(bath)
+    bath.setFriction(0.1)
+    bath.setTemperature(300)
+    looks(bath)
+    assert bath.computeTemperatures().total > runaway.HOTTEST
+
+
+@pytest.mark.filterwarnings("error")
+def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(liquid):
+    system, (positions, _) = liquid
+    overlapping = positions.copy()
+    overlapping[:3] += positions[3] - positions[0] + 0.02
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, (overlapping, 0 * positions))
+    openmm.LocalEnergyMinimizer.minimize(context, maxIterations=100)
+    context.setVelocitiesToTemperature(300, 1)
+    looks(integrator, 1)
+    ions = openmm.System()
+    coulomb = openmm.NonbondedForce()
+    for charge in (1, -1):
+        ions.addParticle(23.0)
+        coulomb.addParticle(charge, 0.2, 0.5)
+    ions.addForce(coulomb)
+    integrator = SIER4GIntegrator(0.002)
+    context = context_at(ions, integrator, (np.array([[0, 0, 0], [0.8, 0, 0]]), np.zeros((2, 3))))
+    # They fall onto each other.
+    hottest = 0.0
+    for _ in range(8):
+        integrator.step(runaway.INTERVAL // 4)
+        hottest = max(hottest, integrator.computeTemperatures().total)
+    assert hottest > runaway.HOTTEST
+    assert context.getStepCount() == 8 * (runaway.INTERVAL // 4)
+
+
+def test_copies_have_a_watch_of_their_own(liquid):
+    system, point = liquid
+    integrator = SIER4GIntegrator(0.002)
+    original = context_at(system, integrator, point)
+    clone = copy.deepcopy(integrator)
+    context = context_at(system, clone, point)
+    clone.step(1)
+    assert clone._watch is not integrator._watch
+    assert context.getStepCount() - original.getStepCount() == 1
