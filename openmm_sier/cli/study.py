@@ -12,8 +12,8 @@ from openmm_sier.cli.console import REPORT, note, table
 from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
 from openmm_sier.cli.properties import ROWS, estimated, read_runs
 from openmm_sier.measure import properties
-from openmm_sier.studies import style
-from openmm_sier.studies.step_study import COLUMNS, StepRow, markdown, step_figure, step_table, with_shared_errors
+from studies import style
+from studies.step_study import COLUMNS, StepRow, markdown, step_figure, step_table, with_shared_errors
 
 #: Settings in which runs of one point may differ.
 FREE = ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every")

@@ -43,7 +43,7 @@ def _add_paper(commands: Commands) -> argparse.ArgumentParser:
 
 def _paper(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import paper
+    from studies import paper
 
     if options.phase_point is None:
         paper.run(options.experiment, options.quick, options.out, options.seed, REPORT, options.processes)
@@ -111,7 +111,7 @@ def _add_equipartition(commands: Commands) -> argparse.ArgumentParser:
 
 def _equipartition(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import equipartition
+    from studies import equipartition
 
     if options.pool:
         if options.box is not None:
@@ -138,9 +138,9 @@ def _add_schemes(commands: Commands) -> argparse.ArgumentParser:
 
 def _schemes(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import scheme_comparison
+    from studies import schemes
 
-    scheme_comparison.run(_settings(scheme_comparison.SchemesSettings, options), options.out, REPORT)
+    schemes.run(_settings(schemes.SchemesSettings, options), options.out, REPORT)
 
 
 def _add_acceptance(commands: Commands) -> argparse.ArgumentParser:
@@ -168,7 +168,7 @@ def _add_acceptance(commands: Commands) -> argparse.ArgumentParser:
 
 def _acceptance(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import acceptance
+    from studies import acceptance
 
     acceptance.run(_settings(acceptance.AcceptanceSettings, options), options.out, REPORT)
 
@@ -199,7 +199,7 @@ def _add_bench(commands: Commands) -> argparse.ArgumentParser:
 
 def _bench(options: argparse.Namespace) -> None:
     from openmm_sier.cli.console import REPORT
-    from openmm_sier.studies import bench
+    from studies import bench
 
     bench.run(_settings(bench.BenchSettings, options), options.out, REPORT)
 

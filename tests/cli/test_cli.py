@@ -19,7 +19,8 @@ from openmm_sier.cli import main, records
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__
-from tests.support.commands import SMALL, SYSTEMS, complaint, frames, load_program, log, wait_for, write_lattice
+from studies.checks.kill_loop import kill_loop
+from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, wait_for, write_lattice
 
 #: Frames and rows of a run of 0.4 ps with the options of SMALL: every 5th step of 4 fs, every 10th, and the start.
 STEPS, FRAMES, ROWS = 100, 20, 11
@@ -295,8 +296,8 @@ def test_killed_when_nothing_but_the_hdf5_file_is_missing(box, whole_run):
 
 @pytest.mark.slow
 def test_killed_at_random_moments_again_and_again(tmp_path):
-    """What benchmarks/kill_loop.py does fifty times: not a bit may differ from a run that nothing disturbed."""
-    met = load_program("benchmarks/kill_loop.py").kill_loop(tmp_path, ".dcd", kills=3, signals=("KILL", "TERM"))
+    """What the study does fifty times: not a bit may differ from a run that nothing disturbed."""
+    met = kill_loop(tmp_path, ".dcd", kills=3, signals=("KILL", "TERM"))
     assert (met["by SIGKILL"], met["by SIGTERM"]) == (2, 1)
     assert met["steps"] >= 30
     assert met["frames"] == met["steps"] // 4

@@ -12,7 +12,7 @@ import pytest
 from openmm_sier import SIER4G, SIERIntegrator
 from openmm_sier.cli import records
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.studies import equipartition
+from studies import equipartition
 from tests.support.commands import SMALL, complaint, log, run
 
 

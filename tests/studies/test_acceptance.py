@@ -12,10 +12,10 @@ import pytest
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.measure import forcefields
-from openmm_sier.studies import acceptance, acceptance_trials, style
-from openmm_sier.studies.acceptance import Row
-from openmm_sier.studies.acceptance_trials import AcceptanceSettings, Member
-from openmm_sier.studies.bench import replicas
+from studies import acceptance, acceptance_trials, style
+from studies.acceptance import Row
+from studies.acceptance_trials import AcceptanceSettings, Member
+from studies.bench import replicas
 from tests.support.commands import SYSTEMS, complaint, run, write_lattice
 from tests.support.reports import Told
 from tests.support.waters import platform

@@ -17,9 +17,9 @@ from openmm import app, unit
 from openmm_sier import RigidBodies
 from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure import forcefields
-from openmm_sier.studies import bench
-from openmm_sier.studies.bench import accuracy, layer, peers, timing
-from openmm_sier.studies.bench.accuracy import Point
+from studies import bench
+from studies.bench import accuracy, layer, peers, timing
+from studies.bench.accuracy import Point
 from tests.support.commands import SYSTEMS, run, write_lattice
 
 

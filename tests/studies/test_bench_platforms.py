@@ -11,7 +11,7 @@ import pytest
 
 from openmm_sier.measure import forcefields, starts
 from openmm_sier.measure.report import SILENT
-from openmm_sier.studies.bench import accuracy, platforms, replicas
+from studies.bench import accuracy, platforms, replicas
 from tests.support.commands import SYSTEMS, run, write_lattice
 from tests.support.waters import platform
 

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState
-from openmm_sier.studies.paper import dipole, published, tip4p
-from openmm_sier.studies.paper.dipole import DipoleSettings, Field, Spread
-from openmm_sier.studies.paper.methods import METHODS
+from studies.paper import dipole, published, tip4p
+from studies.paper.dipole import DipoleSettings, Field, Spread
+from studies.paper.methods import METHODS
 from tests.support.oracles import random_attitudes, skew
 
 NAMES = [method.name for method in METHODS]

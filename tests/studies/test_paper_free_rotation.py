@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from openmm_sier.dynamics import rotation
-from openmm_sier.studies.paper import free_rotation, published, reference, tip4p
-from openmm_sier.studies.paper.free_rotation import FreeRotationSettings
+from studies.paper import free_rotation, published, reference, tip4p
+from studies.paper.free_rotation import FreeRotationSettings
 from tests.support.oracles import rotation_by_dop853
 
 WATER = tip4p.molecules(1).species[0].moments

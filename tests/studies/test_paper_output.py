@@ -11,11 +11,11 @@ from dataclasses import replace
 import pytest
 
 from openmm_sier.cli.main import build_parser
-from openmm_sier.studies import paper
-from openmm_sier.studies.paper import dipole, figures, free_rotation, liquids, output, published, tables, water_runs
-from openmm_sier.studies.paper.free_rotation import Cost, Curve, FreeRotation
-from openmm_sier.studies.paper.methods import METHODS
-from openmm_sier.studies.paper.water import Crossing, Point, Water
+from studies import paper
+from studies.paper import dipole, figures, free_rotation, liquids, output, published, tables, water_runs
+from studies.paper.free_rotation import Cost, Curve, FreeRotation
+from studies.paper.methods import METHODS
+from studies.paper.water import Crossing, Point, Water
 from tests.support.reports import Told
 
 PNG = b"\x89PNG"

@@ -15,12 +15,12 @@ from openmm import unit
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.dynamics import backend
-from openmm_sier.studies.paper import liquids, molecular_cutoff, start, tip4p, water, water_runs
-from openmm_sier.studies.paper.liquids import MOLECULAR, PME, Cutoffs
-from openmm_sier.studies.paper.methods import METHODS
-from openmm_sier.studies.paper.molecular_cutoff import MolecularCutoff
-from openmm_sier.studies.paper.pairs import switch
-from openmm_sier.studies.paper.water_runs import PhasePoint, WaterSettings
+from studies.paper import liquids, molecular_cutoff, start, tip4p, water, water_runs
+from studies.paper.liquids import MOLECULAR, PME, Cutoffs
+from studies.paper.methods import METHODS
+from studies.paper.molecular_cutoff import MolecularCutoff
+from studies.paper.pairs import switch
+from studies.paper.water_runs import PhasePoint, WaterSettings
 from tests.support.oracles import random_attitudes
 
 SYSTEMS = Path(__file__).parents[2] / "systems"

@@ -10,8 +10,8 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier.dynamics.schemes import DRIFT, KICK, SIER4P, SIER4V, alternating
-from openmm_sier.studies import scheme_comparison
-from openmm_sier.studies.scheme_comparison import OTHERS, Row, SchemesSettings
+from studies import schemes
+from studies.schemes import OTHERS, Row, SchemesSettings
 from tests.support.convergence import slope
 from tests.support.molecules import WATER, SoftCluster
 from tests.support.reports import Told
@@ -54,7 +54,7 @@ def row(scheme, dt, error):
 
 def test_best_at_every_number_of_forces():
     rows = [row("A", 1, 0.02), row("B", 1, 0.01), row("A", 2, 0.03), row("B", 2, math.nan), row("A", 4, math.nan)]
-    assert {dt: found.scheme for dt, found in scheme_comparison.best(rows).items()} == {1: "B", 2: "A"}
+    assert {dt: found.scheme for dt, found in schemes.best(rows).items()} == {1: "B", 2: "A"}
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
@@ -80,7 +80,7 @@ def settings(tmp_path_factory):
 def finished(settings):
     out = settings.box.parent / "new" / "out"
     told = Told()
-    return out, scheme_comparison.run(settings, out, told), told
+    return out, schemes.run(settings, out, told), told
 
 
 def test_rows(finished):
@@ -101,7 +101,7 @@ def test_rows(finished):
 
 def test_files(finished, settings):
     out, rows, _ = finished
-    loaded = scheme_comparison.load(out / "schemes.json")
+    loaded = schemes.load(out / "schemes.json")
     for one, other in zip(loaded, rows, strict=True):
         assert str(one) == str(other)
     record = json.loads((out / "schemes.json").read_text())
@@ -128,4 +128,4 @@ def test_what_is_reported(finished):
 def test_an_unknown_scheme_is_refused_before_anything_is_read(settings, tmp_path):
     wrong = dataclasses.replace(settings, box=tmp_path / "none.pdb", schemes=("sier4g", "sier5"))
     with pytest.raises(ValueError, match=r"unknown scheme 'sier5'; known are verlet, sier2, .*srkn6b"):
-        scheme_comparison.compare(wrong)
+        schemes.compare(wrong)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from openmm_sier.measure.properties import Estimate
-from openmm_sier.studies import step_study
-from openmm_sier.studies.step_study import StepRow
+from studies import step_study
+from studies.step_study import StepRow
 
 
 def row(method, h, forces=1, box="spce-512", **found):

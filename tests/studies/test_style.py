@@ -8,12 +8,12 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from openmm_sier.measure import sampling
-from openmm_sier.studies import scheme_comparison, style
-from openmm_sier.studies.bench import peers
-from openmm_sier.studies.paper.methods import METHODS
+from studies import schemes, style
+from studies.bench import peers
+from studies.paper.methods import METHODS
 from tests.support.reports import Told
 
-COMPARED = {method.name for method, _ in scheme_comparison.known().values()}
+COMPARED = {method.name for method, _ in schemes.known().values()}
 COMPARED |= {method.name for method in (*sampling.nve_methods().values(), *METHODS)}
 COMPARED |= {method.name for method in sampling.nvt_methods(300, 1, 1).values()}
 
@@ -46,7 +46,7 @@ def test_a_heat_bath_does_not_change_the_look():
 
 
 def test_a_missing_matplotlib_is_noted(monkeypatch):
-    monkeypatch.setattr(style, "find_spec", lambda name: None)
+    monkeypatch.setattr(figures, "find_spec", lambda name: None)
     told = Told()
     assert not style.can_draw(told)
     (note,) = told.notes

@@ -1,0 +1,198 @@
+"""A water molecule in a uniform field: conservation of energy and of L_z (van Zon and Schofield 2007, Table 1).
+
+The paper does not say how long its runs were nor how it averaged. Here an ensemble of molecules, canonical at 297 K,
+each alone in the field, runs for a few ps from the same initial states with every method.
+
+- Energy: rms(H)/rms(V) along each trajectory, and the mean of this ratio over the ensemble. The ratio of the
+  ensemble's mean rms values is nearly the same; the median is much smaller, since the error grows steeply with |L|.
+- L_z: the rms over trajectories and ensemble of L_z - <L_z>, over <|L_z|>. Only SEJ4 does not conserve L_z. Its error
+  comes from few molecules, so it would be several times smaller as a mean over trajectories than as a root mean square,
+  and it grows slowly with the length of the run.
+
+The field does not lie along a coordinate axis. If it did, the third component of every torque would be zero, and every
+map that conserves L in free rotation would keep L_z constant to the last bit; as it is, rounding shows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from openmm_sier.dynamics import operators
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.bodies import BodyState
+from openmm_sier.measure.statistics import jackknife
+from studies.paper import tip4p
+from studies.paper.methods import FS, METHODS, Method, Progress
+
+#: One debye times one MV/m in kJ/mol: 1e-21/299792458 C m (CODATA), 1e6 V/m, the Avogadro constant.
+DEBYE_MV_PER_M = 1e-21 / 299792458 * 1e6 * 6.02214076e23 / 1e3
+
+#: The paper's z axis in the lab frame of the computation.
+Z = np.array([1.0, 2.0, 2.0]) / 3
+
+
+@dataclass(frozen=True)
+class DipoleSettings:
+    """Parameters of the experiment.
+
+    Attributes:
+        dipole: D.
+        field: MV/m.
+        temperature: of the initial states, K.
+        force_steps_fs: h/f, fs.
+        span: length of a trajectory, ps.
+        bodies: number of trajectories.
+        seed: of the initial states.
+    """
+
+    dipole: float = 1.84
+    field: float = 2.7
+    temperature: float = 297.0
+    force_steps_fs: tuple[float, ...] = (4.2, 11.0, 21.0)
+    span: float = 3.0
+    bodies: int = 20000
+    seed: int = 1
+
+
+QUICK = DipoleSettings(bodies=2000)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of Table 1, with the averages that the paper may have meant.
+
+    Attributes:
+        method, force_step_fs: of the entry; the step is f times the latter.
+        energy, energy_error: mean over trajectories of rms(H)/rms(V), and its standard error.
+        energy_of_means: mean of rms(H) over the mean of rms(V).
+        energy_median: median over trajectories of rms(H)/rms(V).
+        momentum, momentum_error: root of the mean square of L_z - <L_z> over the mean of |L_z|, and its standard error.
+        momentum_of_means: mean over trajectories of rms(L_z), over the mean of |L_z|.
+        momentum_median: median over trajectories of rms(L_z)/|<L_z>|.
+    """
+
+    method: str
+    force_step_fs: float
+    energy: float
+    energy_error: float
+    energy_of_means: float
+    energy_median: float
+    momentum: float
+    momentum_error: float
+    momentum_of_means: float
+    momentum_median: float
+
+
+@dataclass(frozen=True)
+class Dipole:
+    """Results of the experiment."""
+
+    settings: DipoleSettings
+    entries: tuple[Entry, ...]
+
+
+def turn_in_field(settings: DipoleSettings, progress: Progress = lambda what, fraction: None) -> Dipole:
+    """Carry out the experiment."""
+    runs = [(method, step) for step in settings.force_steps_fs for method in METHODS]
+    work = np.array([1 / step for _, step in runs])
+    done = np.concatenate([[0.0], np.cumsum(work) / work.sum()])
+    entries = []
+    for (method, step), fraction in zip(runs, done[:-1], strict=True):
+        progress(f"dipole in a field: {method.name}, h/f = {step:g} fs", float(fraction))
+        entries.append(_entry(method, step, settings))
+    progress("dipole in a field", 1.0)
+    return Dipole(settings, tuple(entries))
+
+
+class Field:
+    """Potential and torque of point dipoles that are fixed in bodies, in a uniform field along `Z`."""
+
+    def __init__(self, dipole_energy: float, direction: np.ndarray):
+        """
+        Args:
+            dipole_energy: dipole moment times field, kJ/mol.
+            direction: of the dipole in the body frame, (3,).
+        """
+        self._body_vector = dipole_energy * direction
+
+    def _lab_vector(self, A: np.ndarray) -> np.ndarray:
+        x, y, z = self._body_vector
+        return x * A[0] + y * A[1] + z * A[2]
+
+    def potential(self, A: np.ndarray) -> np.ndarray:
+        """-mu . E, (n,), kJ/mol."""
+        return -(Z @ self._lab_vector(A))
+
+    def forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """No force, and the torque mu x E, kJ/mol."""
+        x, y, z = self._lab_vector(A)
+        return np.zeros_like(q), np.stack([y * Z[2] - z * Z[1], z * Z[0] - x * Z[2], x * Z[1] - y * Z[0]])
+
+
+class Spread:
+    """Mean and rms deviation of a quantity along each trajectory.
+
+    Sums are over deviations from the first value, so that they do not lose digits of a quantity that hardly changes.
+    """
+
+    def __init__(self, first: np.ndarray) -> None:
+        self._first, self._sum, self._squares, self._count = first, 0 * first, 0 * first, 0
+
+    def add(self, value: np.ndarray) -> None:
+        change = value - self._first
+        self._sum = self._sum + change
+        self._squares = self._squares + change * change
+        self._count += 1
+
+    @property
+    def mean(self) -> np.ndarray:
+        return self._first + self._sum / self._count
+
+    @property
+    def rms(self) -> np.ndarray:
+        mean = self._sum / self._count
+        return np.sqrt(np.maximum(self._squares / self._count - mean * mean, 0.0))
+
+
+def _entry(method: Method, force_step_fs: float, settings: DipoleSettings) -> Entry:
+    bodies = tip4p.molecules(settings.bodies)
+    state = tip4p.canonical_rotation(bodies, settings.temperature, np.random.default_rng(settings.seed))
+    field = Field(settings.dipole * settings.field * DEBYE_MV_PER_M, tip4p.dipole_direction(bodies))
+    h = force_step_fs * method.forces * FS
+    flows = operators.body_operators(bodies, operators.CachedForces(field.forces), method.rotation)
+    step = operators.stepper(method.scheme, flows, h)
+
+    def observe(state: BodyState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        potential = field.potential(state.A)
+        rotation = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
+        return rotation + potential, potential, Z @ state.L
+
+    spreads = [Spread(value) for value in observe(state)]
+    for _ in range(round(settings.span / h) + 1):
+        for spread, value in zip(spreads, observe(state), strict=True):
+            spread.add(value)
+        state = step(state)
+    return _average(method.name, force_step_fs, *spreads)
+
+
+def _average(name: str, force_step_fs: float, energy: Spread, potential: Spread, momentum: Spread) -> Entry:
+    n = energy.rms.size
+    ratio = energy.rms / potential.rms
+    size = np.abs(momentum.mean)
+    variance, rms = momentum.rms**2, momentum.rms
+    value, error = jackknife(lambda kept: float(ratio[kept].mean()), n)
+    Lz, Lz_error = jackknife(lambda kept: float(np.sqrt(variance[kept].mean()) / size[kept].mean()), n)
+    return Entry(
+        method=name,
+        force_step_fs=force_step_fs,
+        energy=value,
+        energy_error=error,
+        energy_of_means=float(energy.rms.mean() / potential.rms.mean()),
+        energy_median=float(np.median(ratio)),
+        momentum=Lz,
+        momentum_error=Lz_error,
+        momentum_of_means=float(rms.mean() / size.mean()),
+        momentum_median=float(np.median(rms / size)),
+    )
