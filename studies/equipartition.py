@@ -1,32 +1,38 @@
-"""Temperatures of rotations and translations by integrator: the comparison behind `openmm-sier equipartition`."""
+"""Temperatures of rotations and translations by integrator and step.
+
+    python -m studies.equipartition [BOX.pdb] [--ensemble nvt] [--methods verlet sier2] [--dt 1 2]
+    python -m studies.equipartition --pool DIR DIR
+
+compares T_trans, T_rot, mean potential energy and density with OpenMM's integrators and ours, or pools what earlier
+comparisons wrote, and writes equipartition.json and equipartition.png.
+"""
 
 from __future__ import annotations
 
-import json
+import math
+import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import openmm
+import pandas as pd
 from openmm import unit
 
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure import sampling
-from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.observables import energy_drift
-from openmm_sier.measure.report import SILENT, Report, Table
-from openmm_sier.measure.starts import equilibrated, make_context
+from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import mean_and_error
 from openmm_sier.observe.conservation import density
-from openmm_sier.system.find_bodies import RigidBodies
-from openmm_sier.version import __version__
-from studies import figures, style
-
-#: Time in fs between two samples. Water's angular velocities decorrelate in some 20 fs.
-INTERVAL = 12.0
+from studies import records, sampling, style
+from studies.command import BoxSettings, chosen, execute
+from studies.methods import CONSTANT_ENERGY, Method, with_bath
+from studies.records import Record
+from studies.sampling import Liquid, Unstable, equilibrated_liquid, follow
 
 #: Start of every run that is left out, ps.
 SETTLING = 2.0
@@ -37,232 +43,175 @@ FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 #: The file of the numbers.
 FILE = "equipartition.json"
 
+#: Settings that comparisons must share to be pooled.
+SHARED = ("box", "forcefield", "ensemble", "temperature", "friction", "pressure")
+
+#: What is measured, each with its standard error: temperatures in K, kJ/mol, g/cm^3.
+MEASURED = ("translation", "rotation", "difference", "potential", "density")
+
+COLUMNS = {
+    "method": "{method}",
+    "step/fs": "{step:g}",
+    "fs per force": "{fs_per_force:g}",
+    "ps": "{time:g}",
+    "T_trans/K": "{translation:.1f} ± {translation_error:.1f}",
+    "T_rot/K": "{rotation:.1f} ± {rotation_error:.1f}",
+    "T_rot - T_trans/K": "{difference:.2f} ± {difference_error:.2f}",
+    "predicted": "{predicted:.2f}",
+    "V per body/kJ/mol": "{potential:.3f} ± {potential_error:.3f}",
+    "g/cm³": "{density:.4f} ± {density_error:.4f}",
+}
+
 
 @dataclass(frozen=True)
-class EquipartitionSettings:
-    """Settings of the comparison. Times in ps; steps per force evaluation in fs; seeds of replicas follow the first."""
-
-    box: Path
-    forcefield: list[str] | None = None
-    dt: tuple[float, ...] = (0.5, 1.0, 2.0, 3.0, 4.0)
-    methods: tuple[str, ...] | None = None
-    ensemble: str = "nve"
-    time: float = 20.0
-    equilibrate: float = 10.0
-    temperature: float = 297.0
-    friction: float = 1.0
-    pressure: float = 1.0
-    seed: int = 1
-    replicas: int = 1
-    platform: str | None = None
-
-
-@dataclass(frozen=True)
-class Row:
-    """One method at one step; temperatures in K, energies in kJ/mol, density in g/cm^3, each mean with standard error.
+class EquipartitionSettings(BoxSettings):
+    """Settings of the comparison.
 
     Attributes:
-        fs_per_force: step over its number of force evaluations.
-        broken: why the run ended early; the means are NaN then.
-        predicted: the difference to leading order in the step, NaN where that is not known; see
-            `openmm_sier.measure.sampling.Method`.
+        dt: simulated time per force evaluation, fs.
+        methods: by name; all of the ensemble unless given.
+        ensemble: of the runs.
+        time: of each run, ps.
+        equilibrate: before them, ps.
+        friction: of heat baths, 1/ps.
+        pressure: bar.
+        replicas: runs of each, with seeds that follow the first.
+        pool: directories of earlier comparisons, which are pooled instead of making runs.
     """
 
-    method: str
-    step: float
-    fs_per_force: float
-    time: float
-    translation: tuple[float, float]
-    rotation: tuple[float, float]
-    difference: tuple[float, float]
-    potential: tuple[float, float]
-    density: tuple[float, float]
-    drift: float
-    broken: str = ""
-    predicted: float = float("nan")
+    dt: tuple[float, ...] = (0.5, 1.0, 2.0, 3.0, 4.0)
+    methods: tuple[str, ...] = ()
+    ensemble: Literal["nve", "nvt", "npt"] = "nve"
+    time: float = 20.0
+    equilibrate: float = 10.0
+    friction: float = 1.0
+    pressure: float = 1.0
+    replicas: int = 1
+    pool: tuple[Path, ...] = ()
 
-    @property
-    def resolution(self) -> float:
-        """The difference over its standard error."""
-        return abs(self.difference[0]) / self.difference[1]
+    ANY_SIGN: ClassVar[tuple[str, ...]] = ("pressure",)
 
 
-def compare(settings: EquipartitionSettings, report: Report = SILENT) -> list[Row]:
-    """Run every method at every step from equilibrated starts, one for each replica, and pool the replicas."""
-    methods(settings)
-    box = read_box(settings.box, settings.forcefield)
-    bodies = RigidBodies.from_system(box.system, box.topology)
-    system = openmm.XmlSerializer.clone(box.system)
-    system.addForce(openmm.CMMotionRemover())
-    if settings.ensemble == "npt":
-        system.addForce(openmm.MonteCarloBarostat(settings.pressure * unit.bar, settings.temperature))
+def compare(settings: EquipartitionSettings, report: Report = SILENT) -> pd.DataFrame:
+    """Run every method at every step from equilibrated starts, one for each replica, and pool the replicas.
+
+    Returns:
+        A row for each method and step, with what is `MEASURED`, the drift of the energy, `broken`, why the run ended
+        early, and `predicted`, the difference of the temperatures to leading order in the step, NaN where that is not
+        known; see `studies.methods.Method`.
+
+    Raises:
+        ValueError: a method is unknown.
+    """
     rows = []
     for seed in range(settings.seed, settings.seed + settings.replicas):
         mine = replace(settings, seed=seed)
-        for barostat in (force for force in system.getForces() if isinstance(force, openmm.MonteCarloBarostat)):
-            barostat.setRandomNumberSeed(seed)
-        start = equilibrated(box, mine.temperature, mine.seed, mine.equilibrate, mine.platform, report)
-        chosen = methods(mine)
+        known = CONSTANT_ENERGY
+        if mine.ensemble != "nve":
+            known = with_bath(mine.temperature, mine.friction, seed)
+        methods = chosen(mine.methods, known, f"method of the {mine.ensemble} ensemble")
+        liquid = equilibrated_liquid(mine, mine.equilibrate, report)
         # Forces are needed only where some method has a law (NaN is not above 0).
-        lawful = any(method.bias > 0 for method in chosen)
-        slope = _slope(box.system, bodies, start, mine) if lawful else float("nan")
-        for method in chosen:
-            for dt in settings.dt:
-                row = _run_method(method, dt, system, bodies, start, mine, report)
-                rows.append(replace(row, predicted=-method.bias * (1e-3 * row.step) ** 2 * slope))
-                report.note(_line(rows[-1]))
-    return pooled(rows)
+        slope = _slope(liquid) if any(method.bias > 0 for method in methods) else math.nan
+        surrounded = replace(liquid, system=_surrounded(liquid.system, mine))
+        for method in methods:
+            for dt in mine.dt:
+                row = _row(surrounded, method, dt, mine.time, report)
+                rows.append(row | {"predicted": -method.bias * (1e-3 * row["step"]) ** 2 * slope})
+                found = records.cell("T_rot - T_trans = {difference:+.2f} ± {difference_error:.2f} K", row)
+                told = f"unstable ({row['broken']})" if row["broken"] else found
+                report.note(f"{method.name} at {dt:g} fs per force: {told}")
+    return pooled(pd.DataFrame(rows))
 
 
-def _slope(system: openmm.System, bodies: RigidBodies, start: openmm.State, settings: EquipartitionSettings) -> float:
+def _surrounded(system: openmm.System, settings: EquipartitionSettings) -> openmm.System:
+    """A copy with its centre of mass at rest, and with a barostat at constant pressure."""
+    system = openmm.XmlSerializer.clone(system)
+    system.addForce(openmm.CMMotionRemover())
+    if settings.ensemble == "npt":
+        barostat = openmm.MonteCarloBarostat(settings.pressure * unit.bar, settings.temperature)
+        barostat.setRandomNumberSeed(settings.seed)
+        system.addForce(barostat)
+    return system
+
+
+def _slope(liquid: Liquid) -> float:
     """Excess steepness of the potential for rotations: the difference of `sampling.steepness`, K/ps^2."""
-    context = make_context(system, SIERIntegrator(FORCE_STEP, SIER2, bodies), settings.platform)
-    context.setState(start)
-    translation, rotation = sampling.steepness(context, bodies, FORCE_SAMPLES, FORCE_INTERVAL)
+    context = make_context(liquid.system, SIERIntegrator(FORCE_STEP, SIER2, liquid.bodies), liquid.platform)
+    context.setState(liquid.start)
+    translation, rotation = sampling.steepness(context, liquid.bodies, FORCE_SAMPLES, FORCE_INTERVAL)
     return rotation - translation
 
 
-def pooled(rows: list[Row]) -> list[Row]:
-    """One row for each method and step, the runs weighted by their lengths; independent errors add up in squares."""
-    groups: dict[tuple, list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row.method, row.step, row.fs_per_force), []).append(row)
-    return [_pool_of(group) for group in groups.values()]
-
-
-def _pool_of(rows: list[Row]) -> Row:
-    if len(rows) == 1:
-        return rows[0]
-    if broken := [row for row in rows if row.broken]:
-        return broken[0]
-    times = np.array([row.time for row in rows])
-    weights = times / times.sum()
-
-    def together(name: str) -> tuple[float, float]:
-        means, errors = np.array([getattr(row, name) for row in rows]).T
-        return float(weights @ means), float(np.sqrt(((weights * errors) ** 2).sum()))
-
-    names = ("translation", "rotation", "difference", "potential", "density")
-    means: dict[str, Any] = {name: together(name) for name in names}
-    drift = float(weights @ [row.drift for row in rows])
-    known = [row.predicted for row in rows if not np.isnan(row.predicted)]
-    predicted = float(np.mean(known)) if known else float("nan")
-    return replace(rows[0], time=float(times.sum()), drift=drift, predicted=predicted, **means)
-
-
-def methods(settings: EquipartitionSettings) -> list[sampling.Method]:
-    """The methods that the settings name; all of their ensemble where they name none.
-
-    Raises:
-        ValueError: a name is unknown.
-    """
-    known = (
-        sampling.nve_methods()
-        if settings.ensemble == "nve"
-        else sampling.nvt_methods(settings.temperature, settings.friction, settings.seed)
-    )
-    chosen = settings.methods or tuple(known)
-    for name in chosen:
-        if name not in known:
-            raise ValueError(
-                f"unknown method {name!r} in the {settings.ensemble} ensemble; known are {', '.join(known)}"
-            )
-    return [known[name] for name in chosen]
-
-
-def _run_method(
-    method: sampling.Method,
-    dt: float,
-    system: openmm.System,
-    bodies: RigidBodies,
-    start: openmm.State,
-    settings: EquipartitionSettings,
-    report: Report,
-) -> Row:
-    step = dt * method.force_evaluations
-    integrator = method.make(1e-3 * step)
-    integrator.setConstraintTolerance(sampling.CONSTRAINT_TOLERANCE)
-    context = make_context(system, integrator, settings.platform)
-    context.setState(start)
-    steps = max(1, round(settings.time * 1e3 / step))
-    every = min(steps, max(1, round(INTERVAL / step)))
+def _row(liquid: Liquid, method: Method, dt: float, time: float, report: Report) -> dict[str, Any]:
+    row: dict[str, Any] = {"method": method.name, "step": dt * method.forces, "fs_per_force": dt, "time": time}
+    unknown = {name: math.nan for each in MEASURED for name in (each, f"{each}_error")}
     try:
-        with report.progress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
-            integrator.step(round(SETTLING * 1e3 / step))
-            series = sampling.sample(context, bodies, steps, every, show)
-    except (sampling.Unstable, openmm.OpenMMException) as error:
-        none = (float("nan"), float("nan"))
-        return Row(method.name, step, dt, settings.time, none, none, none, none, none, float("nan"), str(error))
-    return Row(
-        method.name,
-        step,
-        dt,
-        settings.time,
-        mean_and_error(series.translation),
-        mean_and_error(series.rotation),
-        mean_and_error(series.rotation - series.translation),
-        mean_and_error(series.potential / bodies.n),
-        mean_and_error(density(bodies.masses.sum(), series.volume)),
-        energy_drift(series.time, series.total)[0],
+        series = follow(liquid, method, dt, time, SETTLING, report).series
+    except Unstable as error:
+        return row | unknown | {"drift": math.nan, "broken": str(error)}
+    measured = (
+        series.translation,
+        series.rotation,
+        series.rotation - series.translation,
+        series.potential / liquid.bodies.n,
+        density(liquid.bodies.masses.sum(), series.volume),
     )
+    for name, values in zip(MEASURED, measured, strict=True):
+        row[name], row[f"{name}_error"] = mean_and_error(values)
+    return row | {"drift": energy_drift(series.time, series.total)[0], "broken": ""}
 
 
-def _line(row: Row) -> str:
-    if row.broken:
-        return f"{row.method} at {row.fs_per_force:g} fs per force: unstable ({row.broken})"
-    return (
-        f"{row.method} at {row.fs_per_force:g} fs per force: T_rot - T_trans = "
-        f"{row.difference[0]:+.2f} +- {row.difference[1]:.2f} K"
-    )
+def pooled(rows: pd.DataFrame) -> pd.DataFrame:
+    """One row for each method and step, the runs weighted by their lengths; independent errors add up in squares."""
+    return pd.DataFrame([_pool(group) for _, group in rows.groupby(["method", "step"], sort=False)])
 
 
-def run(settings: EquipartitionSettings, out: Path, report: Report = SILENT) -> list[Row]:
-    """Compare, and write equipartition.json and, with matplotlib, equipartition.png to a directory.
+def _pool(rows: pd.DataFrame) -> dict[str, Any]:
+    first = rows.iloc[0].to_dict()
+    if len(rows) == 1:
+        return first
+    if (broken := rows[rows["broken"] != ""]).size:
+        return broken.iloc[0].to_dict()
+    weights = rows["time"] / rows["time"].sum()
+    for name in (*MEASURED, "drift"):
+        first[name] = float((weights * rows[name]).sum())
+    for name in MEASURED:
+        first[f"{name}_error"] = float(np.sqrt(((weights * rows[f"{name}_error"]) ** 2).sum()))
+    return first | {"time": float(rows["time"].sum()), "predicted": float(rows["predicted"].mean())}
+
+
+def pool(directories: Sequence[Path]) -> Record:
+    """The runs of earlier comparisons together.
 
     Args:
-        settings: what is compared.
-        out: the directory, which is made if it does not exist.
-        report: gets the table, notes and progress.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    rows = compare(settings, report)
-    _publish(rows, asdict(settings) | {"box": settings.box.name}, out, report)
-    return rows
-
-
-def pool(directories: Sequence[Path], out: Path, report: Report = SILENT) -> list[Row]:
-    """Pool the runs of earlier comparisons, and write what `run` does.
-
-    Args:
-        directories: of these comparisons, all with the same box, ensemble, temperature, friction and pressure.
-        out: directory for the result.
-        report: gets the table and notes.
+        directories: of these comparisons, all with the same `SHARED` settings.
 
     Raises:
         ValueError: two of them were made with different settings, or have runs with the same seed.
     """
-    records = [json.loads((directory / FILE).read_text()) for directory in directories]
-    for directory, record in zip(directories, records, strict=True):
-        for name in ("box", "forcefield", "ensemble", "temperature", "friction", "pressure"):
-            if (one := record["settings"][name]) != (other := records[0]["settings"][name]):
+    found = [records.read(directory / FILE) for directory in directories]
+    for directory, record in zip(directories, found, strict=True):
+        for name in SHARED:
+            if (one := record.settings[name]) != (other := found[0].settings[name]):
                 raise ValueError(
                     f"{directory} and {directories[0]} cannot be pooled: their settings of {name} are {one} and {other}"
                 )
-    _refuse_repetitions(directories, records)
-    out.mkdir(parents=True, exist_ok=True)
-    rows = pooled([row for directory in directories for row in load(directory / FILE)])
-    settings = records[0]["settings"] | {"pooled": [record["settings"] for record in records]}
-    _publish(rows, settings, out, report)
-    return rows
+    _refuse_repetitions(directories, found)
+    rows = pooled(pd.concat([record.tables["rows"] for record in found]))
+    return Record(found[0].settings, {"rows": rows}, {"pooled": [record.settings for record in found]})
 
 
-def _refuse_repetitions(directories: Sequence[Path], records: Sequence[dict[str, Any]]) -> None:
+def _refuse_repetitions(directories: Sequence[Path], found: Sequence[Record]) -> None:
     """Raise ValueError where a run would count twice as if it were independent."""
     seen: dict[tuple, Path] = {}
-    for directory, record in zip(directories, records, strict=True):
-        for settings in record["settings"].get("pooled", [record["settings"]]):
-            seeds = range(settings["seed"], settings["seed"] + settings.get("replicas", 1))
-            for key in {(row["method"], row["step"], seed) for row in record["rows"] for seed in seeds}:
+    for directory, record in zip(directories, found, strict=True):
+        for settings in record.notes.get("pooled", [record.settings]):
+            seeds = range(settings["seed"], settings["seed"] + settings["replicas"])
+            rows = record.tables["rows"]
+            for key in {
+                (name, step, seed) for name, step in zip(rows.method, rows.step, strict=True) for seed in seeds
+            }:
                 if seen.setdefault(key, directory) is not directory:
                     raise ValueError(
                         f"{directory} and {seen[key]} cannot be pooled: both have {key[0]} at {key[1]:g} fs with seed "
@@ -270,57 +219,37 @@ def _refuse_repetitions(directories: Sequence[Path], records: Sequence[dict[str,
                     )
 
 
-def _publish(rows: list[Row], settings: dict, out: Path, report: Report) -> None:
-    report.table(table(rows, settings["ensemble"]))
-    for row in rows:
-        if row.broken:
-            report.note(f"{row.method} at {row.fs_per_force:g} fs per force broke down: {row.broken}")
-    record = {"version": __version__, "openmm": openmm.__version__, "settings": settings}
-    record["rows"] = [asdict(row) for row in rows]
-    (out / FILE).write_text(json.dumps(record, indent=1, default=str))
-    if style.can_draw(report):
-        figures.equipartition_figure(rows, settings["ensemble"], out / "equipartition.png")
-
-
-def load(path: Path) -> list[Row]:
-    """Rows that `run` wrote."""
-    rows: list[dict[str, Any]] = json.loads(path.read_text())["rows"]
-    return [Row(**dict[str, Any]((k, tuple(v) if isinstance(v, list) else v) for k, v in row.items())) for row in rows]
-
-
-def table(rows: list[Row], ensemble: str) -> Table:
-    """The rows as text."""
-
-    def cell(pair: tuple[float, float], digits: int) -> str:
-        return "-" if np.isnan(pair[0]) else f"{pair[0]:.{digits}f} ± {pair[1]:.{digits}f}"
-
-    return Table(
-        f"Equipartition, {ensemble.upper()}; velocities at whole steps",
-        [
-            "method",
-            "step/fs",
-            "fs per force",
-            "ps",
-            "T_trans/K",
-            "T_rot/K",
-            "T_rot - T_trans/K",
-            "predicted",
-            "V per body/kJ/mol",
-            "g/cm³",
-        ],
-        [
-            [
-                row.method,
-                f"{row.step:g}",
-                f"{row.fs_per_force:g}",
-                f"{row.time:g}",
-                cell(row.translation, 1),
-                cell(row.rotation, 1),
-                cell(row.difference, 2),
-                "-" if np.isnan(row.predicted) else f"{row.predicted:.2f}",
-                cell(row.potential, 3),
-                cell(row.density, 4),
-            ]
-            for row in rows
-        ],
+def study(settings: EquipartitionSettings, report: Report = SILENT) -> Record:
+    """Compare or pool, and write equipartition.json and equipartition.png."""
+    record = (
+        pool(settings.pool) if settings.pool else Record(settings.recorded(), {"rows": compare(settings, report)}, {})
     )
+    title = f"Equipartition, {record.settings['ensemble'].upper()}; velocities at whole steps"
+    report.table(records.table(title, record.tables["rows"], COLUMNS))
+    record.write(settings.out / FILE)
+    figure(record, settings.out / "equipartition.png")
+    return record
+
+
+def figure(record: Record, path: Path) -> None:
+    """T_rot - T_trans against the step per force evaluation, one line per method, and the prediction for SIER2."""
+    rows = record.tables["rows"]
+    with style.figure(path, 1) as (_, (axes,)):
+        style.curves(axes, rows, "fs_per_force", "difference", apart=0.02)
+        known = rows[rows["predicted"] < 0]
+        if len(known):
+            h = np.linspace(0, known["fs_per_force"].max(), 100)
+            law = (known["predicted"] / known["fs_per_force"] ** 2).mean() * h**2
+            axes.plot(h, law, color=style.GREY, lw=1, ls=":", label="SIER2, predicted", zorder=0)
+        axes.axhline(0, color=style.GREY, lw=1)
+        axes.set(xlabel="simulated time per force evaluation (fs)", ylabel=r"$T_\mathrm{rot} - T_\mathrm{trans}$ (K)")
+        axes.set_title(f"Equipartition in liquid water, {record.settings['ensemble'].upper()}")
+        axes.legend()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(EquipartitionSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,13 +1,19 @@
-"""The style of all figures, with one colour and marker for each method. Figures need matplotlib, an extra."""
+"""The look of all figures: one colour and marker for each method, and lines with standard errors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from openmm_sier.measure.figures import can_draw, context, panels, require
+import pandas as pd
 
-__all__ = ["can_draw", "context", "of_method", "panels", "plain_ticks", "require"]
+from openmm_sier.measure.figures import context, panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 GREY = "0.35"
 
@@ -40,10 +46,69 @@ OWN = ("SIER", "MRDL", "SEJ4")
 
 
 def of_method(name: str) -> dict[str, Any]:
-    """Keyword arguments of `Axes.plot` for a method; one that is not in the table is black."""
+    """Keyword arguments of `Axes.plot` for a method; one that is not in the table is black.
+
+    Hybrid Monte Carlo has the colour of its scheme.
+    """
+    if name.endswith(" HMC"):
+        return of_method(name.removesuffix(" HMC")) | {"marker": "*", "ms": 9, "ls": ":"}
     colour, marker = METHODS.get(name.removesuffix(" Langevin"), UNKNOWN)
     style: dict[str, Any] = {"color": colour, "marker": marker, "ls": "-"}
     return style if name.startswith(OWN) else style | {"ls": "--", "mfc": "white"}
+
+
+@contextmanager
+def figure(path: Path, columns: int, title: str = "", **options: Any) -> Iterator[tuple[Figure, list[Axes]]]:
+    """A figure of panels side by side, which is written to a file after they were drawn.
+
+    Args:
+        path: PNG file to write.
+        columns: number of panels.
+        title: above all of them.
+        options: of `Figure.subplots`.
+    """
+    with context():
+        made, axes = panels(columns, title, **options)
+        yield made, axes
+        made.savefig(path)
+
+
+def curves(
+    axes: Axes, frame: pd.DataFrame, x: str, y: str, scale: float = 1.0, apart: float = 0.0, **look: Any
+) -> None:
+    """One line for each method, with standard errors where they are known.
+
+    Args:
+        axes: to draw on.
+        frame: with a column `method`; rows without a value of `y` are left out.
+        x, y: columns.
+        scale: factor of `y`.
+        apart: by which the points of each method are shifted along x from those of the one before.
+        look: keyword arguments of `Axes.errorbar` in place of those of the method.
+    """
+    for i, (method, mine) in enumerate(frame.groupby("method", sort=False)):
+        mine = mine.dropna(subset=[y]).sort_values(x)
+        if mine.empty:
+            continue
+        error = scale * mine[f"{y}_error"].fillna(0) if f"{y}_error" in mine else None
+        drawn = {"capsize": 3, "label": method} | of_method(method) | look
+        axes.errorbar(mine[x] + apart * i, scale * mine[y], error, **drawn)
+
+
+def shared_legend(made: Figure, axes: Axes) -> None:
+    """One legend for all panels, beside them, with the labels of one."""
+    made.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
+
+
+def logarithmic(axes: Axes) -> None:
+    """Logarithmic axes with their numbers written out."""
+    from matplotlib.ticker import LogLocator
+
+    axes.set(xscale="log", yscale="log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
 
 
 def plain_ticks(axis: Any, values: Sequence[float]) -> None:

@@ -1,4 +1,12 @@
-"""Cost of a step beyond its forces, and cost of accuracy: the measurements behind `openmm-sier bench`.
+"""Cost of a step beyond its forces, and cost of accuracy.
+
+    python -m studies.bench [BOX.pdb] [--parts steps rotations layer accuracy]
+    python -m studies.bench --platform CUDA [--molecules 512 4096]
+
+The first measures the cost of a step over that of its forces and over OpenMM's integrators, of the free rotation and of
+the layer above the forces alone, and energy error against cost, beside LAMMPS (lmp) and GROMACS (gmx) where they are on
+the PATH; it takes some ten minutes of two cores. The second measures steps and forces per second, cost over the forces
+and simulated time per second at equal energy error on a platform. Writes bench.json and bench.png.
 
 All timings in a table come from one run. The things compared take turns for several rounds, and ratios are taken within
 a round, so that changes of a machine's speed cancel. Medians over the rounds are shown with their standard errors.
@@ -6,68 +14,52 @@ a round, so that changes of a machine's speed cancel. Medians over the rounds ar
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import pandas as pd
 
 from openmm_sier.measure.report import SILENT, Report, Table
-from studies import figures, style
 from studies.bench import accuracy, layer, platforms, rotations, steps
-from studies.bench.timing import BenchSettings, machine
+from studies.bench.timing import BenchSettings
+from studies.command import chosen
+from studies.records import Record, provenance
 
 
 class Part(NamedTuple):
-    """Functions that measure, and that make tables of the numbers."""
+    """Functions that measure, and that make tables of text of what was found."""
 
-    find: Callable[[BenchSettings, Report], Any]
-    tables: Callable[[Any], list[Table]]
+    find: Callable[[BenchSettings, Report], dict[str, pd.DataFrame]]
+    tables: Callable[[Mapping[str, pd.DataFrame]], list[Table]]
 
 
 PARTS = {
-    "steps": Part(steps.time_steps, steps.tables),
-    "rotations": Part(rotations.time_rotations, rotations.tables),
-    "layer": Part(layer.time_layer, layer.tables),
-    "accuracy": Part(accuracy.compare_accuracy, accuracy.tables),
-    "platform": Part(platforms.time_platform, platforms.tables),
+    "steps": Part(steps.find, steps.tables),
+    "rotations": Part(rotations.find, rotations.tables),
+    "layer": Part(layer.find, layer.tables),
+    "accuracy": Part(accuracy.find, accuracy.tables),
+    "platform": Part(platforms.find, platforms.tables),
 }
 
 
-def run(settings: BenchSettings, out: Path, report: Report = SILENT) -> dict:
-    """Time and compare, and write bench.json and, with matplotlib, bench.png to a directory.
-
-    Args:
-        settings: what is timed.
-        out: the directory, which is made if it does not exist.
-        report: gets tables and notes.
-
-    Returns:
-        What bench.json holds.
+def study(settings: BenchSettings, report: Report = SILENT) -> Record:
+    """Time and compare, and write bench.json and, with the part `accuracy`, bench.png.
 
     Raises:
         ValueError: a part is unknown.
     """
-    for name in settings.parts or ():
-        if name not in PARTS:
-            raise ValueError(f"unknown part {name!r} of the benchmark; known are {', '.join(PARTS)}")
-    names = settings.parts or [name for name in PARTS if (name == "platform") == (settings.platform is not None)]
-    out.mkdir(parents=True, exist_ok=True)
-    here = machine()
-    report.note(", ".join(f"{name} {value}" for name, value in here.items()))
-    parameters = asdict(settings) | {"box": settings.box.name}
-    report.note(", ".join(f"{name} {value}" for name, value in parameters.items()))
-    found: dict[str, Any] = {name: PARTS[name].find(settings, report) for name in names}
-    for name, values in found.items():
-        for table in PARTS[name].tables(values):
+    usual = [name for name in PARTS if (name == "platform") == (settings.platform is not None)]
+    parts = chosen(settings.parts or usual, PARTS, "part of the benchmark")
+    report.note(", ".join(f"{name} {value}" for name, value in provenance()["machine"].items()))
+    report.note(", ".join(f"{name} {value}" for name, value in settings.recorded().items()))
+    found: dict[str, pd.DataFrame] = {}
+    for part in parts:
+        found |= part.find(settings, report)
+    for part in parts:
+        for table in part.tables(found):
             report.table(table)
-    record = {"machine": here, "settings": parameters} | found
-    points = found.get("accuracy", [])
-    for note in accuracy.notes(points):
-        report.note(note)
-    if points:
-        record["accuracy"] = accuracy.record(points)
-    (out / "bench.json").write_text(json.dumps(record, indent=1, default=str))
-    if points and style.can_draw(report):
-        figures.cost_figure(points, out / "bench.png")
+    record = Record(settings.recorded(), found, {})
+    record.write(settings.out / "bench.json")
+    if "points" in found:
+        accuracy.figure(record, settings.out / "bench.png")
     return record

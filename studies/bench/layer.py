@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import openmm
+import pandas as pd
 
 from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.statistics import median_and_error
+from studies import records
 from studies.bench.timing import BenchSettings, apart
 
 STEP = 1e-3
@@ -48,17 +52,24 @@ def context_of(n: int, integrator: openmm.Integrator) -> openmm.Context:
     return context
 
 
-def time_layer(settings: BenchSettings, report: Report) -> dict:
-    """Nanoseconds of the layer per body and step, growth exponent, bytes per molecule, seconds of start-up."""
+def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:
+    """Nanoseconds of the layer per body and step, their growth, memory per molecule, seconds of start-up."""
     sizes = [n for n in settings.bodies if SMALLEST <= n <= LARGEST] or [settings.bodies[-1]]
     cost = _nanoseconds(sizes, settings.rounds)
-    record: dict = {"nanoseconds": cost}
+    found = {f"{n} bodies, ns a body and step": measured for n, measured in cost.items()}
     if len(sizes) > 1:
         slope = np.polyfit(np.log(sizes), np.log([cost[n][0] * n for n in sizes]), 1)[0]
-        record["growth_exponent"] = float(slope)
+        found["exponent of its growth with the number of bodies"] = (float(slope), math.nan)
     if (memory := bytes_per_molecule(sizes[-1])) is not None:
-        record["bytes_per_molecule"] = memory
-    return record | {"seconds": start_up()}
+        found["memory, bytes a molecule beyond OpenMM's"] = (memory, math.nan)
+    found |= {f"{name}, s": (seconds, math.nan) for name, seconds in start_up().items()}
+    return {"layer": pd.DataFrame([{"what": what, "value": v, "value_error": e} for what, (v, e) in found.items()])}
+
+
+def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
+    """The costs, for the report."""
+    title = "The layer above the forces, at free molecules"
+    return [records.table(title, found["layer"], {"": "{what}", " ": "{value:.4g} ± {value_error:.1g}"})]
 
 
 def _nanoseconds(sizes: list[int], rounds: int) -> dict[int, tuple[float, float]]:
@@ -134,17 +145,3 @@ def _least(before: str, timed: str, repeats: int = 3) -> float:
 
 def _printed(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-
-
-def tables(record: dict) -> list[Table]:
-    """The costs, for the report."""
-    rows = [
-        [f"{n} bodies, ns a body and step", f"{cost[0]:.3g} ± {cost[1]:.1g}"]
-        for n, cost in record["nanoseconds"].items()
-    ]
-    if "growth_exponent" in record:
-        rows.append(["exponent of its growth with the number of bodies", f"{record['growth_exponent']:.3f}"])
-    if "bytes_per_molecule" in record:
-        rows.append(["memory, bytes a molecule beyond OpenMM's", f"{record['bytes_per_molecule']:.0f}"])
-    rows += [[f"{name}, s", f"{value:.2f}"] for name, value in record["seconds"].items()]
-    return [Table("The layer above the forces, at free molecules", ["", ""], rows)]

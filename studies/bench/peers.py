@@ -20,7 +20,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.measure.sampling import Energies
+from studies.sampling import Energies
 
 KCAL = 4.184
 #: nm^2/ps^2 times dalton is kJ/mol; LAMMPS' velocities are in A/fs.

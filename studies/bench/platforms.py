@@ -1,26 +1,25 @@
-"""What the integrators reach on one platform, by the size of the box: `openmm-sier bench --platform NAME`."""
+"""What the integrators reach on one platform, by the size of the box: `python -m studies.bench --platform NAME`."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 import openmm
+import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, SIER4P
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure import sampling
-from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.report import Report, Table
-from openmm_sier.measure.starts import equilibrated, make_context
+from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import median_and_error
-from openmm_sier.system.find_bodies import RigidBodies
-from studies.bench import accuracy, replicas
-from studies.bench.accuracy import LEVELS, Point
+from studies import boxes, records
+from studies.bench import accuracy
+from studies.bench.accuracy import LEVELS
 from studies.bench.timing import BenchSettings, interleaved
 
 #: ps for each force evaluation in the runs that are timed.
@@ -47,7 +46,20 @@ EVALUATIONS, TURN, MOST_EVALUATIONS = 12, 0.3, 6000
 FORCES, READING = "forces", "reading"
 
 
-def time_platform(settings: BenchSettings, report: Report) -> dict[str, Any]:
+SPEEDS = {
+    "molecules": "{molecules}",
+    "method": "{method}",
+    "engine": "{engine}",
+    "steps/s": "{steps_per_second:.4g}",
+    "forces/s": "{forces_per_second:.4g}",
+    "over the forces": "{over_forces:.3f} ± {over_forces_error:.3f}",
+}
+
+#: Simulated time per second at an energy error, a column for each.
+EQUAL = {f"{level:g} %": f"fs_per_second_at_{level:g}" for level in LEVELS}
+
+
+def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:
     """Speeds by size and method, and the points from which the step for an energy error follows.
 
     The energy error is measured in the box that larger ones repeat: relative to the fluctuation of V it does not depend
@@ -56,37 +68,36 @@ def time_platform(settings: BenchSettings, report: Report) -> dict[str, Any]:
     Raises:
         ValueError: a size is no multiple of the box.
     """
-    box = read_box(settings.box, settings.forcefield)
-    unit_size = box.topology.getNumResidues()
-    shapes = [replicas.copies_for(n, unit_size) for n in settings.molecules]
-    points = _energy_errors(box, settings, report)
+    box = boxes.read(settings)
+    shapes = [boxes.copies_for(n, box.topology.getNumResidues()) for n in settings.molecules]
+    liquid = equilibrated_liquid(settings, settings.equilibrate, report)
+    steps = {name: accuracy.METHODS[name] for name in CONSERVING if name in accuracy.METHODS}
+    points = pd.DataFrame(accuracy.measure(liquid, steps, settings.time, report))
     rows: list[dict[str, Any]] = []
     for shape in shapes:
-        rows += _speeds(replicas.repeated(box, settings.box.parent, shape), points, settings, report)
-    return {"rows": rows, "points": [vars(point) for point in points]}
+        rows += _speeds(boxes.repeated(box, settings.box.parent, shape), points, settings, report)
+    return {"platform_points": points, "speeds": pd.DataFrame(rows)}
 
 
-def _energy_errors(box: Any, settings: BenchSettings, report: Report) -> list[Point]:
-    bodies = RigidBodies.from_system(box.system, box.topology)
-    start = equilibrated(box, settings.temperature, settings.seed, settings.equilibrate, settings.platform, report)
-    known, points = sampling.nve_methods(), []
-    for name in CONSERVING:
-        for dt in accuracy.METHODS.get(name, ()):
-            try:
-                points.append(accuracy.of_openmm(known[name], dt, box.system, bodies, start, settings))
-            except (sampling.Unstable, openmm.OpenMMException) as error:
-                report.note(f"{name} at {dt:g} fs per force: {error}")
-                continue
-            report.note(f"{points[-1].method} at {dt:g} fs per force: {100 * points[-1].error:.4f} %")
-    return points
+def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
+    """Speeds, for the report."""
+    speeds = found["speeds"]
+    title = f"On the {speeds['platform'].iloc[0]} platform, {1e3 * STEP:g} fs per force"
+    equal = "Simulated fs per second at equal rms(H)/rms(V); - where no step of the first table encloses it"
+    columns = {"molecules": "{molecules}", "method": "{method}"}
+    columns |= {heading: f"{{{name}:.4g}}" for heading, name in EQUAL.items()}
+    return [
+        records.table("Energy error and speed", found["platform_points"], accuracy.POINTS),
+        records.table(title, speeds, SPEEDS),
+        records.table(equal, speeds, columns),
+    ]
 
 
 def _speeds(
-    replica: replicas.Replica, points: list[Point], settings: BenchSettings, report: Report
+    replica: boxes.Replica, points: pd.DataFrame, settings: BenchSettings, report: Report
 ) -> list[dict[str, Any]]:
     """Rows of one size: all methods take turns, and ratios are those within a turn."""
     contexts = _contexts(replica, settings)
-    platform = contexts[VERLET].getPlatform().getName()
     evaluations = _evaluations_in_a_turn(contexts[VERLET])
     actions = {READING: partial(_read, contexts[VERLET]), FORCES: partial(_turn, contexts[FORCES], evaluations)}
     for name, (per_step, _) in METHODS.items():
@@ -97,26 +108,27 @@ def _speeds(
     seconds = {name: np.maximum(values - reading, 1e-9) for name, values in seconds.items()}
     rows = []
     for name, (per_step, _) in METHODS.items():
-        over, spread = median_and_error(seconds[name] / seconds[FORCES])
+        over, error = median_and_error(seconds[name] / seconds[FORCES])
         speed = evaluations / float(np.median(seconds[name]))
-        steps = {level: accuracy.step_at(points, name, level) for level in LEVELS}
         row: dict[str, Any] = {
-            "platform": platform,
+            "platform": contexts[name].getPlatform().getName(),
             "engine": getattr(contexts[name].getIntegrator(), "engine", ""),
             "molecules": replica.molecules,
             "method": name,
             "steps_per_second": speed / per_step,
             "forces_per_second": speed,
             "over_forces": over,
-            "spread": spread,
-            "fs_per_second": {f"{level:g}": dt * speed for level, dt in steps.items()},
+            "over_forces_error": error,
         }
+        for level, column in zip(LEVELS, EQUAL.values(), strict=True):
+            row[column] = accuracy.step_at(points, name, level) * speed
         rows.append(row)
-        report.note(f"{replica.molecules} molecules: {name}, {speed:.4g} forces/s, {over:.3f} times the forces alone")
+        form = "{molecules} molecules: {method}, {forces_per_second:.4g} forces/s, {over_forces:.3f} times the forces"
+        report.note(f"{records.cell(form, row)} alone")
     return rows
 
 
-def _contexts(replica: replicas.Replica, settings: BenchSettings) -> dict[str, openmm.Context]:
+def _contexts(replica: boxes.Replica, settings: BenchSettings) -> dict[str, openmm.Context]:
     """One Context for each method, from the same atoms, and one that computes nothing but forces."""
     integrators = {name: make(STEP * n, settings.temperature) for name, (n, make) in METHODS.items()}
     integrators[FORCES] = _forces_alone()
@@ -154,37 +166,3 @@ def _evaluations_in_a_turn(context: openmm.Context) -> int:
     _turn(context, EVALUATIONS)
     count = math.ceil(TURN / max(time.perf_counter() - begun, 1e-6))
     return EVALUATIONS * min(count, MOST_EVALUATIONS // EVALUATIONS)
-
-
-def tables(found: dict[str, Any]) -> list[Table]:
-    """Speeds, for the report."""
-    rows = found["rows"]
-    platform = rows[0]["platform"]
-    errors = accuracy.tables([Point(**point) for point in found["points"]])[0]
-
-    def cell(value: float) -> str:
-        return "-" if math.isnan(value) else f"{value:.4g}"
-
-    speeds = Table(
-        f"On the {platform} platform, {1e3 * STEP:g} fs per force",
-        ["molecules", "method", "engine", "steps/s", "forces/s", "over the forces", "±"],
-        [
-            [
-                str(row["molecules"]),
-                row["method"],
-                row["engine"],
-                cell(row["steps_per_second"]),
-                cell(row["forces_per_second"]),
-                f"{row['over_forces']:.3f}",
-                f"{row['spread']:.3f}",
-            ]
-            for row in rows
-        ],
-    )
-    levels = [f"{level:g}" for level in LEVELS]
-    equal = Table(
-        "Simulated fs per second at equal rms(H)/rms(V); - where no step of the first table encloses it",
-        ["molecules", "method", *(f"{100 * level:g} %" for level in LEVELS)],
-        [[str(row["molecules"]), row["method"], *(cell(row["fs_per_second"][k]) for k in levels)] for row in rows],
-    )
-    return [errors, speeds, equal]

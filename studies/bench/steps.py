@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import partial
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 import openmm
+import pandas as pd
 from openmm import unit
 
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.schemes import SIER2, SIER4
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.force_clock import ForceClock
-from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import median_and_error
-from studies.bench import replicas
+from studies import boxes, records
 from studies.bench.timing import BenchSettings, apart, interleaved
 
 #: Step per force evaluation of every method, ps.
@@ -42,17 +43,31 @@ FEWEST = 3
 FRAMES = 60
 
 
-def time_steps(settings: BenchSettings, report: Report) -> list[dict]:
+COLUMNS = {
+    "ratio": "{name}",
+    "molecules": "{molecules}",
+    "median": "{median:.3f}",
+    "± its standard error": "{median_error:.3f}",
+    "ms per force evaluation": "{milliseconds:.3g}",
+}
+
+
+def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:
     """Rows of cost ratios for every size of box."""
-    return [row for copies in settings.copies for row in _ratios(copies, settings, report)]
+    rows = [row for copies in settings.copies for row in _ratios(copies, settings, report)]
+    return {"steps": pd.DataFrame(rows)}
 
 
-def _ratios(copies: int, settings: BenchSettings, report: Report) -> list[dict]:
-    box = read_box(settings.box, settings.forcefield)
-    molecules, positions, system = replicas.repeated(box, settings.box.parent, (copies, copies, copies))
+def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
+    """The costs, for the report."""
+    return [records.table("Cost of a step, one force evaluation's worth of it", found["steps"], COLUMNS)]
+
+
+def _ratios(copies: int, settings: BenchSettings, report: Report) -> list[dict[str, Any]]:
+    molecules, positions, system = boxes.repeated(boxes.read(settings), settings.box.parent, (copies, copies, copies))
     start = _start(system, positions, settings)
     contexts = _contexts(system, start, settings)
-    actions = {BARE: _bare_force(system, start, settings)}
+    actions: dict[str, Callable[[], object]] = {BARE: _bare_force(system, start, settings)}
     actions |= {name: partial(_steps, name, context) for name, context in contexts.items()}
     rounds = max(1, round(settings.rounds * min(max(USUAL_SIZE / molecules, LEAST), MOST)))
     seconds = interleaved(actions, rounds)
@@ -61,16 +76,14 @@ def _ratios(copies: int, settings: BenchSettings, report: Report) -> list[dict]:
     for name in (name for name in ("SIER2", NUMPY) if name in contexts):
         # This is the sharper measure, since changes of the machine's speed affect both alike.
         ratios[f"{name} / the force calls in it"] = _over_own_force(name, contexts[name], max(FEWEST, rounds // 4))
-    rows = [_row(name, molecules, *values) for name, values in ratios.items()]
-    for row in rows:
-        report.note(f"{molecules} molecules: {row['name']} = {row['median']:.3f} ± {row['spread']:.3f}")
+    rows: list[dict[str, Any]] = []
+    for name, (values, times) in ratios.items():
+        median, error = median_and_error(values)
+        milliseconds = 1e3 * float(np.median(times)) / EVALUATIONS
+        row = {"name": name, "molecules": molecules, "median": median, "median_error": error}
+        rows.append(row | {"milliseconds": milliseconds})
+        report.note(records.cell("{molecules} molecules: {name} = {median:.3f} ± {median_error:.3f}", row))
     return rows
-
-
-def _row(name: str, molecules: int, ratios: np.ndarray, seconds: np.ndarray) -> dict:
-    median, spread = median_and_error(ratios)
-    cost = 1e3 * float(np.median(seconds)) / EVALUATIONS
-    return {"name": name, "molecules": molecules, "median": median, "spread": spread, "milliseconds": cost}
 
 
 def _bare_force(system: openmm.System, start: openmm.State, settings: BenchSettings) -> Callable[[], None]:
@@ -136,22 +149,3 @@ def _frames(system: openmm.System, start: openmm.State, settings: BenchSettings)
         state = context.getState(positions=True)
         frames.append(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer).copy())
     return frames
-
-
-def tables(rows: list[dict]) -> list[Table]:
-    """The costs, for the report."""
-    table = Table(
-        "Cost of a step, one force evaluation's worth of it",
-        ["ratio", "molecules", "median", "± its standard error", "ms per force evaluation"],
-        [
-            [
-                row["name"],
-                str(row["molecules"]),
-                f"{row['median']:.3f}",
-                f"{row['spread']:.3f}",
-                f"{row['milliseconds']:.3g}",
-            ]
-            for row in rows
-        ],
-    )
-    return [table]

@@ -1,4 +1,4 @@
-"""Boxes of many sizes, from one that is repeated or cut."""
+"""Boxes of liquids: read, repeated, cut, and made on a lattice."""
 
 from __future__ import annotations
 
@@ -11,7 +11,51 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.measure.forcefields import Box, load, pme_system
+from openmm_sier.measure import forcefields
+from openmm_sier.measure.forcefields import Box
+from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from studies.command import BoxSettings
+from systems import make
+
+#: OpenMM's ewaldErrorTolerance: with balanced sums, forces exact enough to see what a scheme of fourth order does.
+TOLERANCE = 1e-5
+
+#: Liquid water, g/cm^3.
+DENSITY = 0.997
+
+
+def read(settings: BoxSettings, constraints: str | None = None, tolerance: float = TOLERANCE) -> Box:
+    """The box of a study, its PME at a tolerance; the other arguments are those of `forcefields.read_box`."""
+    box = forcefields.read_box(settings.box, settings.forcefield, constraints)
+    with_tolerance(box.system, tolerance)
+    return box
+
+
+def with_tolerance(system: openmm.System, tolerance: float = TOLERANCE) -> openmm.System:
+    """A System with PME at a tolerance, its sums in balance."""
+    for force in meshed_forces(system):
+        force.setEwaldErrorTolerance(tolerance)
+        force.setPMEParameters(0, 0, 0, 0)
+    balance_pme(system)
+    return system
+
+
+def on_lattice(molecules: int, forcefield: str = "tip3p.xml", seed: int = 3) -> tuple[app.Topology, np.ndarray]:
+    """Topology, with its box, and positions in nm of water that has not been equilibrated."""
+    topology = make.make_topology(molecules, 0)
+    edge = make.box_edge(topology, DENSITY)
+    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
+    geometry = make.water_geometry(forcefields.load([forcefield]))
+    return topology, make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(seed))
+
+
+def write_lattice(path: Path, molecules: int, forcefield: str = "tip3p.xml", named: bool = True) -> Path:
+    """A PDB file of `on_lattice`, which names its force field if `named`."""
+    topology, positions = on_lattice(molecules, forcefield)
+    edge = topology.getUnitCellDimensions()[0].value_in_unit(unit.nanometer)
+    remarks = [f"FORCEFIELD {forcefield}"] if named else []
+    make.write(path, topology, positions * unit.nanometer, edge, remarks)
+    return path
 
 
 class Replica(NamedTuple):
@@ -59,7 +103,7 @@ def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica
     for _ in places:
         _add(list(box.topology.residues()), box.topology, topology)
     topology.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
-    system = pme_system(topology, load(box.choice.files, directory))
+    system = _system(topology, box, directory)
     return Replica(topology.getNumResidues(), ((places @ vectors)[:, None] + positions).reshape(-1, 3), system)
 
 
@@ -93,7 +137,11 @@ def cropped(box: Box, directory: Path, molecules: int) -> Replica:
     # Centres fill the smaller box as they filled their part of the larger one.
     shifts = centres[chosen] * share / reach[chosen[-1]] - [positions[atoms[i]].mean(axis=0) for i in chosen]
     found = np.concatenate([positions[atoms[i]] + shift for i, shift in zip(chosen, shifts, strict=True)])
-    return Replica(molecules, found, pme_system(topology, load(box.choice.files, directory)))
+    return Replica(molecules, found, _system(topology, box, directory))
+
+
+def _system(topology: app.Topology, box: Box, directory: Path) -> openmm.System:
+    return with_tolerance(forcefields.pme_system(topology, forcefields.load(box.choice.files, directory)))
 
 
 def of_size(box: Box, directory: Path, molecules: int) -> Replica:

@@ -1,11 +1,11 @@
-"""Integrators to compare, and time series of their runs."""
+"""Time series of the runs of integrators that are compared."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -13,19 +13,30 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.backend.formulas import body_frame
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, Scheme
 from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.integrators.langevin import SIERLangevinIntegrator
+from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.starts import equilibrated, make_context
 from openmm_sier.observe import stock
+from openmm_sier.system.find_bodies import RigidBodies
+from studies import boxes
+from studies.command import BoxSettings
+from studies.methods import Method
 
 #: Tolerance of constraints for OpenMM's own integrators.
 CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE
 
 #: K, beyond which a run counts as broken.
 HIGHEST_TEMPERATURE = 3000.0
+
+#: Time in fs between two samples: a fifth to a half of the periods of librations in water, 35 to 80 fs. Angular
+#: velocities decorrelate in some 20 fs.
+INTERVAL = 12.0
+
+#: Steps of a run before the one that is measured.
+WARM_UP = 10
 
 
 class Unstable(RuntimeError):
@@ -65,58 +76,74 @@ class Series(Energies):
 
 
 @dataclass(frozen=True)
-class Method:
-    """An integrator to compare.
+class Liquid:
+    """A System with its rigid bodies and a phase point from which runs start.
 
     Attributes:
-        name: for tables.
-        force_evaluations: per step.
-        make: step in ps -> integrator.
-        bias: a step h changes the temperature of a degree of freedom of frequency w by the fraction -bias (h w)^2, to
-            leading order; NaN where there is no such law. There is none for Verlet: SETTLE's free rotation, which is
-            not exact, has a bias of its own.
+        platform: of OpenMM; None takes the fastest.
     """
 
-    name: str
-    force_evaluations: int
-    make: Callable[[float], openmm.Integrator]
-    bias: float = math.nan
+    system: openmm.System
+    bodies: RigidBodies
+    start: openmm.State
+    platform: str | None = None
 
 
-#: `Method.bias` of SIER2 at constant energy: the modified Hamiltonian of kick, drift, kick has the inverse
-#: mass (1 + (h w)^2/6)/m; and of SIER2 with the bath in its middle, where a harmonic oscillator has
-#: <p^2/m> = kT (1 - (h w)^2/4) exactly (Leimkuhler and Matthews, Appl. Math. Res. Express 2013, 34).
-BIAS_NVE, BIAS_NVT = 1 / 6, 1 / 4
+def equilibrated_liquid(settings: BoxSettings, time: float, report: Report = SILENT) -> Liquid:
+    """A box at its temperature.
+
+    Args:
+        settings: of the box.
+        time: of the equilibration, ps.
+        report: gets notes and progress.
+    """
+    box = boxes.read(settings)
+    start = equilibrated(box, settings.temperature, settings.seed, time, settings.platform, report)
+    return Liquid(box.system, RigidBodies.from_system(box.system, box.topology), start, settings.platform)
 
 
-def nve_methods() -> dict[str, Method]:
-    """OpenMM's Verlet with SETTLE and every scheme of the catalogue, by lower-case name."""
-    methods = {"verlet": Method("OpenMM Verlet", 1, openmm.VerletIntegrator)}
-    for name, scheme in CATALOGUE.items():
-        bias = BIAS_NVE if scheme is SIER2 else math.nan
-        methods[name] = Method(scheme.name, scheme.force_evaluations, partial(SIERIntegrator, scheme=scheme), bias)
-    return methods
+class Followed(NamedTuple):
+    """A run: its samples, the step in fs, and the wall time in s of the steps that were sampled."""
+
+    series: Series
+    step: float
+    seconds: float
 
 
-def nvt_methods(temperature: float, friction: float, seed: int) -> dict[str, Method]:
-    """OpenMM's LangevinMiddle and every scheme of the catalogue with a heat bath, by lower-case name."""
+def follow(
+    liquid: Liquid, method: Method, dt: float, time: float, settle: float = 0.0, report: Report = SILENT
+) -> Followed:
+    """Run a method from the start of a liquid, with a sample every `INTERVAL`.
 
-    def middle(h: float) -> openmm.Integrator:
-        integrator = openmm.LangevinMiddleIntegrator(temperature, friction, h)
-        integrator.setRandomNumberSeed(seed)
-        return integrator
+    Args:
+        liquid: what is run.
+        method: that runs it.
+        dt: simulated time per force evaluation, fs.
+        time: of the run, ps.
+        settle: ps before it.
+        report: gets progress.
 
-    def langevin(h: float, scheme: Scheme) -> openmm.Integrator:
-        integrator = SIERLangevinIntegrator(temperature, friction, h, scheme=scheme)
-        integrator.setRandomNumberSeed(seed)
-        return integrator
-
-    methods = {"langevinmiddle": Method("OpenMM LangevinMiddle", 1, middle)}
-    for name, scheme in CATALOGUE.items():
-        make = partial(langevin, scheme=scheme)
-        bias = BIAS_NVT if scheme is SIER2 else math.nan
-        methods[name] = Method(f"{scheme.name} Langevin", scheme.force_evaluations, make, bias)
-    return methods
+    Raises:
+        Unstable: the run broke down.
+    """
+    step = dt * method.forces
+    integrator = method.make(1e-3 * step)
+    integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
+    context = make_context(liquid.system, integrator, liquid.platform)
+    steps = max(1, round(1e3 * time / step))
+    every = min(steps, max(1, round(INTERVAL / step)))
+    try:
+        # Lists and meshes are set up before the time is taken.
+        context.setState(liquid.start)
+        integrator.step(WARM_UP)
+        context.setState(liquid.start)
+        with report.progress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
+            integrator.step(round(1e3 * settle / step))
+            begun = perf_counter()
+            series = sample(context, liquid.bodies, steps, every, show)
+            return Followed(series, step, perf_counter() - begun)
+    except openmm.OpenMMException as error:
+        raise Unstable(" ".join(str(error).split())) from error
 
 
 def sample(
