@@ -118,9 +118,8 @@ def measure(settings: AcceptanceSettings, report: Report = SILENT) -> pd.DataFra
             report.note(f"{method.name} at {dt:g} fs per force, {molecules} molecules: {told}")
     found = [row_of(json.loads(path.read_text())) for path in sorted(kept.glob("[0-9]*.json"))]
     order = [method.name for method in REVERSIBLE.values()]
-    return pd.DataFrame(
-        sorted(found, key=lambda row: (row["molecules"], row["fs_per_force"], order.index(row["method"])))
-    )
+    rows = pd.DataFrame(found).sort_values("method", key=lambda names: names.map(order.index))
+    return rows.sort_values(["molecules", "fs_per_force"], kind="stable", ignore_index=True)
 
 
 def _known(path: Path, wanted: int) -> dict[str, Any] | None:
@@ -153,9 +152,7 @@ def limits(rows: pd.DataFrame, accepted: float = 0.5) -> pd.DataFrame:
         row = {"method": method, "fs_per_force": dt, "spread": spread, "spread_error": error}
         row["measured"] = max(mine.loc[mine["acceptance"] > accepted, "molecules"], default=0)
         found.append(row | {"largest": largest, "largest_error": 2 * largest * error / spread})
-    return pd.DataFrame(
-        found, columns=["method", "fs_per_force", "spread", "spread_error", "measured", "largest", "largest_error"]
-    )
+    return pd.DataFrame(found)
 
 
 def pooled_spread(rows: pd.DataFrame) -> tuple[float, float]:

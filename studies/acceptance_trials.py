@@ -143,9 +143,9 @@ def measure(
 
     Returns:
         What can be written as JSON: `molecules`, `method`, `fs_per_force`, `step` in fs, `length` of a trial in fs; the
-        `errors` of the energy at the end of each trial in kT, None where a trajectory could not be followed; `reversal`,
-        the distance in nm by which an atom missed its start when the first trajectory was followed back; the `noise` of
-        the energy in kT; and `broken`, why there are no trials.
+        `errors` of the energy at the end of each trial in kT, None where a trajectory could not be followed;
+        `reversal`, the distance in nm by which an atom missed its start when the first trajectory was followed back;
+        the `noise` of the energy in kT; and `broken`, why there are no trials.
     """
     step = fs_per_force * method.forces
     steps = max(1, round(1e3 * settings.time / step))

@@ -1,4 +1,4 @@
-"""Studies as commands: their settings are dataclasses, whose fields are the options and whose docstrings are the help."""
+"""Studies as commands: the fields of a dataclass of settings are the options, and its docstring is their help."""
 
 from __future__ import annotations
 

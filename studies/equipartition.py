@@ -208,10 +208,8 @@ def _refuse_repetitions(directories: Sequence[Path], found: Sequence[Record]) ->
     for directory, record in zip(directories, found, strict=True):
         for settings in record.notes.get("pooled", [record.settings]):
             seeds = range(settings["seed"], settings["seed"] + settings["replicas"])
-            rows = record.tables["rows"]
-            for key in {
-                (name, step, seed) for name, step in zip(rows.method, rows.step, strict=True) for seed in seeds
-            }:
+            runs = set(record.tables["rows"][["method", "step"]].itertuples(index=False, name=None))
+            for key in ((*run, seed) for run in runs for seed in seeds):
                 if seen.setdefault(key, directory) is not directory:
                     raise ValueError(
                         f"{directory} and {seen[key]} cannot be pooled: both have {key[0]} at {key[1]:g} fs with seed "
@@ -221,9 +219,10 @@ def _refuse_repetitions(directories: Sequence[Path], found: Sequence[Record]) ->
 
 def study(settings: EquipartitionSettings, report: Report = SILENT) -> Record:
     """Compare or pool, and write equipartition.json and equipartition.png."""
-    record = (
-        pool(settings.pool) if settings.pool else Record(settings.recorded(), {"rows": compare(settings, report)}, {})
-    )
+    if settings.pool:
+        record = pool(settings.pool)
+    else:
+        record = Record(settings.recorded(), {"rows": compare(settings, report)}, {})
     title = f"Equipartition, {record.settings['ensemble'].upper()}; velocities at whole steps"
     report.table(records.table(title, record.tables["rows"], COLUMNS))
     record.write(settings.out / FILE)

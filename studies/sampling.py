@@ -103,11 +103,10 @@ def equilibrated_liquid(settings: BoxSettings, time: float, report: Report = SIL
 
 
 class Followed(NamedTuple):
-    """A run: its samples, the step in fs, and the wall time in s of the steps that were sampled."""
+    """A run: its samples, and the simulated time in fs per second of wall time."""
 
     series: Series
-    step: float
-    seconds: float
+    fs_per_second: float
 
 
 def follow(
@@ -141,7 +140,7 @@ def follow(
             integrator.step(round(1e3 * settle / step))
             begun = perf_counter()
             series = sample(context, liquid.bodies, steps, every, show)
-            return Followed(series, step, perf_counter() - begun)
+            return Followed(series, len(series.time) * every * step / (perf_counter() - begun))
     except openmm.OpenMMException as error:
         raise Unstable(" ".join(str(error).split())) from error
 

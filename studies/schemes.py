@@ -75,11 +75,9 @@ def compare(settings: SchemesSettings, report: Report = SILENT) -> pd.DataFrame:
     for dt in settings.dt:
         for method in methods:
             rows.append(_row(liquid, method, dt, settings.time, report))
-            what, row = f"{method.name} at {dt:g} fs per force", rows[-1]
-            found = records.cell(
-                "rms(H)/rms(V) = {percent:.3f} %, drift {drift:+.2f} ± {drift_error:.2f} kJ/mol/ps", row
-            )
-            report.note(f"{what}: " + (f"broke down ({row['broken']})" if row["broken"] else found))
+            form = "rms(H)/rms(V) = {percent:.3f} %, drift {drift:+.2f} ± {drift_error:.2f} kJ/mol/ps"
+            told = f"broke down ({rows[-1]['broken']})" if rows[-1]["broken"] else records.cell(form, rows[-1])
+            report.note(f"{method.name} at {dt:g} fs per force: {told}")
     return pd.DataFrame(rows)
 
 

@@ -40,13 +40,15 @@ class Member(NamedTuple):
 
     Attributes:
         name: of its directory.
-        arguments: command line of `openmm-sier`, without the paths of files that it writes.
+        arguments: command line of `openmm-sier run`, without the paths of files that it writes.
         length: simulated ps, if progress within the member is to be shown; 0 otherwise.
+        module: executed with these arguments in the member's directory; it calls `openmm_sier.cli.member.serve`.
     """
 
     name: str
     arguments: tuple[str, ...]
     length: float = 0.0
+    module: str = WORKER
 
 
 class Outcome(NamedTuple):
@@ -249,8 +251,10 @@ def carry_out(member: Member, place: str, threads: int) -> Outcome:
     directory = Path(place) / member.name
     directory.mkdir(parents=True, exist_ok=True)
     begun, restarts, kills, reached = monotonic(), 0, 0, -1.0
-    command = [sys.executable, "-m", WORKER, *member.arguments]
+    command = [sys.executable, "-m", member.module, *member.arguments]
     environment = os.environ | {"OPENMM_CPU_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
+    # A member finds the modules that this process finds, though it has another current directory.
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     while True:
         code = _wait_for(command, directory, environment)
         if code == 0:

@@ -53,8 +53,8 @@ def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:
     """All methods at all their steps from one equilibrated start, and what an energy error costs.
 
     Returns:
-        `points` with rms(H)/rms(V) in per cent and the simulated time per wall time, both NaN where a method broke down,
-        and `costs`, see `costs_of`.
+        `points` with rms(H)/rms(V) in per cent and the simulated time per wall time, both NaN where a method broke
+        down, and `costs`, see `costs_of`.
     """
     liquid = equilibrated_liquid(settings, settings.equilibrate, report)
     points = measure(liquid, METHODS, settings.time, report)
@@ -88,7 +88,7 @@ def _point(method: str, dt: float, run: Callable[[], Measured], report: Report) 
 
 def _of_openmm(liquid: Liquid, method: Method, dt: float, time: float) -> Measured:
     found = follow(liquid, method, dt, time)
-    return found.series, 1e3 * time / found.seconds
+    return found.series, found.fs_per_second
 
 
 def _of_peer(peer: peers.Peer, water: peers.Liquid, dt: float, time: float) -> Measured:

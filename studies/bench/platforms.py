@@ -21,6 +21,7 @@ from studies import boxes, records
 from studies.bench import accuracy
 from studies.bench.accuracy import LEVELS
 from studies.bench.timing import BenchSettings, interleaved
+from studies.sampling import equilibrated_liquid
 
 #: ps for each force evaluation in the runs that are timed.
 STEP = 2e-3

@@ -15,19 +15,29 @@ map that conserves L in free rotation would keep L_z constant to the last bit; a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState
+from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.statistics import jackknife
-from studies.paper import tip4p
-from studies.paper.methods import FS, METHODS, Method, Progress
+from studies import records, style
+from studies.methods import PAPER, OwnMethod
+from studies.paper import published, tip4p
+from studies.paper.published import FS
+from studies.records import Record
 
 #: One debye times one MV/m in kJ/mol: 1e-21/299792458 C m (CODATA), 1e6 V/m, the Avogadro constant.
 DEBYE_MV_PER_M = 1e-21 / 299792458 * 1e6 * 6.02214076e23 / 1e3
+
+#: The look of the paper's values.
+OPEN = {"ls": "none", "mfc": "white", "mew": 1.8, "zorder": 3, "label": "_"}
 
 #: The paper's z axis in the lab frame of the computation.
 Z = np.array([1.0, 2.0, 2.0]) / 3
@@ -59,51 +69,46 @@ class DipoleSettings:
 QUICK = DipoleSettings(bodies=2000)
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One entry of Table 1, with the averages that the paper may have meant.
+ENERGY = {
+    "h/f (fs)": "{force_step_fs:g}",
+    "method": "{method}",
+    "paper": "{paper}",
+    "mean of ratios": "{ours}",
+    "ratio": "{ratio}",
+    "ratio of means": "{energy_of_means:.3g}",
+    "median": "{energy_median:.3g}",
+}
 
-    Attributes:
-        method, force_step_fs: of the entry; the step is f times the latter.
-        energy, energy_error: mean over trajectories of rms(H)/rms(V), and its standard error.
-        energy_of_means: mean of rms(H) over the mean of rms(V).
-        energy_median: median over trajectories of rms(H)/rms(V).
-        momentum, momentum_error: root of the mean square of L_z - <L_z> over the mean of |L_z|, and its standard error.
-        momentum_of_means: mean over trajectories of rms(L_z), over the mean of |L_z|.
-        momentum_median: median over trajectories of rms(L_z)/|<L_z>|.
+MOMENTUM = {
+    "h/f (fs)": "{force_step_fs:g}",
+    "method": "{method}",
+    "paper": "{paper}",
+    "root mean square": "{momentum:.2g}",
+    "ratio": "{ratio}",
+    "mean rms": "{momentum_of_means:.2g}",
+    "median ratio": "{momentum_median:.2g}",
+}
+
+
+def find(settings: DipoleSettings, report: Report = SILENT) -> Record:
+    """Carry out the experiment.
+
+    Returns:
+        A row for each method and `force_step_fs`, of which the step is f times as long, with the averages that the
+        paper may have meant. In per cent: `energy`, the mean over trajectories of rms(H)/rms(V), with its standard
+        error, `energy_of_means`, the mean of rms(H) over the mean of rms(V), and `energy_median`. And `momentum`, the
+        root of the mean square of L_z - <L_z> over the mean of |L_z|, with its standard error, `momentum_of_means`, the
+        mean over trajectories of rms(L_z), over the mean of |L_z|, and `momentum_median`, that of rms(L_z)/|<L_z>|.
     """
-
-    method: str
-    force_step_fs: float
-    energy: float
-    energy_error: float
-    energy_of_means: float
-    energy_median: float
-    momentum: float
-    momentum_error: float
-    momentum_of_means: float
-    momentum_median: float
-
-
-@dataclass(frozen=True)
-class Dipole:
-    """Results of the experiment."""
-
-    settings: DipoleSettings
-    entries: tuple[Entry, ...]
-
-
-def turn_in_field(settings: DipoleSettings, progress: Progress = lambda what, fraction: None) -> Dipole:
-    """Carry out the experiment."""
-    runs = [(method, step) for step in settings.force_steps_fs for method in METHODS]
-    work = np.array([1 / step for _, step in runs])
-    done = np.concatenate([[0.0], np.cumsum(work) / work.sum()])
-    entries = []
-    for (method, step), fraction in zip(runs, done[:-1], strict=True):
-        progress(f"dipole in a field: {method.name}, h/f = {step:g} fs", float(fraction))
-        entries.append(_entry(method, step, settings))
-    progress("dipole in a field", 1.0)
-    return Dipole(settings, tuple(entries))
+    runs = [(method, step) for step in settings.force_steps_fs for method in PAPER]
+    rows, done = [], 0.0
+    with report.progress("dipole in a field", sum(1 / step for _, step in runs)) as advance:
+        for method, step in runs:
+            advance(done, f"dipole in a field: {method.name}, h/f = {step:g} fs")
+            rows.append({"method": method.name, "force_step_fs": step} | _averages(*_spreads(method, step, settings)))
+            done += 1 / step
+        advance(done)
+    return Record(asdict(settings), {"rows": pd.DataFrame(rows)}, {})
 
 
 class Field:
@@ -156,7 +161,8 @@ class Spread:
         return np.sqrt(np.maximum(self._squares / self._count - mean * mean, 0.0))
 
 
-def _entry(method: Method, force_step_fs: float, settings: DipoleSettings) -> Entry:
+def _spreads(method: OwnMethod, force_step_fs: float, settings: DipoleSettings) -> list[Spread]:
+    """Spreads of total energy, potential energy and L_z."""
     bodies = tip4p.molecules(settings.bodies)
     state = tip4p.canonical_rotation(bodies, settings.temperature, np.random.default_rng(settings.seed))
     field = Field(settings.dipole * settings.field * DEBYE_MV_PER_M, tip4p.dipole_direction(bodies))
@@ -174,25 +180,77 @@ def _entry(method: Method, force_step_fs: float, settings: DipoleSettings) -> En
         for spread, value in zip(spreads, observe(state), strict=True):
             spread.add(value)
         state = step(state)
-    return _average(method.name, force_step_fs, *spreads)
+    return spreads
 
 
-def _average(name: str, force_step_fs: float, energy: Spread, potential: Spread, momentum: Spread) -> Entry:
+def _averages(energy: Spread, potential: Spread, momentum: Spread) -> dict[str, float]:
     n = energy.rms.size
-    ratio = energy.rms / potential.rms
+    ratio = 100 * energy.rms / potential.rms
     size = np.abs(momentum.mean)
     variance, rms = momentum.rms**2, momentum.rms
     value, error = jackknife(lambda kept: float(ratio[kept].mean()), n)
     Lz, Lz_error = jackknife(lambda kept: float(np.sqrt(variance[kept].mean()) / size[kept].mean()), n)
-    return Entry(
-        method=name,
-        force_step_fs=force_step_fs,
-        energy=value,
-        energy_error=error,
-        energy_of_means=float(energy.rms.mean() / potential.rms.mean()),
-        energy_median=float(np.median(ratio)),
-        momentum=Lz,
-        momentum_error=Lz_error,
-        momentum_of_means=float(rms.mean() / size.mean()),
-        momentum_median=float(np.median(rms / size)),
+    return {
+        "energy": value,
+        "energy_error": error,
+        "energy_of_means": float(100 * energy.rms.mean() / potential.rms.mean()),
+        "energy_median": float(np.median(ratio)),
+        "momentum": Lz,
+        "momentum_error": Lz_error,
+        "momentum_of_means": float(rms.mean() / size.mean()),
+        "momentum_median": float(np.median(rms / size)),
+    }
+
+
+# --- as text and figure ---
+
+
+def tables(record: Record) -> list[Table]:
+    """Both halves of Table 1, with the paper's values beside ours."""
+    settings, rows = record.settings, record.tables["rows"]
+    what = (
+        f"{settings['dipole']:g} D in {settings['field']:g} MV/m, {settings['bodies']} runs of {settings['span']:g} ps"
     )
+    energy = _beside(rows, "energy", published.ENERGY, lambda value, error: published.number(value, error))
+    momentum = _beside(rows, "momentum", published.MOMENTUM, lambda value, error: f"{value:.2g}")
+    return [
+        records.table(f"Table 1, energy: rms(H)/rms(V) in %, {what}", energy, ENERGY, left=2),
+        records.table("Table 1, angular momentum along the field: rms(L_z)/<|L_z|>", momentum, MOMENTUM, left=2),
+    ]
+
+
+def _beside(rows: pd.DataFrame, name: str, theirs: dict, text: Callable[[float, float], str]) -> pd.DataFrame:
+    """Rows with a quantity as text, the paper's, and the ratio of both."""
+    beside = []
+    for row in rows.to_dict("records"):
+        paper = theirs.get((row["method"], row["force_step_fs"]))
+        row["ours"] = text(row[name], row[f"{name}_error"])
+        row["paper"] = "-" if paper is None else text(*paper)
+        beside.append(row | {"ratio": published.ratio(row[name], None if paper is None else paper[0])})
+    return pd.DataFrame(beside)
+
+
+def figure(record: Record, path: Path) -> None:
+    """Table 1 as two panels, the paper's values as open symbols."""
+    rows = record.tables["rows"]
+    steps = sorted(rows["force_step_fs"].unique())
+    with style.figure(path, 2, "Water molecule in an electric field: what is conserved") as (_, panels):
+        for axes, name, paper in zip(
+            panels, ("energy", "momentum"), (published.ENERGY, published.MOMENTUM), strict=True
+        ):
+            theirs = [(*key, value, min(error, 0.9 * value)) for key, (value, error) in paper.items()]
+            columns = ["method", "force_step_fs", name, f"{name}_error"]
+            for i, method in enumerate(PAPER):
+                for frame, look in ((rows, {}), (pd.DataFrame(theirs, columns=columns), OPEN)):
+                    mine = frame[(frame["method"] == method.name) & frame["force_step_fs"].isin(steps)]
+                    # Methods are set apart.
+                    mine = mine.assign(force_step_fs=mine["force_step_fs"] * 1.025 ** (i - 1.5))
+                    style.curves(axes, mine, "force_step_fs", name, **look)
+            axes.set(xscale="log", yscale="log", xlabel="time step per force evaluation, h/f (fs)")
+            style.plain_ticks(axes.xaxis, steps)
+        energy, momentum = panels
+        energy.set(ylabel="rms(H) / rms(V)  (%)", title="energy")
+        momentum.set(ylabel=r"rms($L_z$) / $\langle|L_z|\rangle$", title="angular momentum")
+        energy.errorbar([], [], [], fmt="o", mfc="white", mew=1.8, color=style.GREY, label="open: the paper")
+        energy.legend(loc="lower right", fontsize=10)
+        momentum.text(0.5, 0.12, "rounding", transform=momentum.transAxes, ha="center", color=style.GREY)

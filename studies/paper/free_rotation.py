@@ -14,20 +14,29 @@ of a run; the extrapolation by the fitted power law to delta = 0.1 is also given
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
-from openmm_sier.dynamics import backend, operators, rotation
+from openmm_sier.dynamics import operators, rotation
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.stages import DRIFT, KICK
+from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.statistics import jackknife
-from studies.paper import reference, tip4p
-from studies.paper.methods import FS, METHODS, Method, Progress
+from studies import records, style
+from studies.bench import rotations
+from studies.methods import PAPER, OwnMethod
+from studies.paper import published, reference, tip4p
+from studies.paper.published import FS
+from studies.records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Deviation up to which delta is proportional to t for an inexact map.
 MODERATE = 0.1
@@ -62,79 +71,55 @@ class FreeRotationSettings:
 QUICK = FreeRotationSettings(span=10.0, bodies=2000, exact_bodies=24, marks_per_decade=2, timings=20)
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Error of one method at one step.
+TAUS = {
+    "h (fs)": "{step_fs:g}",
+    "method": "{method}",
+    "paper": "{paper}",
+    "tau": "{ours}",
+    "ratio": "{ratio}",
+    "median body": "{median}",
+    "growth t^": "{exponent:.2f}",
+    "10 % by that power": "{power}",
+    "dE/E (%)": "{energy:.1e}",
+}
 
-    Attributes:
-        method, step_fs: of the curve.
-        times: ps.
-        delta, delta_error: the paper's measure at these times, and its standard error.
-        energy: rms over bodies of the deviation of the energy at the last time over the mean energy.
-        tau, tau_error: by the linear law, ps.
-        tau_median: the same with the median over bodies of the deviation in place of its rms, ps.
-        exponent: of the growth of delta over the last decade of times up to `MODERATE`.
-        tau_power: time at which the power law with that exponent reaches 10 %, ps.
+COSTS = {
+    "h (fs)": "{step_fs:g}",
+    "map": "{name}",
+    "ns a body": "{nanoseconds:.0f}",
+    "paper, over MRDL": "{paper}",
+    "over MRDL": "{over_mrdl:.2f} ± {over_mrdl_error:.2f}",
+}
+
+
+def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
+    """Carry out the experiment.
+
+    Returns:
+        `curves`: for each method and step the paper's measure `delta` with its standard error, at times in ps.
+        `taus`: `tau` by the linear law with its standard error and `tau_median`, the same with the median over bodies
+        in place of the rms; `exponent`, that of the growth of delta over the last decade of times up to `MODERATE`, and
+        `tau_power`, the time at which the power law with it reaches 10 %, all times in ps; and `energy`, the rms over
+        bodies of the deviation of the energy at the last time over the mean energy, in per cent.
+        `costs`: see `studies.bench.rotations`.
     """
-
-    method: str
-    step_fs: float
-    times: tuple[float, ...]
-    delta: tuple[float, ...]
-    delta_error: tuple[float, ...]
-    energy: float
-    tau: float
-    tau_error: float
-    tau_median: float
-    exponent: float
-    tau_power: float
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Time of a free-rotation map for one body and one step.
-
-    Attributes:
-        method, step_fs: of the map.
-        nanoseconds: the least of many measurements.
-        ratio: to that of MRDL.
-        ratio_low, ratio_high: quartiles of the ratio in single rounds, in which all maps are timed.
-    """
-
-    method: str
-    step_fs: float
-    nanoseconds: float
-    ratio: float
-    ratio_low: float
-    ratio_high: float
-
-
-@dataclass(frozen=True)
-class FreeRotation:
-    """Results of the experiment."""
-
-    settings: FreeRotationSettings
-    moments: tuple[float, ...]
-    curves: tuple[Curve, ...]
-    costs: tuple[Cost, ...] = field(default=())
-
-
-def rotate_freely(settings: FreeRotationSettings, progress: Progress = lambda what, fraction: None) -> FreeRotation:
-    """Carry out the experiment."""
-    runs = [(method, step) for step in settings.steps_fs for method in METHODS]
-    work = np.array([method.forces * settings.span / step for method, step in runs])
-    done = np.concatenate([[0.0], np.cumsum(work) / work.sum()])
-    curves = []
-    for (method, step), begin, end in zip(runs, done[:-1], done[1:], strict=True):
-        what = f"free rotation: {method.name}, {step:g} fs"
-
-        def report(fraction: float, what: str = what, begin: float = begin, end: float = end) -> None:
-            progress(what, begin + fraction * (end - begin))
-
-        curves.append(_curve(method, step, settings, report))
-    progress("free rotation: cost of the maps", 1.0)
-    moments = tuple(float(x) for x in tip4p.molecules(1).species[0].moments)
-    return FreeRotation(settings, moments, tuple(curves), _costs(settings))
+    runs = [(method, step) for step in settings.steps_fs for method in PAPER]
+    work = [method.forces * settings.span / step for method, step in runs]
+    curves, taus, done = [], [], 0.0
+    with report.progress("free rotation", sum(work)) as advance:
+        for (method, step), part in zip(runs, work, strict=True):
+            advance(done, f"free rotation: {method.name}, {step:g} fs")
+            curve, tau = _curve(method, step, settings)
+            curves.append(curve)
+            taus.append({"method": method.name, "step_fs": step} | tau)
+            done += part
+        advance(done, "free rotation: cost of the maps")
+        costs = [
+            rotations.time_rotations((settings.timed_bodies,), settings.timings, step * FS).assign(step_fs=step)
+            for step in settings.steps_fs
+        ]
+    tables = {"curves": pd.concat(curves), "taus": pd.DataFrame(taus), "costs": pd.concat(costs)}
+    return Record(asdict(settings), tables, {})
 
 
 def _start(n: int, settings: FreeRotationSettings) -> tuple[RigidBodies, BodyState]:
@@ -148,7 +133,7 @@ def _start(n: int, settings: FreeRotationSettings) -> tuple[RigidBodies, BodySta
     return bodies, BodyState(state.q, state.p, axes, body_frame(state.A, state.L))
 
 
-def _curve(method: Method, step_fs: float, settings: FreeRotationSettings, report: Callable[[float], None]) -> Curve:
+def _curve(method: OwnMethod, step_fs: float, settings: FreeRotationSettings) -> tuple[pd.DataFrame, dict[str, float]]:
     exact = method.rotation is rotation.exact
     bodies, start = _start(settings.exact_bodies if exact else settings.bodies, settings)
     h = step_fs * FS
@@ -161,10 +146,12 @@ def _curve(method: Method, step_fs: float, settings: FreeRotationSettings, repor
         state = step(state)
         if count in marks:
             squares.append(judge(state, start, bodies.species[0].moments, h, count))
-        if count % 64 == 0:
-            report(count / marks[-1])
-    energies = [_energies(s, bodies) for s in (start, state)]
-    return _summarize(method.name, step_fs, np.array(marks) * h, np.array(squares), energies)
+    times, found = np.array(marks) * h, np.array(squares)
+    delta, error = np.array([jackknife(_root_mean(row), found.shape[1]) for row in found]).T
+    curve = pd.DataFrame({"time": times, "delta": delta, "delta_error": error})
+    before, after = (_energies(each, bodies) for each in (start, state))
+    energy = 100 * float(np.sqrt(((after - before) ** 2).mean()) / before.mean())
+    return curve.assign(method=method.name, step_fs=step_fs), summarize(times, delta, found) | {"energy": energy}
 
 
 def _marks(last: int, per_decade: int) -> list[int]:
@@ -187,57 +174,112 @@ def _energies(state: BodyState, bodies: RigidBodies) -> np.ndarray:
     return 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
 
 
-def _summarize(
-    name: str, step_fs: float, times: np.ndarray, squares: np.ndarray, energies: Sequence[np.ndarray]
-) -> Curve:
-    n = squares.shape[1]
-    delta, error = np.array([jackknife(_root_mean(row), n) for row in squares]).T
+def summarize(times: np.ndarray, delta: np.ndarray, squares: np.ndarray) -> dict[str, float]:
+    """tau and the growth of delta, see `find`.
+
+    Args:
+        times: ps, (k,).
+        delta: the paper's measure at these times, (k,).
+        squares: squared deviation of each body, (k, n).
+    """
     moderate = np.flatnonzero(delta <= MODERATE)
     last = int(moderate[-1]) if moderate.size else 0
-    tau, tau_error = jackknife(lambda kept: times[last] / (10 * math.sqrt(squares[last, kept].mean())), n)
+    tau, tau_error = jackknife(
+        lambda kept: times[last] / (10 * math.sqrt(squares[last, kept].mean())), squares.shape[1]
+    )
     decade = moderate[times[moderate] >= 0.099 * times[last]]
     exponent = float(np.polyfit(np.log(times[decade]), np.log(delta[decade]), 1)[0]) if decade.size > 1 else math.nan
-    before, after = energies
-    return Curve(
-        method=name,
-        step_fs=step_fs,
-        times=tuple(times.tolist()),
-        delta=tuple(delta.tolist()),
-        delta_error=tuple(error.tolist()),
-        energy=float(np.sqrt(((after - before) ** 2).mean()) / before.mean()),
-        tau=tau,
-        tau_error=tau_error,
-        tau_median=float(times[last] / (10 * np.sqrt(np.median(squares[last])))),
-        exponent=exponent,
-        tau_power=float(times[last] * (MODERATE / delta[last]) ** (1 / exponent)),
-    )
+    return {
+        "tau": tau,
+        "tau_error": tau_error,
+        "tau_median": float(times[last] / (10 * np.sqrt(np.median(squares[last])))),
+        "exponent": exponent,
+        "tau_power": float(times[last] * (MODERATE / delta[last]) ** (1 / exponent)),
+    }
 
 
 def _root_mean(squares: np.ndarray) -> Callable[[np.ndarray], float]:
     return lambda kept: math.sqrt(squares[kept].mean())
 
 
-def _costs(settings: FreeRotationSettings) -> tuple[Cost, ...]:
-    """The three maps, all executed by NumPy, timed in turn, so that other work on the computer affects all alike."""
-    maps = {"MRDL": rotation.mrdl, "SIER2": rotation.exact, "SEJ4": rotation.sej4}
-    bodies, start = _start(settings.timed_bodies, settings)
-    costs = []
-    for step_fs in settings.steps_fs:
-        with backend.using(backend.NUMPY):
-            rounds = [
-                [_seconds(rotation, start, bodies, step_fs * FS) for rotation in maps.values()]
-                for _ in range(settings.timings)
-            ]
-        seconds = np.array(rounds)
-        low, high = np.percentile(seconds / seconds[:, :1], (25, 75), axis=0)
-        best = seconds.min(axis=0)
-        middle, per_body = best / best[0], best / settings.timed_bodies * 1e9
-        for i, name in enumerate(maps):
-            costs.append(Cost(name, step_fs, float(per_body[i]), float(middle[i]), float(low[i]), float(high[i])))
-    return tuple(costs)
+# --- as text and figure ---
 
 
-def _seconds(rotation: Callable[..., Any], start: BodyState, bodies: RigidBodies, h: float) -> float:
-    begin = time.perf_counter()
-    rotation(start.A, start.L, bodies.species[0].moments, h)
-    return time.perf_counter() - begin
+def tables(record: Record) -> list[Table]:
+    """tau and the cost of the maps, with the paper's values beside ours."""
+    taus = pd.DataFrame([row | _beside(row) for row in record.tables["taus"].to_dict("records")])
+    costs = record.tables["costs"].assign(paper=lambda costs: costs["name"].map(published.COST).fillna("-"))
+    settings = record.settings
+    title = f"Free rotation of water, {settings['temperature']:g} K: tau from delta = t/(10 tau), "
+    return [
+        records.table(f"{title}runs of {settings['span']:g} ps", taus, TAUS, left=2),
+        records.table("Cost of the free-rotation maps, NumPy but for the last", costs, COSTS, left=2),
+    ]
+
+
+def _beside(row: dict[str, Any]) -> dict[str, str]:
+    """tau as text, ours and the paper's."""
+    tau, paper = row["tau"], published.TAU.get((row["method"], row["step_fs"]))
+    scale, unit = published.unit_of(tau)
+    return {
+        "paper": "as SIER2" if paper is None else published.picoseconds(paper, like=tau),
+        "ours": f"{published.number(tau / scale, row['tau_error'] / scale)} {unit}",
+        "ratio": published.ratio(tau, paper),
+        "median": published.picoseconds(row["tau_median"]),
+        "power": published.picoseconds(row["tau_power"]),
+    }
+
+
+def figure(record: Record, path: Path) -> None:
+    """delta against t for each step, continued to the 10 % that define tau, with the paper's tau there."""
+    curves, taus = record.tables["curves"], record.tables["taus"]
+    steps = list(taus["step_fs"].unique())
+    title = "Free rotation of a water molecule: error of the attitude"
+    with style.figure(path, len(steps), title, sharey=True) as (made, panels):
+        for axes, step in zip(panels, steps, strict=True):
+            axes.axhline(MODERATE, color=style.GREY, lw=1, zorder=0)
+            mine = curves[curves["step_fs"] == step]
+            style.curves(axes, mine, "time", "delta")
+            rows = taus[taus["step_fs"] == step].to_dict("records")
+            for i, row in enumerate(rows):
+                _continue(axes, mine[mine["method"] == row["method"]], row)
+                place = (0.98, 0.045 + 0.06 * (len(rows) - 1 - i))
+                colour = style.of_method(row["method"])["color"]
+                axes.text(*place, _label(row), transform=axes.transAxes, ha="right", color=colour, fontsize=10)
+            axes.set(xscale="log", yscale="log", ylim=(3e-17, 3), xlim=(6e-3, 2e12), xlabel="time")
+            _time_ticks(axes)
+            axes.set_title(f"step {step:g} fs")
+        panels[0].set_ylabel(r"$\delta$ = rms deviation from the exact attitude")
+        notes = "solid: measured      dashed: on by $\\delta = t/10\\tau$      dotted: on by the power found"
+        made.supxlabel(notes + "      open, at 10 %: the paper's $\\tau$", color=style.GREY, fontsize=10)
+
+
+def _continue(axes: Axes, curve: pd.DataFrame, row: dict[str, Any]) -> None:
+    """The two laws from the last moderate delta on, and the paper's tau."""
+    look = style.of_method(row["method"])
+    last = curve[curve["delta"] <= MODERATE].tail(1)
+    for end, line in ((row["tau"], "--"), (row["tau_power"], ":")):
+        axes.plot([*last["time"], end], [*last["delta"], MODERATE], line, color=look["color"], lw=1.4, zorder=1)
+    tau = published.TAU.get((row["method"], row["step_fs"]))
+    if tau is not None:
+        open_symbol = {"mfc": "white", "mew": 1.8, "ms": 9, "zorder": 4, "clip_on": False}
+        axes.plot(tau, MODERATE, look["marker"], color=look["color"], **open_symbol)
+
+
+def _label(row: dict[str, Any]) -> str:
+    tau = published.TAU.get((row["method"], row["step_fs"]))
+    paper = "" if tau is None else f" (paper: {published.picoseconds(tau, like=row['tau'])})"
+    return rf"{row['method']}: $\tau$ = {published.picoseconds(row['tau'])}{paper}"
+
+
+def _time_ticks(axes: Axes) -> None:
+    """From fs to s."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
+
+    def text(value: float, _: int) -> str:
+        return published.picoseconds(value) if value >= 1 else "10 fs"
+
+    axes.xaxis.set_major_locator(FixedLocator([1e-2, 1, 1e3, 1e6, 1e9, 1e12]))
+    axes.xaxis.set_major_formatter(FuncFormatter(text))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_locator(LogLocator(numticks=9))

@@ -1,17 +1,27 @@
-"""Liquid water as OpenMM Systems: with the paper's smooth molecular cut-off, and with PME."""
+"""Liquid water as OpenMM Systems: with the paper's smooth molecular cut-off, and with PME; and where its runs start."""
 
 from __future__ import annotations
 
-import itertools
-import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.schemes import SIER2
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.measure import forcefields
+from openmm_sier.measure.starts import equilibrate
+from studies import boxes
 from studies.paper import tip4p
-from studies.paper.molecular_cutoff import SITES, MolecularCutoff
+from studies.paper.molecular_cutoff import MolecularCutoff
+
+#: The project's box of the paper's water.
+BOX = "tip4p-512.pdb"
+
+#: Threads of OpenMM in the process of a run, of which there are as many as cores.
+THREADS = "1"
 
 
 @dataclass(frozen=True)
@@ -37,45 +47,51 @@ class Cutoffs:
 MOLECULAR, PME = "molecular cut-off", "PME"
 
 
-def build(kind: str, n: int, edge: float, cutoffs: Cutoffs) -> openmm.System:
-    """A System of n TIP4P molecules (sites O, H, H, M) in a cube.
+class Water(NamedTuple):
+    """Molecules in a cube: a System of theirs, positions (4 n, 3) in nm of O, H, H, M, and the edge in nm."""
+
+    system: openmm.System
+    positions: np.ndarray
+    edge: float
+
+    @property
+    def molecules(self) -> int:
+        return len(self.positions) // 4
+
+
+def water_box(n: int) -> Water:
+    """Liquid TIP4P water: the project's box, or molecules of it in a smaller box of the same density."""
+    path = forcefields.shipped_box(BOX)
+    _, positions, system = boxes.of_size(forcefields.read_box(path), path.parent, n)
+    return Water(system, positions, system.getDefaultPeriodicBoxVectors()[0][0].value_in_unit(unit.nanometer))
+
+
+def build(kind: str, water: Water, cutoffs: Cutoffs) -> openmm.System:
+    """The System of a box with one of the two interactions.
 
     Args:
         kind: `MOLECULAR` or `PME`.
-        n: number of molecules.
-        edge: of the cube, nm.
+        water: the box.
         cutoffs: where the interactions end.
 
     Raises:
         ValueError: the kind is unknown or the box too small.
-        ImportError: this OpenMM is too old for the molecular cut-off.
     """
-    makers = {MOLECULAR: molecular_force, PME: pme_force}
-    if kind not in makers:
-        raise ValueError(f"the kind of liquid must be one of {', '.join(makers)}, got {kind!r}")
-    system = _empty_system(n, edge)
-    system.addForce(makers[kind](n, edge, cutoffs))
+    if kind not in (MOLECULAR, PME):
+        raise ValueError(f"the kind of liquid must be one of {MOLECULAR}, {PME}, got {kind!r}")
+    system = openmm.XmlSerializer.clone(water.system)
+    (nonbonded,) = (i for i, force in enumerate(system.getForces()) if isinstance(force, openmm.NonbondedForce))
+    if kind == MOLECULAR:
+        while system.getNumForces():
+            system.removeForce(0)
+        system.addForce(molecular_force(water.edge, cutoffs))
+    else:
+        _set_pme(system.getForce(nonbonded), cutoffs)
     return system
 
 
-def _empty_system(n: int, edge: float) -> openmm.System:
-    system = openmm.System()
-    system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
-    h_h = 2 * tip4p.R_OH * math.sin(tip4p.ANGLE / 2)
-    site = openmm.ThreeParticleAverageSite
-    for o in range(0, SITES * n, SITES):
-        for mass in (*tip4p.MASSES, 0.0):
-            system.addParticle(mass)
-        for a, b, distance in ((o, o + 1, tip4p.R_OH), (o, o + 2, tip4p.R_OH), (o + 1, o + 2, h_h)):
-            system.addConstraint(a, b, distance)
-        w = tip4p.M_WEIGHT
-        system.setVirtualSite(o + 3, site(o, o + 1, o + 2, 1 - 2 * w, w, w))
-    return system
-
-
-def molecular_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.Force:
+def molecular_force(edge: float, cutoffs: Cutoffs) -> openmm.Force:
     """The interaction with a smooth molecular cut-off, see `MolecularCutoff`."""
-    require()
     potential = MolecularCutoff(tip4p.SIGMA, tip4p.EPSILON, tip4p.CHARGE, cutoffs.molecular_on, cutoffs.molecular_off)
     potential.check_box(np.full(3, edge))
     force = openmm.PythonForce(potential)
@@ -83,35 +99,14 @@ def molecular_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.Force:
     return force
 
 
-def require() -> None:
-    """Check that this OpenMM supports the molecular cut-off.
-
-    Raises:
-        ImportError: this OpenMM is too old.
-    """
-    if not hasattr(openmm, "PythonForce"):
-        raise ImportError(
-            f"the molecular cut-off needs openmm.PythonForce, which OpenMM {openmm.version.version} does not have; "
-            "install a newer one with: pip install -U openmm"
-        )
-
-
-def pme_force(n: int, edge: float, cutoffs: Cutoffs) -> openmm.NonbondedForce:
-    """Particle-mesh Ewald electrostatics and a switched Lennard-Jones interaction."""
-    force = openmm.NonbondedForce()
-    force.setNonbondedMethod(openmm.NonbondedForce.PME)
+def _set_pme(force: openmm.NonbondedForce, cutoffs: Cutoffs) -> None:
+    """OpenMM's own sums, without the correction for the tail of Lennard-Jones, a constant."""
     force.setCutoffDistance(cutoffs.pme)
     force.setUseSwitchingFunction(True)
     force.setSwitchingDistance(cutoffs.pme_switch)
     force.setEwaldErrorTolerance(cutoffs.ewald_tolerance)
-    force.setUseDispersionCorrection(False)  # a constant
-    for o in range(0, SITES * n, SITES):
-        force.addParticle(0.0, tip4p.SIGMA, tip4p.EPSILON)
-        for charge in (tip4p.CHARGE, tip4p.CHARGE, -2 * tip4p.CHARGE):
-            force.addParticle(charge, 1.0, 0.0)
-        for a, b in itertools.combinations(range(o, o + SITES), 2):
-            force.addException(a, b, 0.0, 1.0, 0.0)
-    return force
+    force.setPMEParameters(0, 0, 0, 0)
+    force.setUseDispersionCorrection(False)
 
 
 def context(system: openmm.System, integrator: openmm.Integrator, kind: str) -> openmm.Context:
@@ -122,7 +117,27 @@ def context(system: openmm.System, integrator: openmm.Integrator, kind: str) -> 
     if kind == MOLECULAR:
         return openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
     platform = openmm.Platform.getPlatformByName("CPU")
-    return openmm.Context(system, integrator, platform, {"DeterministicForces": "true"})
+    return openmm.Context(system, integrator, platform, {"DeterministicForces": "true", "Threads": THREADS})
+
+
+def phase_point(
+    water: Water, kind: str, cutoffs: Cutoffs, temperature: float, time: float | None, seed: int
+) -> openmm.State:
+    """Positions and velocities from a run at constant temperature with an interaction of the two.
+
+    Args:
+        water: the box, which is minimized first.
+        kind, cutoffs: see `build`.
+        temperature: K.
+        time: of the run, ps; None goes on until the liquid has settled.
+        seed: of bath and velocities.
+    """
+    made = context(build(kind, water, cutoffs), SIERIntegrator(0.001, SIER2), kind)
+    made.setPositions(water.positions)
+    made.computeVirtualSites()
+    made.applyConstraints(1e-6)
+    openmm.LocalEnergyMinimizer.minimize(made, 100.0)
+    return equilibrate(made, temperature, seed, time).state
 
 
 def energies(context_: openmm.Context) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """The interaction of two water molecules under a smooth molecular cut-off, and its sum over pairs compiled by Numba.
 
-`switch` and `lennard_jones` have no branches: NumPy executes them on arrays of pairs, the compiled loop on one pair.
+`switch` and `lennard_jones` have no branches, so that tests execute them on arrays.
 """
 
 from __future__ import annotations
@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
+import numba
 import numpy as np
 
-from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.numba_compile import OPTIONS
 
 
@@ -32,15 +32,9 @@ def lennard_jones(square, sigma, epsilon):
     return repulsion - attraction, (12 * repulsion - 6 * attraction) / square
 
 
-def compiled_sum() -> Callable | None:
-    """`_sum_over_pairs`, compiled, or None where Numba is not to be used; some seven times faster than NumPy."""
-    return None if backend.active() is backend.NUMPY else _compile()
-
-
 @cache
-def _compile() -> Callable:
-    import numba
-
+def compiled_sum() -> Callable:
+    """`_sum_over_pairs`, compiled."""
     jit = numba.njit(**OPTIONS)
     return jit(_sum_over_pairs(jit(switch), jit(lennard_jones)))
 

@@ -6,26 +6,13 @@ of the third kind that is evaluated once over the whole span; nothing is shared 
 
 from __future__ import annotations
 
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
+import mpmath as mp
 import numpy as np
 
 #: Decimal digits that are carried.
 DIGITS = 34
-
-
-def require() -> ModuleType:
-    """The module mpmath.
-
-    Raises:
-        ModuleNotFoundError: it is not installed.
-    """
-    try:
-        return import_module("mpmath")
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("the reference of the free rotation needs mpmath: pip install mpmath") from error
 
 
 def squared_deviations(A: np.ndarray, body_L: np.ndarray, moments: np.ndarray, step: float, count: int) -> np.ndarray:
@@ -41,7 +28,6 @@ def squared_deviations(A: np.ndarray, body_L: np.ndarray, moments: np.ndarray, s
     Returns:
         (n,), with the rounding of the difference alone.
     """
-    mp = require()
     squares = np.empty(A.shape[2])
     with mp.workdps(DIGITS):
         time = mp.mpf(step) * count
@@ -61,18 +47,17 @@ def attitude(body_L: Any, moments: Any, time: Any) -> Any:
 
     Source: van Zon and Schofield (2007), Eqs. Pmatrix and integral.
     """
-    mp = require()
     with mp.workdps(max(DIGITS, mp.mp.dps)):
         l, I = [mp.mpf(float(x)) for x in body_L], [mp.mpf(float(x)) for x in moments]
         square = sum(x * x for x in l)
         if sum(x * x / i for x, i in zip(l, I, strict=True)) * I[1] < square:
             # The paper's U*: exchange x and z, reverse y.
             exchange = mp.matrix([[0, 0, 1], [0, -1, 0], [1, 0, 0]])
-            return exchange.T * _propagator(mp, [l[2], -l[1], l[0]], I[::-1], mp.mpf(time)) * exchange
-        return _propagator(mp, l, I, mp.mpf(time))
+            return exchange.T * _propagator([l[2], -l[1], l[0]], I[::-1], mp.mpf(time)) * exchange
+        return _propagator(l, I, mp.mpf(time))
 
 
-def _propagator(mp: Any, l: Any, I: Any, time: Any) -> Any:
+def _propagator(l: Any, I: Any, time: Any) -> Any:
     """P(t) in a frame in which 2 E I_y > L^2: L~_x keeps its sign, L_perp never vanishes."""
     Ix, Iy, Iz = I
     square = sum(x * x for x in l)
@@ -86,17 +71,17 @@ def _propagator(mp: Any, l: Any, I: Any, time: Any) -> Any:
     rate = side * mp.sign(1 / Ix - 1 / Iz) * mp.sqrt((square - twice_E * Iz) * (Ix - Iy) / (Ix * Iy * Iz))
 
     start = mp.atan2(l[1] / y_max, l[2] / z_max)
-    end, sn, cn, dn = _jacobi(mp, mp.ellipf(start, m) + rate * time, m)
+    end, sn, cn, dn = _jacobi(mp.ellipf(start, m) + rate * time, m)
     final = [x_max * dn, y_max * sn, z_max * cn]
 
     lean = -(z_max**2) / (square - z_max**2)
     mean_w = square / (square - z_max**2) * (mp.ellippi(lean, end, m) - mp.ellippi(lean, start, m)) / rate
     psi = L / Iz * (time + (twice_E * Iz / square - 1) * mean_w)
     c, s = mp.cos(psi), mp.sin(psi)
-    return _R1(mp, final, L) * mp.matrix([[c, s, 0], [-s, c, 0], [0, 0, 1]]) * _R1(mp, l, L).T
+    return _R1(final, L) * mp.matrix([[c, s, 0], [-s, c, 0], [0, 0, 1]]) * _R1(l, L).T
 
 
-def _jacobi(mp: Any, u: Any, m: Any) -> tuple[Any, Any, Any, Any]:
+def _jacobi(u: Any, m: Any) -> tuple[Any, Any, Any, Any]:
     """Amplitude, continued through the periods, and sn, cn, dn."""
     half_period = 2 * mp.ellipk(m)
     turns = mp.nint(u / half_period)
@@ -106,7 +91,7 @@ def _jacobi(mp: Any, u: Any, m: Any) -> tuple[Any, Any, Any, Any]:
     return turns * mp.pi + mp.asin(sn), sign * sn, sign * cn, dn
 
 
-def _R1(mp: Any, l: Any, L: Any) -> Any:
+def _R1(l: Any, L: Any) -> Any:
     x, y, z = l
     perp = mp.sqrt(x * x + y * y)
     return mp.matrix(

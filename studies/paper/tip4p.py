@@ -7,23 +7,18 @@ import math
 import numpy as np
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, Species
-from openmm_sier.dynamics.constants import GAS_CONSTANT, GRAM_PER_CM3
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 
 #: W. L. Jorgensen, J. Chandrasekhar, J. D. Madura, R. W. Impey and M. L. Klein, J. Chem. Phys. 79, 926 (1983), Table I:
-#: r(OH) = 0.9572 A, HOH = 104.52 deg, r(OM) = 0.15 A, q(H) = 0.52 e, A = 600e3 kcal A^12/mol, C = 610 kcal A^6/mol.
+#: r(OH) = 0.9572 A, HOH = 104.52 deg, q(H) = 0.52 e, A = 600e3 kcal A^12/mol, C = 610 kcal A^6/mol.
 R_OH = 0.09572
 ANGLE = math.radians(104.52)
-R_OM = 0.015
 CHARGE = 0.52
 SIGMA = 0.1 * (600e3 / 610) ** (1 / 6)
 EPSILON = 4.184 * 610**2 / (4 * 600e3)
 
 #: Masses of O, H, H as in OpenMM's force fields, dalton.
 MASSES = (15.99943, 1.007947, 1.007947)
-MOLECULE_MASS = sum(MASSES)
-
-#: Density of liquid water at 297 K and 1 atm, g/cm^3, from M. Tanaka et al., Metrologia 38, 301 (2001), Eq. 1.
-DENSITY = 0.99734
 
 #: Positions of O, H, H in a frame whose y axis is the bisector, nm.
 GEOMETRY = np.array(
@@ -33,9 +28,6 @@ GEOMETRY = np.array(
         [-R_OH * math.sin(ANGLE / 2), R_OH * math.cos(ANGLE / 2), 0.0],
     ]
 )
-
-#: Weight of each H in the position of M. The weight of O makes up the rest to 1.
-M_WEIGHT = R_OM / (2 * R_OH * math.cos(ANGLE / 2))
 
 
 def molecules(n: int) -> RigidBodies:
@@ -75,8 +67,3 @@ def _uniform_attitudes(n: int, rng: np.random.Generator) -> np.ndarray:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def box_edge(n: int) -> float:
-    """Edge in nm of the cube in which n molecules have the experimental density."""
-    return (n * MOLECULE_MASS / (DENSITY * GRAM_PER_CM3)) ** (1 / 3)

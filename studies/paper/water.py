@@ -7,15 +7,25 @@ mean of the latter.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import pandas as pd
 
+from openmm_sier.measure.report import Table
 from openmm_sier.measure.statistics import jackknife
-from studies.paper import liquids
-from studies.paper.methods import METHODS
-from studies.paper.water_runs import PhasePoint, Run, WaterSettings
+from studies import records, style
+from studies.methods import PAPER
+from studies.paper import liquids, published
+from studies.paper.water_runs import PhasePoint, WaterSettings
+from studies.records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.container import ErrorbarContainer
 
 #: Ranges of h/f in fs in which the order is read off. Above, higher orders contribute; below, rounding limits SIER4.
 #: With PME, whose single-precision forces leave an error of 0.005 %, no range is left for SIER4.
@@ -25,129 +35,84 @@ SLOPE_RANGES = {
 }
 
 
-@dataclass(frozen=True)
-class Point:
-    """One point of the figure.
-
-    Attributes:
-        kind, method, force_step_fs: of the point.
-        energy, energy_error: mean rms(H) over mean rms(V), and its standard error over the runs.
-        rms_H, rms_V: means over the runs, kJ/mol.
-        drift: mean slope of H in a run, kJ/mol/ps.
-        runs: number of runs.
-    """
-
-    kind: str
-    method: str
-    force_step_fs: float
-    energy: float
-    energy_error: float
-    rms_H: float
-    rms_V: float
-    drift: float
-    runs: int
+CROSSINGS = {
+    "system": "{kind}",
+    "paper": f"{published.CROSSING:g}",
+    "ours": "{ours}",
+    "ratio": "{ratio}",
+    "slope SIER2": "{slope_SIER2:.2f}",
+    "slope SIER4": "{slope_SIER4:.2f}",
+}
 
 
-@dataclass(frozen=True)
-class Crossing:
-    """Where SIER4 stops being better than SIER2.
-
-    Attributes:
-        kind: of the system.
-        force_step_fs, error: h/f in fs, and its standard error over the runs.
-        slopes: of the curves in `SLOPE_RANGES`, the orders of their methods.
-    """
-
-    kind: str
-    force_step_fs: float
-    error: float
-    slopes: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Water:
-    """Results of the experiment."""
-
-    settings: WaterSettings
-    box: str
-    edge: float
-    points: tuple[Point, ...]
-    crossings: tuple[Crossing, ...]
-
-
-def result_of(settings: WaterSettings, origin: str, edge: float, runs: Mapping[str, Sequence[Run]]) -> Water:
-    """The result of the experiment.
+def evaluate(settings: WaterSettings, edge: float, made: list[dict[str, Any]]) -> Record:
+    """What follows from the runs.
 
     Args:
         settings: of the experiment.
-        origin: of the box.
         edge: of the box, nm.
-        runs: from all phase points, by the kind of the liquid.
+        made: runs from all phase points, see `water_runs.make_runs`.
+
+    Returns:
+        `points`: for each kind, method and `force_step_fs` the mean rms(H) over the mean rms(V) in per cent with its
+        standard error over the runs, means of rms(H), rms(V) and the drift, and the number of runs that finished.
+        `crossings`: for each kind the h/f in fs above which SIER4 is no longer better than SIER2, and the slopes of the
+        curves in `SLOPE_RANGES`, the orders of their methods.
     """
-    points, crossings = [], []
-    for kind, made in runs.items():
-        samples = samples_of(settings, kind, made)
-        points += [_point(kind, *key, np.array(values)) for key, values in samples.items()]
-        crossings.append(_crossing(kind, samples))
-    return Water(settings, origin, edge, tuple(points), tuple(crossings))
+    runs = pd.DataFrame(made).astype({"rms_H": float, "rms_V": float, "drift": float})
+    points = [
+        _point(runs, kind, method.name, step)
+        for kind in settings.kinds
+        for method in PAPER
+        for step in settings.steps_of(method, PhasePoint(kind, 1))
+    ]
+    crossings = [_crossing(runs[runs["kind"] == kind], kind) for kind in settings.kinds]
+    tables = {"points": pd.DataFrame(points), "crossings": pd.DataFrame(crossings), "runs": runs}
+    return Record(asdict(settings), tables, {"edge": edge})
 
 
-def samples_of(settings: WaterSettings, kind: str, runs: Sequence[Run]) -> dict[tuple[str, float], list]:
-    """For each method and h/f the list of (rms(H), rms(V), drift) of the runs that finished."""
-    first = PhasePoint(kind, 1)
-    samples: dict[tuple[str, float], list] = {
-        (method.name, step): [] for method in METHODS for step in settings.steps_of(method, first)
-    }
-    for run in runs:
-        if run.found is not None:
-            samples[run.method, run.force_step_fs].append(run.found)
-    return samples
+def _percent(runs: pd.DataFrame) -> float:
+    return float(100 * runs["rms_H"].mean() / runs["rms_V"].mean())
 
 
-def _ratio(samples: np.ndarray) -> float:
-    return float(samples[:, 0].mean() / samples[:, 1].mean())
+def _point(runs: pd.DataFrame, kind: str, method: str, step: float) -> dict[str, Any]:
+    chosen = (runs["kind"] == kind) & (runs["method"] == method) & (runs["force_step_fs"] == step)
+    mine = runs[chosen].dropna(subset=["rms_H"])
+    value, error = jackknife(lambda kept: _percent(mine.iloc[kept]), len(mine)) if len(mine) else (math.nan, math.nan)
+    point = {"kind": kind, "method": method, "force_step_fs": step, "percent": value, "percent_error": error}
+    return point | mine[["rms_H", "rms_V", "drift"]].mean().to_dict() | {"runs": len(mine)}
 
 
-def _point(kind: str, method: str, step: float, samples: np.ndarray) -> Point:
-    if not samples.size:
-        nan = float("nan")
-        return Point(kind, method, step, nan, nan, nan, nan, nan, 0)
-    energy, error = jackknife(lambda kept: _ratio(samples[kept]), len(samples))
-    rms_H, rms_V, drift = (float(x) for x in samples.mean(axis=0))
-    return Point(kind, method, step, energy, error, rms_H, rms_V, drift, len(samples))
-
-
-def _crossing(kind: str, samples: dict[tuple[str, float], list]) -> Crossing:
-    runs = max(len(values) for values in samples.values())
+def _crossing(runs: pd.DataFrame, kind: str) -> dict[str, Any]:
+    numbers = np.sort(runs["number"].unique())
 
     def crossing_of(kept: np.ndarray) -> float:
-        curves = {name: _curve(samples, name, kept) for name in ("SIER2", "SIER4")}
-        return _intersection(curves["SIER2"], curves["SIER4"])
+        return intersection(*(_curve(runs, name, numbers[kept]) for name in ("SIER2", "SIER4")))
 
-    value, error = jackknife(crossing_of, runs)
-    everything = np.arange(runs)
-    slopes = {name: _slope(_curve(samples, name, everything), limits) for name, limits in SLOPE_RANGES[kind].items()}
-    return Crossing(kind, value, error, slopes)
+    value, error = jackknife(crossing_of, len(numbers))
+    slopes = {
+        f"slope_{name}": _slope(_curve(runs, name, numbers), SLOPE_RANGES[kind].get(name, (math.inf, math.inf)))
+        for name in ("SIER2", "SIER4")
+    }
+    return {"kind": kind, "force_step_fs": value, "force_step_fs_error": error} | slopes
 
 
-def _curve(samples: dict[tuple[str, float], list], method: str, kept: np.ndarray) -> dict[float, float]:
-    """h/f to rms(H)/rms(V), from the runs `kept`; from all runs where none of these exist."""
+def _curve(runs: pd.DataFrame, method: str, kept: np.ndarray) -> dict[float, float]:
+    """h/f to rms(H)/rms(V), from the phase points `kept`; from all where none of these have runs."""
     curve = {}
-    for (name, step), values in samples.items():
-        if name == method and values:
-            table = np.array(values)
-            usable = kept[kept < len(table)]
-            curve[step] = _ratio(table[usable] if usable.size else table)
+    for step, mine in runs[runs["method"] == method].dropna(subset=["rms_H"]).groupby("force_step_fs"):
+        usable = mine[mine["number"].isin(kept)]
+        curve[step] = _percent(mine if usable.empty else usable)
     return curve
 
 
-def _intersection(second: dict[float, float], fourth: dict[float, float]) -> float:
+def intersection(second: dict[float, float], fourth: dict[float, float]) -> float:
     """Where two curves cross for the last time, by interpolation in logarithms; NaN if they do not."""
     steps = sorted(set(second) & set(fourth))
     difference = np.array([np.log(fourth[s] / second[s]) for s in steps])
     changes = np.flatnonzero((difference[:-1] < 0) & (difference[1:] >= 0))
     if not changes.size:
-        return float("nan")
+        return math.nan
     i = int(changes[-1])
     fraction = -difference[i] / (difference[i + 1] - difference[i])
     return float(np.exp(np.log(steps[i]) + fraction * np.log(steps[i + 1] / steps[i])))
@@ -156,5 +121,75 @@ def _intersection(second: dict[float, float], fourth: dict[float, float]) -> flo
 def _slope(curve: dict[float, float], limits: tuple[float, float]) -> float:
     steps = np.array(sorted(s for s in curve if limits[0] <= s <= limits[1]))
     if steps.size < 2:
-        return float("nan")
+        return math.nan
     return float(np.polyfit(np.log(steps), np.log([curve[s] for s in steps]), 1)[0])
+
+
+# --- as text and figure ---
+
+
+def tables(record: Record) -> list[Table]:
+    """rms(H)/rms(V), methods side by side, and where SIER4 stops being better."""
+    settings, points = record.settings, record.tables["points"]
+    told = f"{_molecules(settings)}: rms(H)/rms(V) in %, {settings['runs']} runs of {settings['span']:g} ps"
+    made = []
+    for kind in settings["kinds"]:
+        mine = points[points["kind"] == kind].copy()
+        mine["text"] = [
+            published.number(value, error) if runs else "breaks"
+            for value, error, runs in zip(mine["percent"], mine["percent_error"], mine["runs"], strict=True)
+        ]
+        wide = mine.pivot(index="force_step_fs", columns="method", values="text").fillna("").reset_index()
+        columns = {"h/f (fs)": "{force_step_fs:g}"} | {method.name: f"{{{method.name}}}" for method in PAPER}
+        made.append(records.table(f"Liquid water, {kind}, {told}", wide, columns))
+    crossings = record.tables["crossings"].copy()
+    pairs = zip(crossings["force_step_fs"], crossings["force_step_fs_error"], strict=True)
+    crossings["ours"] = [published.number(value, error) for value, error in pairs]
+    crossings["ratio"] = [published.ratio(value, published.CROSSING) for value in crossings["force_step_fs"]]
+    title = "h/f in fs below which SIER4 conserves energy better than SIER2, and slopes of the curves"
+    return [*made, records.table(title, crossings, CROSSINGS)]
+
+
+def _molecules(settings: Any) -> str:
+    fewer = "" if settings["molecules"] == published.WATER_MOLECULES else f" (the paper: {published.WATER_MOLECULES})"
+    return f"{settings['molecules']} molecules{fewer}"
+
+
+def figure(record: Record, path: Path) -> None:
+    """Fig. 1, one panel a system, with the crossing marked."""
+    settings, points = record.settings, record.tables["points"]
+    title = f"Liquid water, {_molecules(settings)}, {settings['temperature']:g} K: energy error for the same work"
+    with style.figure(path, len(settings["kinds"]), title, sharey=True) as (_, panels):
+        for axes, crossing in zip(panels, record.tables["crossings"].to_dict("records"), strict=True):
+            kind = crossing["kind"]
+            mine = points[(points["kind"] == kind) & (points["runs"] > 0)]
+            for method in PAPER:
+                _draw(axes, mine[mine["method"] == method.name], method.name, crossing.get(f"slope_{method.name}"))
+            _mark_crossing(axes, crossing["force_step_fs"])
+            axes.set(xscale="log", yscale="log", xlabel="time step per force evaluation, h/f (fs)")
+            axes.set_title(kind + (", forces in single precision" if kind == liquids.PME else ""))
+            steps = sorted(mine["force_step_fs"].unique())
+            round_steps = [t for t in (0.1, 0.2, 0.5, 1, 2, 3, 5, 7) if steps[0] <= t <= steps[-1]]
+            style.plain_ticks(axes.xaxis, steps if len(steps) < 6 else round_steps)
+            handles, labels = axes.get_legend_handles_labels()
+            symbols = [bar[0] for bar in cast("list[ErrorbarContainer]", handles)]
+            axes.legend(symbols, labels, loc="upper left", fontsize=10)
+        panels[0].set_ylabel("rms(H) / rms(V)  (%)")
+
+
+def _draw(axes: Axes, points: pd.DataFrame, method: str, slope: float | None) -> None:
+    label = method if slope is None or not math.isfinite(slope) else f"{method}, slope {slope:.2f}"
+    # Methods that the paper found to coincide with SIER2 are drawn around the points of SIER2.
+    around = {"ls": "none", "mfc": "none", "ms": 11, "mew": 1.6, "zorder": 1}
+    special = around if method in ("MRDL", "SEJ4") else {"zorder": 3}
+    style.curves(axes, points, "force_step_fs", "percent", label=label, **special)
+
+
+def _mark_crossing(axes: Axes, ours: float) -> None:
+    axes.axvline(published.CROSSING, color=style.GREY, lw=1, ls=":")
+    text = f"dotted: the paper's crossing, {published.CROSSING:g} fs"
+    if math.isfinite(ours):
+        axes.axvline(ours, color=style.GREY, lw=1)
+        text = f"line: crossing at {ours:.2f} fs\n{text}"
+    box = {"fc": "white", "ec": "none", "alpha": 0.95}
+    axes.text(0.98, 0.03, text, transform=axes.transAxes, ha="right", color=style.GREY, fontsize=10, bbox=box)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidityError
-from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.observables import energy_drift, energy_fluctuation
+from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import rms
-from studies.files import replace_file
-from studies.paper import liquids, start
-from studies.paper.methods import FS, METHODS, Method, Progress
+from studies.methods import PAPER, Method
+from studies.paper import liquids
+from studies.paper.published import FS
+from studies.records import replace_file
 
 #: Beyond this rms(H)/rms(V) a method has broken down, and longer steps are not tried.
 BROKEN = 1.0
@@ -46,7 +47,7 @@ class WaterSettings:
     """Parameters of the experiment.
 
     Attributes:
-        molecules: number of them; `start.BOX_MOLECULES` come from the project's box.
+        molecules: number of them; all 512 of the project's box, or fewer.
         temperature: K.
         cutoffs: of both systems.
         kinds: which systems are run.
@@ -57,7 +58,7 @@ class WaterSettings:
             single-precision forces would hide the errors.
         span: length of a run, ps.
         runs, fine_runs: number of runs averaged.
-        relax: time between the starts of two runs, ps.
+        relax: time at constant temperature before the first phase point and between two, ps.
         sample_fs: time between two evaluations of H, fs, or the step if that is longer.
         seed: of everything random.
     """
@@ -101,24 +102,6 @@ QUICK = WaterSettings(
 )
 
 
-class Run(NamedTuple):
-    """One method at one step from one phase point.
-
-    Attributes:
-        method: name.
-        force_step_fs: h/f, fs.
-        found: rms(H), rms(V), kJ/mol, and the drift of H, kJ/mol/ps; None if the run did not finish.
-    """
-
-    method: str
-    force_step_fs: float
-    found: tuple[float, float, float] | None
-
-    @property
-    def broke_down(self) -> bool:
-        return self.found is None or self.found[0] > BROKEN * self.found[1]
-
-
 def phase_points(settings: WaterSettings) -> list[PhasePoint]:
     """All phase points of an experiment, starting with those that take longest."""
     kinds = [kind for kind in PREFIXES if kind in settings.kinds]
@@ -138,67 +121,61 @@ def phase_point(name: str, settings: WaterSettings) -> PhasePoint:
 
 
 def make_runs(
-    box: start.Box, point: PhasePoint, settings: WaterSettings, directory: Path | None, show: Progress
-) -> list[Run]:
+    water: liquids.Water, point: PhasePoint, settings: WaterSettings, directory: Path, report: Report = SILENT
+) -> list[dict[str, Any]]:
     """Runs of all methods and steps from one phase point.
 
     Args:
-        box: the liquid.
+        water: the liquid.
         point: where they start.
         settings: of the experiment.
-        directory: for the file of runs; runs that it already has are not repeated. None writes nothing.
-        show: gets the progress.
+        directory: for the file of runs; runs that it already has are not repeated.
+        report: gets progress.
+
+    Returns:
+        For each run its `kind`, `number` of the phase point, `method`, `force_step_fs`, and means about the run's own
+        means: `rms_H`, `rms_V` in kJ/mol and the `drift` of H in kJ/mol/ps, None if the run did not finish.
     """
-    plan = {method: settings.steps_of(method, point) for method in METHODS}
-    total, done = sum(1 / step for steps in plan.values() for step in steps), 0.0
-    found = {(run.method, run.force_step_fs): run for run in read_runs(directory)}
-    show("relaxing", 0.0)
-    *_, phase = start.phase_points(
-        box, point.kind, settings.cutoffs, settings.temperature, settings.relax, point.number, settings.seed
+    plan = [(method, step) for method in PAPER for step in settings.steps_of(method, point)]
+    known = {(run["method"], run["force_step_fs"]): run for run in read_runs(directory)}
+    # From a box of its own the liquid has to settle first; the project's has.
+    whole = water.molecules == liquids.water_box(512).molecules
+    time = settings.relax * point.number if whole else None
+    phase = liquids.phase_point(
+        water, point.kind, settings.cutoffs, settings.temperature, time, settings.seed + point.number
     )
-    runs: list[Run] = []
-    for method, steps in plan.items():
-        context = _context(box, point.kind, method, settings)
-        for step in steps:
-            show(f"{method.name}, h/f = {step:g} fs", done / total)
-            known = found.get((method.name, step))
-            run = known or _run(context, phase, method, step, settings)
-            runs.append(run)
-            if directory is not None and known is None:
-                keep_runs(runs, directory)
+    system = liquids.build(point.kind, water, settings.cutoffs)
+    runs: list[dict[str, Any]] = []
+    with report.progress(point.name, sum(1 / step for _, step in plan)) as advance:
+        done, broken = 0.0, set()
+        for method, step in plan:
+            advance(done, f"{point.name}: {method.name}, h/f = {step:g} fs")
             done += 1 / step
-            if run.broke_down:
-                break
+            if method.name in broken:
+                continue
+            if (run := known.get((method.name, step))) is None:
+                run = {"kind": point.kind, "number": point.number, "method": method.name, "force_step_fs": step}
+                run |= _run(system, point.kind, phase, method, step, settings)
+                replace_file(directory / FILE, json.dumps([*runs, run], indent=1) + "\n")
+            runs.append(run)
+            if run["rms_H"] is None or run["rms_H"] > BROKEN * run["rms_V"]:
+                broken.add(method.name)
     return runs
 
 
-def read_runs(directory: Path | None) -> list[Run]:
+def read_runs(directory: Path) -> list[dict[str, Any]]:
     """The runs of a phase point that are on disk."""
-    if directory is None or not (directory / FILE).exists():
-        return []
-    rows = json.loads((directory / FILE).read_text())
-    return [Run(method, step, None if found is None else tuple(found)) for method, step, found in rows]
-
-
-def keep_runs(runs: Sequence[Run], directory: Path) -> None:
-    """Write the runs of a phase point, for `read_runs`."""
-    replace_file(directory / FILE, lambda path: path.write_text(json.dumps(runs, indent=1) + "\n"))
-
-
-def _context(box: start.Box, kind: str, method: Method, settings: WaterSettings) -> openmm.Context:
-    system = liquids.build(kind, box.molecules, box.edge, settings.cutoffs)
-    integrator = SIERIntegrator(FS, scheme=method.scheme, rotation=method.rotation)
-    return liquids.context(system, integrator, kind)
+    path = directory / FILE
+    return json.loads(path.read_text()) if path.exists() else []
 
 
 def _run(
-    context: openmm.Context, phase: tuple[np.ndarray, np.ndarray], method: Method, step: float, settings: WaterSettings
-) -> Run:
+    system: openmm.System, kind: str, phase: openmm.State, method: Method, step: float, settings: WaterSettings
+) -> dict[str, float | None]:
     h = step * method.forces * FS
-    integrator = context.getIntegrator()
-    integrator.setStepSize(h)
-    context.setPositions(phase[0])
-    context.setVelocities(phase[1])
+    integrator = method.make(h)
+    context = liquids.context(system, integrator, kind)
+    context.setState(phase)
     stride = max(1, round(settings.sample_fs * FS / h))
     energies = []
     try:
@@ -210,10 +187,10 @@ def _run(
             kinetic, potential = liquids.energies(context)
             energies.append((kinetic + potential, potential))
     except (openmm.OpenMMException, RigidityError):
-        return Run(method.name, step, None)
+        return dict.fromkeys(("rms_H", "rms_V", "drift"))
     H, V = np.array(energies).T
-    if not np.isfinite(H).all():
-        return Run(method.name, step, None)
+    if not math.isfinite(H.sum()):
+        return dict.fromkeys(("rms_H", "rms_V", "drift"))
     time = h * stride * np.arange(len(H))
     # The paper takes H about its mean.
-    return Run(method.name, step, (energy_fluctuation(time, H, window=None), rms(V), energy_drift(time, H)[0]))
+    return {"rms_H": energy_fluctuation(time, H, window=None), "rms_V": rms(V), "drift": energy_drift(time, H)[0]}

@@ -6,11 +6,11 @@ import inspect
 
 import pytest
 from matplotlib.colors import to_rgb
+from studies.paper.methods import METHODS
 
 from openmm_sier.measure import sampling
 from studies import schemes, style
 from studies.bench import peers
-from studies.paper.methods import METHODS
 from tests.support.reports import Told
 
 COMPARED = {method.name for method, _ in schemes.known().values()}
