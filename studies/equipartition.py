@@ -158,7 +158,7 @@ def _row(liquid: Liquid, method: Method, dt: float, time: float, report: Report)
         density(liquid.bodies.masses.sum(), series.volume),
     )
     for name, values in zip(MEASURED, measured, strict=True):
-        row[name], row[f"{name}_error"] = mean_and_error(values)
+        row[name], row[f"{name}_error"], _ = mean_and_error(values)
     return row | {"drift": energy_drift(series.time, series.total)[0], "broken": ""}
 
 

@@ -23,6 +23,7 @@ from time import perf_counter, process_time
 import mdtraj
 import numpy as np
 import openmm
+from openmm_sier.measure.sampling import body_state
 
 from openmm_sier import RigidBodies, SIERIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics import backend
@@ -31,7 +32,6 @@ from openmm_sier.engines.temperature import MomentumConservation, temperatures
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.observables import energy_drift, energy_error, energy_fluctuation
-from openmm_sier.measure.sampling import body_state
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import block_means, mean_and_error
 from openmm_sier.prepare.pme import meshed_forces
@@ -111,7 +111,7 @@ def energy(options) -> None:
             time, total, potential = np.array(rows).T
             error = 100 * energy_error(time, total, potential)
             reference.setdefault(per_force, error)
-            drift, uncertainty = energy_drift(time, total)
+            drift, uncertainty, _ = energy_drift(time, total)
             print(
                 f"{name:8} {per_force:4g} fs per force: rms(H)/rms(V) {error:.4f} %, Verlet's over it "
                 f"{reference[per_force] / error:.1f}, rms(H) {energy_fluctuation(time, total):.4f} kJ/mol, "
@@ -174,10 +174,10 @@ def _kinds(rows: np.ndarray, conserves: bool) -> str:
     time, total, translation, rotation, flexible = rows
     kinds = {"water translation": translation, "water rotation": rotation, "others": flexible}
     kinds |= {"rotation - translation": rotation - translation, "others - translation": flexible - translation}
-    averages = ((kind, *mean_and_error(values)) for kind, values in kinds.items())
+    averages = ((kind, *mean_and_error(values)[:2]) for kind, values in kinds.items())
     told = [f"{kind} {mean:.2f} +- {error:.2f} K" for kind, mean, error in averages if not np.isnan(mean)]
     if conserves:
-        drift, uncertainty = energy_drift(time, total)
+        drift, uncertainty, _ = energy_drift(time, total)
         told.append(f"drift {drift:+.3f} +- {uncertainty:.3f} kJ/mol/ps")
         told.append(f"rms(H) {energy_fluctuation(time, total):.3f} kJ/mol")
     return f"{time[-1]:.1f} ps: {', '.join(told)}"
@@ -201,7 +201,7 @@ def dihedrals(options) -> None:
         one, other = (found[name].astype(float) for found in angles)
         told = []
         for function in (np.cos, np.sin):
-            (mean, error), (expected, known) = (mean_and_error(function(x), BLOCKS) for x in (one, other))
+            (mean, error), (expected, known) = (mean_and_error(function(x))[:2] for x in (one, other))
             told.append(
                 f"<{function.__name__}> {mean:+.4f} +- {error:.4f} and {expected:+.4f} +- {known:.4f} "
                 f"({(mean - expected) / np.hypot(error, known):+.1f} errors)"

@@ -99,7 +99,7 @@ def _row(liquid: Liquid, method: Method, dt: float, time: float, report: Report)
     except Unstable as error:
         return row | {"broken": str(error)}
     row["percent"] = 100 * energy_error(series.time, series.total, series.potential)
-    row["drift"], row["drift_error"] = energy_drift(series.time, series.total)
+    row["drift"], row["drift_error"], _ = energy_drift(series.time, series.total)
     return row
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_sier.measure.properties import Estimate
+from openmm_sier.measure.statistics import Estimate
 from studies import style
 
 #: Properties by their keys in rows, with their names in the table and labels in the figure.

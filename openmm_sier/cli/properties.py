@@ -9,15 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.cli import records
 from openmm_sier.cli.console import REPORT, table
-from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
+from openmm_sier.cli.finished_runs import FinishedRun, check_alike, open_runs
+from openmm_sier.cli.plan import Plan, RunError
+from openmm_sier.cli.records import RecordError
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.measure import properties
 from openmm_sier.measure.figures import can_draw, property_figure
 from openmm_sier.measure.forcefields import Box, describe, read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, read_samples
-from openmm_sier.measure.properties import Estimate
+from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from openmm_sier.observe import pressure
 
 #: Liquid water at 298.15 K and 1 bar: density, heat capacity, enthalpy of vaporization and dielectric constant by the
@@ -30,7 +31,8 @@ EXPERIMENT = {
     "dielectric": "78.4",
     "diffusion": "2.30",
     "viscosity": "0.890",
-    "peak": "2.57 at 0.280",
+    "peak": "2.57",
+    "peak distance": "0.280",
 }
 
 
@@ -85,13 +87,13 @@ class Run(NamedTuple):
 
 def _temperature(run: Run) -> Estimate | None:
     """The mean temperature, where there is no heat bath."""
-    return properties.mean(run.log["Temperature (K)"]) if run.plan.ensemble == "nve" else None
+    return mean_and_error(run.log["Temperature (K)"]) if run.plan.ensemble == "nve" else None
 
 
 def _mean_temperature(column: str, run: Run) -> Estimate | None:
     """None where nothing moves in this way: points do not rotate."""
     values = run.log[column]
-    return properties.mean(values) if np.isfinite(values).all() else None
+    return mean_and_error(values) if np.isfinite(values).all() else None
 
 
 def _capacity(run: Run) -> Estimate | None:
@@ -101,7 +103,7 @@ def _capacity(run: Run) -> Estimate | None:
 
 
 def _vaporization(run: Run) -> Estimate:
-    potential = properties.mean(run.log["Potential Energy (kJ/mole)"])
+    potential = mean_and_error(run.log["Potential Energy (kJ/mole)"])
     return properties.vaporization_enthalpy(potential, run.temperature, run.molecules)
 
 
@@ -119,6 +121,10 @@ def _rotation(run: Run) -> Estimate:
     return properties.rotation_time(run.samples.directions, run.samples.interval)
 
 
+def _maximum_of_pairs(which: int, run: Run) -> Estimate:
+    return properties.maximum_of_pairs(run.samples.distances, run.samples.pairs_by_frame)[which]
+
+
 def _viscosity(run: Run) -> Estimate | None:
     return None if run.tensors is None else properties.shear_viscosity(*run.stress)
 
@@ -127,11 +133,11 @@ ROWS = (
     Row("", "temperature, K", _temperature),
     Row("translation", "temperature of translation, K", partial(_mean_temperature, "Translational Temperature (K)")),
     Row("rotation", "temperature of rotation, K", partial(_mean_temperature, "Rotational Temperature (K)")),
-    Row("density", "density, g/cm³", lambda run: properties.mean(run.log["Density (g/mL)"])),
+    Row("density", "density, g/cm³", lambda run: mean_and_error(run.log["Density (g/mL)"])),
     Row(
         "energy",
         "potential energy, kJ/mol of molecules",
-        lambda run: properties.mean(run.log["Potential Energy (kJ/mole)"] / run.molecules),
+        lambda run: mean_and_error(run.log["Potential Energy (kJ/mole)"] / run.molecules),
     ),
     Row("vaporization", "enthalpy of vaporization, kJ/mol, rigid and without polarization", _vaporization),
     Row("capacity", "heat capacity (total energy or enthalpy), classical, J/mol/K", _capacity),
@@ -139,6 +145,8 @@ ROWS = (
     Row("viscosity", "shear viscosity, mPa s", _viscosity, of_motion=True),
     Row("diffusion", "self-diffusion in the box, 10⁻⁹ m²/s", _diffusion, of_motion=True),
     Row("", "rotational correlation time of second order, ps", _rotation, of_motion=True),
+    Row("peak", "maximum of the pair distribution", partial(_maximum_of_pairs, 0)),
+    Row("peak distance", "its distance, nm", partial(_maximum_of_pairs, 1)),
 )
 
 
@@ -158,7 +166,7 @@ def properties_of(
         RunError: runs differ in more than the seed and the length.
         RecordError, NoLiquidError, OSError: as their messages say.
     """
-    runs = read_runs(checkpoints, box, skip)
+    runs = read_runs(open_runs(checkpoints), box, skip)
     moving = runs[0].plan.ensemble != "hmc"
     if not moving:
         REPORT.note("trials of hybrid Monte Carlo are no motion: they give no diffusion, viscosity and rotation")
@@ -170,9 +178,18 @@ def properties_of(
     table(title, ("", "", "water, 298.15 K, 1 bar"), rows)
     if can_draw(REPORT):
         out.mkdir(parents=True, exist_ok=True)
-        samples = [run.samples for run in runs]
-        property_figure(samples, title, out / "properties.png", _integrals(stressed), moving)
+        samples = [run.samples for run in _written_as_often(runs)]
+        property_figure(samples, title, out / "properties.png", _integrals(_written_as_often(stressed)), moving)
         REPORT.note(f"wrote {out / 'properties.png'}")
+
+
+def _written_as_often(runs: Sequence[Run]) -> list[Run]:
+    """The runs whose frames and pressures are as far apart as those of the first: a figure has one axis of time."""
+
+    def intervals(run: Run) -> tuple[float, float]:
+        return run.plan.every, run.plan.pressure_tensor_every
+
+    return [run for run in runs if intervals(run) == intervals(runs[0])]
 
 
 def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[str]], list[Run]]:
@@ -188,7 +205,7 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
         given = [estimate for estimate in found.values() if estimate is not None]
         if not given:
             continue
-        value = properties.pooled(given)
+        value = pooled(given)
         rows.append([row.name, str(value), EXPERIMENT.get(row.key, "")])
         if row.key == "viscosity":
             stressed = [run for run in runs if found[run.plan.out] is not None]
@@ -196,10 +213,7 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
             viscosity = viscosity or value
         if row.key == "diffusion" and viscosity is not None and viscosity.value > 2 * viscosity.error:
             rows.append(_corrected(runs, value, viscosity))
-    pairs = np.mean([run.samples.pairs for run in runs], axis=0)
-    peak = int(pairs.argmax())
-    place = f"{pairs[peak]:.2f} at {runs[0].samples.distances[peak]:.3f}"
-    return [*rows, ["first maximum of the pair distribution, nm", place, EXPERIMENT["peak"]]], stressed
+    return rows, stressed
 
 
 def estimated(row: Row, runs: Sequence[Run]) -> dict[str, Estimate | None]:
@@ -221,7 +235,7 @@ def estimated(row: Row, runs: Sequence[Run]) -> dict[str, Estimate | None]:
 
 def _note_tail(runs: Sequence[Run]) -> None:
     """Print a note if the Green-Kubo integral has not converged."""
-    tail = properties.pooled([properties.viscosity_tail(*run.stress) for run in runs])
+    tail = pooled([properties.viscosity_tail(*run.stress) for run in runs])
     if tail.value > 3 * tail.error:
         REPORT.note(
             f"{tail} mPa s of the viscosity come from the second half of the {properties.MEMORY:g} ps to which the "
@@ -244,46 +258,24 @@ def _integrals(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray] | None:
     return np.arange(found.shape[1]) * runs[0].stress[1], found
 
 
-def read_runs(checkpoints: Sequence[Path], given: Path | None, skip: float) -> list[Run]:
-    """Runs that differ in their seeds alone; arguments and errors are those of `properties_of`."""
-    runs: list[Run] = []
-    boxes: dict[tuple, Box] = {}
-    for path in checkpoints:
-        checkpoint = path / "run.chk" if path.is_dir() else path
-        _, notes = records.read_checkpoint(checkpoint)
-        plan = noted_plan(checkpoint, notes["plan"])
-        if runs:
-            names = CONTINUED if given else (*CONTINUED, "box")
-            _check_alike(names, plan, runs[0].plan, checkpoint, checkpoints[0])
-        file = given or (None if plan.box is None else Path(plan.box))
-        if file is None:
-            raise RunError(f"{checkpoint} does not know its PDB file: name it with --box")
-        key = (file, str(plan.forcefield), plan.constraints)
-        if key not in boxes:
-            boxes[key] = read_box(file, plan.forcefield, plan.constraints)
-            REPORT.note(f"{file}: {describe(boxes[key])}")
-        box = boxes[key]
-        interval = plan.interval(plan.every) * plan.dt / 1000
-        samples = read_samples(Path(plan.out), box, interval, skip)
-        tensors = _log(Path(plan.pressure_tensor), skip) if plan.pressure_tensor else None
-        runs.append(Run(plan, _log(Path(plan.report), skip), samples, box.topology.getNumResidues(), tensors))
-    return runs
+def read_runs(runs: Sequence[FinishedRun], given: Path | None, skip: float) -> list[Run]:
+    """Logs and trajectories of runs that may be pooled; arguments and errors are those of `properties_of`."""
+    names = [name for name in runs[0].settings() if given is None or name != "box"]
+    for run in runs:
+        check_alike(run, runs[0], names, "properties are pooled over runs that differ in their seeds alone")
+    file = given or (None if runs[0].plan.box is None else Path(runs[0].plan.box))
+    if file is None:
+        raise RunError(f"{runs[0].checkpoint} does not know its PDB file: name it with --box")
+    box = read_box(file, runs[0].plan.forcefield, runs[0].plan.constraints)
+    REPORT.note(f"{file}: {describe(box)}")
+    return [_read(run, box, skip) for run in runs]
 
 
-def _check_alike(names: Sequence[str], plan: Plan, first: Plan, checkpoint: Path, reference: Path) -> None:
-    for name in names:
-        if name in ("seed", "out", "report", "bodies", "bodies_every", "pressure_tensor", "checkpoint_every"):
-            continue
-        if getattr(plan, name) != getattr(first, name):
-            raise RunError(
-                f"{checkpoint} has {name} {getattr(plan, name)}, {reference} has {getattr(first, name)}: properties "
-                "are pooled over runs that differ in their seeds alone"
-            )
-
-
-def _log(path: Path, skip: float) -> dict[str, np.ndarray]:
-    log = records.read_log(path)
-    kept = log["Time (ps)"] >= skip
-    if kept.sum() < 2:
-        raise RunError(f"{path} has no rows after {skip:g} ps")
-    return {name: values[kept] for name, values in log.items()}
+def _read(run: FinishedRun, box: Box, skip: float) -> Run:
+    # Logs come first: they are quickly read, and tell whether a run still goes on.
+    log, tensors = run.log(skip), run.tensors(skip)
+    interval = run.plan.interval(run.plan.every) * run.plan.dt / 1000
+    samples = read_samples(Path(run.plan.out), box, interval, skip)
+    if (frames := len(samples.volumes) + round(skip / interval)) != run.frames:
+        raise RecordError(f"{run.plan.out} has {frames} frames, {run.checkpoint} notes {run.frames}")
+    return Run(run.plan, log, samples, box.topology.getNumResidues(), tensors)

@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from openmm_sier.cli import records
 from openmm_sier.cli.console import REPORT, note, table
-from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
+from openmm_sier.cli.finished_runs import FinishedRun, check_alike, open_runs
+from openmm_sier.cli.plan import RunError
 from openmm_sier.cli.properties import ROWS, estimated, read_runs
-from openmm_sier.measure import properties
+from openmm_sier.measure.statistics import pooled
 from studies import style
 from studies.step_study import COLUMNS, StepRow, markdown, step_figure, step_table, with_shared_errors
-
-#: Settings in which runs of one point may differ.
-FREE = ("seed", "out", "report", "bodies", "bodies_every", "checkpoint_every")
 
 #: Settings that must be the same in all runs, so that points differ in box, method and step alone.
 SHARED = ("temperature", "pressure")
@@ -35,8 +32,8 @@ def study(runs: Sequence[Path], skip: float, out: Path) -> None:
         RecordError, NoLiquidError, OSError: as their messages say.
     """
     points = _finished(runs)
-    first = next(iter(points.values()))[0][1]
-    rows = with_shared_errors([_row(paths, skip) for paths in points.values()])
+    first = points[0][0].plan
+    rows = with_shared_errors([_row(point, skip) for point in points])
     head, cells = step_table(rows)
     pressure = f", {first.pressure:g} bar" if first.moves_volume else ""
     title = f"Water against the step, {first.temperature:g} K{pressure}"
@@ -50,39 +47,30 @@ def study(runs: Sequence[Path], skip: float, out: Path) -> None:
     note(f"wrote {', '.join(map(str, written))}")
 
 
-def _finished(runs: Sequence[Path]) -> dict[tuple, list[tuple[Path, Plan]]]:
+def _finished(paths: Sequence[Path]) -> list[list[FinishedRun]]:
     """The finished runs, by what they have in common."""
-    points: dict[tuple, list[tuple[Path, Plan]]] = {}
-    first: tuple[Path, Plan] | None = None
-    for path in runs:
-        checkpoint = path / "run.chk" if path.is_dir() else path
-        if path.is_dir() and not checkpoint.exists():
+    begun = []
+    for path in paths:
+        if path.is_dir() and not (path / "run.chk").exists():
             note(f"left out: {path} has no checkpoint yet")
+        else:
+            begun.append(path)
+    points: dict[tuple, list[FinishedRun]] = {}
+    for run in open_runs(begun):
+        if not run.complete:
+            note(f"left out: {run.checkpoint} is at step {run.notes['step']} of {run.plan.steps}")
             continue
-        _, notes = records.read_checkpoint(checkpoint)
-        plan = noted_plan(checkpoint, notes["plan"])
-        if notes["step"] < plan.steps:
-            note(f"left out: {checkpoint} is at step {notes['step']} of {plan.steps}")
-            continue
-        first = first or (checkpoint, plan)
-        _check_alike(checkpoint, plan, *first)
-        names = [name for name in (*CONTINUED, "box", "steps") if name not in FREE]
-        points.setdefault(tuple(str(getattr(plan, name)) for name in names), []).append((checkpoint, plan))
+        points.setdefault(tuple(run.settings().values()), []).append(run)
+        first = next(iter(points.values()))[0]
+        check_alike(run, first, SHARED, "a study is of one state of the liquid")
     if not points:
         raise RunError("no run is at its end")
-    return points
+    return list(points.values())
 
 
-def _check_alike(checkpoint: Path, plan: Plan, other: Path, reference: Plan) -> None:
-    for name in SHARED:
-        one, two = getattr(plan, name), getattr(reference, name)
-        if one != two:
-            raise RunError(f"{checkpoint} has {name} {one}, {other} has {two}: a study is of one state of the liquid")
-
-
-def _row(point: Sequence[tuple[Path, Plan]], skip: float) -> StepRow:
+def _row(point: Sequence[FinishedRun], skip: float) -> StepRow:
     """One point of the figure, from runs that differ in their seeds alone."""
-    runs = read_runs([path for path, _ in point], None, skip)
+    runs = read_runs(point, None, skip)
     plan = runs[0].plan
     name = f"{plan.method.name} HMC" if plan.ensemble == "hmc" else plan.method.name
     found = {}
@@ -90,6 +78,6 @@ def _row(point: Sequence[tuple[Path, Plan]], skip: float) -> StepRow:
         if row.key in COLUMNS:
             given = [value for value in estimated(row, runs).values() if value is not None]
             if given:
-                found[row.key] = properties.pooled(given)
+                found[row.key] = pooled(given)
     time = sum(float(np.ptp(run.log["Time (ps)"])) for run in runs)
     return StepRow(Path(plan.box or plan.out).stem, name, plan.dt, plan.dt / plan.method.forces, len(runs), time, found)

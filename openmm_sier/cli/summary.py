@@ -9,7 +9,7 @@ import numpy as np
 
 from openmm_sier.measure.observables import energy_drift, energy_error, energy_fluctuation
 from openmm_sier.measure.report import duration
-from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.measure.statistics import Estimate, mean_and_error
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
     return [
         *_energy_rows(time, H, V),
-        ("T_trans", _value(*mean_and_error(log["Translational Temperature (K)"]), "K", ".1f", ".1f")),
-        ("T_rot", _value(*mean_and_error(log["Rotational Temperature (K)"]), "K", ".1f", ".1f")),
+        ("T_trans", _value(mean_and_error(log["Translational Temperature (K)"]), "K")),
+        ("T_rot", _value(mean_and_error(log["Rotational Temperature (K)"]), "K")),
         *_flexible_rows(log),
         ("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"),
     ]
@@ -69,9 +69,9 @@ def _energy_rows(time: np.ndarray, H: np.ndarray, V: np.ndarray) -> list[tuple[s
     if np.isnan(H).any():
         return [("conserved energy H", "not known: OpenMM does not count the heat of its baths")]
     return [
-        ("drift of the conserved energy H", _value(*energy_drift(time, H), "kJ/mol/ps", "+.3g", ".1g")),
-        ("fluctuation rms(H)", _value(energy_fluctuation(time, H), math.nan, "kJ/mol")),
-        ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), math.nan, "%")),
+        ("drift of the conserved energy H", _value(energy_drift(time, H), "kJ/mol/ps")),
+        ("fluctuation rms(H)", _value(energy_fluctuation(time, H), "kJ/mol")),
+        ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), "%")),
     ]
 
 
@@ -79,7 +79,7 @@ def _flexible_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     values = log["Flexible Temperature (K)"]
     if np.isnan(values).all():
         return []
-    return [("T of flexible molecules", _value(*mean_and_error(values), "K", ".1f", ".1f"))]
+    return [("T of flexible molecules", _value(mean_and_error(values), "K"))]
 
 
 def acceptance_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
@@ -96,10 +96,9 @@ def acceptance_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
 
 def density_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     """The density, for the table after a run at constant pressure; the argument is that of `conservation_rows`."""
-    return [("density", _value(*mean_and_error(log["Density (g/mL)"]), "g/ml", ".4f", ".4f"))]
+    return [("density", _value(mean_and_error(log["Density (g/mL)"]), "g/ml"))]
 
 
-def _value(value: float, error: float, unit: str, form: str = ".3g", error_form: str = ".1g") -> str:
-    if math.isnan(value):
-        return "-"
-    return f"{value:{form}} {unit}" if math.isnan(error) else f"{value:{form}} ± {error:{error_form}} {unit}"
+def _value(found: Estimate | float, unit: str) -> str:
+    text = str(found) if isinstance(found, Estimate) else f"{found:.3g}"
+    return "-" if text in ("-", "nan") else f"{text} {unit}"

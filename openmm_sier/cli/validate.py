@@ -10,14 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_sier.cli import records
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.plan import CONTINUED, Plan, RunError, noted_plan
+from openmm_sier.cli.finished_runs import FinishedRun, open_runs
+from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.measure import validation
 from openmm_sier.measure.validation import Sampled, TooFewError, Verdict
-
-#: Settings in which runs of one state point may differ.
-FREE = ("seed", "out", "report", "bodies", "bodies_every", "every", "checkpoint_every", "unwrapped")
 
 
 class InvalidError(RuntimeError):
@@ -30,12 +27,16 @@ class Point(NamedTuple):
     """Runs that differ in their seeds alone.
 
     Attributes:
-        plan: of the first.
+        first: of the runs.
         logs: columns of the log of each run, without the skipped part.
     """
 
-    plan: Plan
+    first: FinishedRun
     logs: list[dict[str, np.ndarray]]
+
+    @property
+    def plan(self) -> Plan:
+        return self.first.plan
 
     @property
     def title(self) -> str:
@@ -93,7 +94,7 @@ def _at_constant_temperature(points: Sequence[Point]) -> Iterator[Checked]:
     ]
     for point, sample in samples:
         yield from _tried(point.title, partial(validation.kinetic_verdicts, sample))
-    pairs = list(_pairs(samples, lambda pair: pair[0].plan, ("temperature", "pressure")))
+    pairs = list(_pairs(samples, lambda pair: pair[0], ("temperature", "pressure")))
     for (one, first), (_, second) in pairs:
         title = f"{one.plan.method.name}, {one.plan.ensemble.upper()}, {one.plan.dt:g} fs"
         yield from _tried(title, partial(_compared, first, second))
@@ -113,9 +114,9 @@ def _suggest(point: Point, sample: Sampled) -> None:
 
 def _at_constant_energy(points: Sequence[Point]) -> Iterator[Checked]:
     still = [point for point in points if point.plan.ensemble == "nve"]
-    for two, one in _pairs(still, lambda point: point.plan, ("dt",)):
+    for two, one in _pairs(still, lambda point: point, ("dt",)):
         steps = one.plan.dt, two.plan.dt
-        found = validation.fluctuation(one.logs[0]), validation.fluctuation(two.logs[0])
+        found = validation.fluctuation(one.logs), validation.fluctuation(two.logs)
         yield Checked(f"{one.plan.method.name}, NVE", validation.order_verdict(steps, found, one.plan.method.order))
 
 
@@ -131,32 +132,20 @@ def _pressure(plan: Plan) -> float | None:
     return plan.pressure if plan.moves_volume else None
 
 
-def _pairs(items: Sequence[Any], plan_of: Callable[[Any], Plan], names: Sequence[str]) -> Iterator[tuple[Any, Any]]:
-    """Pairs of neighbouring items whose plans differ in just one of the settings named."""
+def _pairs(items: Sequence[Any], point_of: Callable[[Any], Point], names: Sequence[str]) -> Iterator[tuple[Any, Any]]:
+    """Pairs of neighbouring items whose points differ in just one of the settings named."""
     for name in names:
         groups: dict[tuple, list[Any]] = {}
         for item in items:
-            groups.setdefault(_key(plan_of(item), but=name), []).append(item)
+            groups.setdefault(tuple(point_of(item).first.settings(but=name).values()), []).append(item)
         for group in groups.values():
-            if getattr(plan_of(group[0]), name) is not None:
-                yield from pairwise(sorted(group, key=lambda item: getattr(plan_of(item), name)))
-
-
-def _key(plan: Plan, but: str = "") -> tuple:
-    """What two plans of one state point have in common."""
-    names = [name for name in (*CONTINUED, "box") if name not in (*FREE, but)]
-    return tuple(str(getattr(plan, name)) for name in names)
+            if getattr(point_of(group[0]).plan, name) is not None:
+                yield from pairwise(sorted(group, key=lambda item: getattr(point_of(item).plan, name)))
 
 
 def _read(runs: Sequence[Path], skip: float) -> list[Point]:
     points: dict[tuple, Point] = {}
-    for run in runs:
-        checkpoint = run / "run.chk" if run.is_dir() else run
-        plan = noted_plan(checkpoint, records.read_checkpoint(checkpoint)[1]["plan"])
-        log = records.read_log(Path(plan.report))
-        kept = log["Time (ps)"] >= skip
-        if kept.sum() < validation.FEWEST:
-            raise RunError(f"{plan.report} has {kept.sum()} rows after {skip:g} ps, {validation.FEWEST} are needed")
-        point = points.setdefault(_key(plan), Point(plan, []))
-        point.logs.append({name: values[kept] for name, values in log.items()})
+    for run in open_runs(runs):
+        point = points.setdefault(tuple(run.settings().values()), Point(run, []))
+        point.logs.append(run.log(skip))
     return list(points.values())

@@ -38,7 +38,7 @@ class LiquidSamples(NamedTuple):
         dipoles: (n, 3) of the box, e nm; None where molecules are charged, since it then depends on their images.
         volumes: (n,), nm^3.
         distances: (b,), nm, middles of the bins of pair distances.
-        pairs: (b,), radial distribution of the first atoms.
+        pairs_by_frame: (k, b), radial distribution of the first atoms in k frames, `APART` or more from each other.
     """
 
     interval: float
@@ -47,7 +47,12 @@ class LiquidSamples(NamedTuple):
     dipoles: np.ndarray | None
     volumes: np.ndarray
     distances: np.ndarray
-    pairs: np.ndarray
+    pairs_by_frame: np.ndarray
+
+    @property
+    def pairs(self) -> np.ndarray:
+        """(b,), radial distribution of the first atoms."""
+        return self.pairs_by_frame.mean(axis=0)
 
 
 class NoLiquidError(ValueError):
@@ -64,7 +69,8 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         skip: ps to leave out at the beginning.
 
     Raises:
-        NoLiquidError: there is more than one kind of molecule, or no rectangular periodic box.
+        NoLiquidError: there is more than one kind of molecule, no rectangular periodic box, or no frame.
+        ValueError: a position or an edge of the box is not finite.
         OSError: the file cannot be read.
     """
     first = _first_atoms(box)
@@ -72,23 +78,28 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     place = np.full(box.topology.getNumAtoms(), -1)
     place[box.listed] = np.arange(len(box.listed))
     oxygens = place[first]
-    frames, lengths, directions, dipoles, pairs, counted = [], [], [], [], [], []
-    stride = max(1, round(APART / interval))
+    frames, lengths, directions, dipoles, pairs = [], [], [], [], []
+    stride, first_frame, done = max(1, round(APART / interval)), round(skip / interval), 0
     sites = _Sites(box)
     count = min(len(first), 512)
     chosen = topology.select_pairs(oxygens[:count], oxygens)
     # All runs need the same bins, and their boxes may become smaller than that of the PDB file.
     reach = min(1.0, 0.45 * float(_edges(box, trajectory).min()))
     settings = {} if trajectory.suffix == ".h5" else {"top": topology}
-    for chunk in _chunks(mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=round(skip / interval), **settings)):
+    for chunk in _chunks(mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=first_frame, **settings)):
+        finite = np.isfinite(chunk.xyz).all(axis=(1, 2)) & np.isfinite(chunk.unitcell_lengths).all(axis=1)
+        if not finite.all():
+            number = first_frame + done + int(np.flatnonzero(~finite)[0]) + 1
+            raise ValueError(f"{trajectory}, frame {number}: a position or an edge of the box is not finite")
         frames.append(chunk.xyz[:, oxygens].astype(float))
         lengths.append(chunk.unitcell_lengths.astype(float))
         arms = (chunk.xyz[:, oxygens + 2] - chunk.xyz[:, oxygens + 1]).astype(float)
         directions.append(arms / np.linalg.norm(arms, axis=2, keepdims=True))
         dipoles.append(sites.dipoles(chunk.xyz))
-        distances, found = mdtraj.compute_rdf(chunk[::stride], chosen, r_range=(0.0, reach), bin_width=BIN)
-        pairs.append(found)
-        counted.append(len(chunk[::stride]))
+        for counted in range(-done % stride, len(chunk), stride):
+            distances, found = mdtraj.compute_rdf(chunk[counted], chosen, r_range=(0.0, reach), bin_width=BIN)
+            pairs.append(found)
+        done += len(chunk)
     if not frames:
         raise NoLiquidError(f"{trajectory} has no frames after {skip:g} ps")
     edges = np.concatenate(lengths)
@@ -99,7 +110,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         np.concatenate(dipoles) if sites.neutral else None,
         edges.prod(axis=1),
         distances,
-        np.average(pairs, axis=0, weights=counted),
+        np.array(pairs),
     )
 
 

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from openmm_sier.measure.statistics import rms, slope_and_error
+from openmm_sier.measure.statistics import Estimate, rms, slope_and_error
 
 #: Length in ps of the windows for the energy's fluctuation, so that it does not depend on the length of the run.
 WINDOW = 1.0
@@ -65,6 +65,6 @@ def energy_error(time: np.ndarray, total: np.ndarray, potential: np.ndarray, win
     return energy_fluctuation(time, total, window) / spread if spread > 0 else math.nan
 
 
-def energy_drift(time: np.ndarray, total: np.ndarray) -> tuple[float, float]:
-    """Slope of what is conserved in kJ/mol/ps and its standard error; see `slope_and_error`."""
+def energy_drift(time: np.ndarray, total: np.ndarray) -> Estimate:
+    """Slope of what is conserved in kJ/mol/ps; see `slope_and_error`."""
     return slope_and_error(time, total)

@@ -1,19 +1,155 @@
-"""Means, slopes and medians with their standard errors."""
+"""Estimates: values with standard errors. Of means of series, of slopes and medians, by the jackknife, over runs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
+#: Independent samples below which an error means little: a series so short does not show how long it remembers.
+FEWEST = 20
+
 #: Number of groups that the jackknife leaves out in turn.
 GROUPS = 40
+
+#: Runs from which on their scatter tells the error of their mean.
+ENOUGH_RUNS = 5
+
+
+class Estimate(NamedTuple):
+    """A value and its standard error.
+
+    Attributes:
+        value: NaN if there is none.
+        error: NaN if it is unknown, 0 for what does not fluctuate.
+        samples: number of independent samples that the error was found from; infinite if they were not counted. An
+            error from fewer than `FEWEST` is too small on average: from 5 samples it is 0.8 of what it should be, from
+            2 samples half.
+    """
+
+    value: float
+    error: float
+    samples: float = math.inf
+
+    def __str__(self) -> str:
+        """Two digits of the error, marked by ≥ where it is from few samples, and by ? where it is unknown."""
+        if math.isnan(self.value):
+            return "-"
+        if not math.isfinite(self.error):
+            return f"{self.value:.4g} ± ?"
+        if not self.error:
+            return f"{self.value:.4g}"
+        exponent = math.floor(math.log10(max(abs(self.value), self.error)))
+        if not -4 <= exponent < 7:
+            return f"({self.times(10.0**-exponent)})e{exponent}"
+        digits = max(0, 1 - math.floor(math.log10(self.error)))
+        return f"{self.value:.{digits}f} ± {'≥' if self.samples < FEWEST else ''}{self.error:.{digits}f}"
+
+    def times(self, factor: float) -> Estimate:
+        """In another unit."""
+        return self._replace(value=self.value * factor, error=self.error * abs(factor))
 
 
 def rms(values: np.ndarray) -> float:
     """Root mean square deviation from the mean."""
     return float(np.std(values))
+
+
+# --- means ---
+
+
+def mean_and_error(series: np.ndarray) -> Estimate:
+    """Mean of a correlated series (n,); the error is unknown for fewer than `FEWEST` values.
+
+    The variance of a mean of n values is that of the values over n/g, their number of independent samples. The variance
+    about the mean of the series is too small by the factor 1 - g/n.
+    """
+    values = np.asarray(series, dtype=float)
+    value, n = float(values.mean()), len(values)
+    if _is_constant(values) and n > 1:
+        return Estimate(value, 0.0)
+    samples = n / inefficiency(values)
+    error = rms(values) / math.sqrt(samples - 1) if n >= FEWEST and samples > 1 else math.nan
+    return Estimate(value, error, samples)
+
+
+def _is_constant(values: np.ndarray) -> bool:
+    """Whether values differ by rounding alone, as does the density of a box of constant volume."""
+    return bool(np.ptp(values) <= 1e-13 * np.abs(values).max())
+
+
+def inefficiency(values: np.ndarray) -> float:
+    """How many samples of a series (n,) are worth one independent sample; 1 for a constant series.
+
+    The sum of the correlation to where it first is negative, as `pymbar.timeseries.statistical_inefficiency` has it.
+
+    Source: Chodera et al., J. Chem. Theory Comput. 3, 26 (2007).
+    """
+    n = len(values)
+    if n < 3 or _is_constant(values):
+        return 1.0
+    products = mean_products(values - np.mean(values), n - 2)
+    lags = np.arange(1, n - 1)
+    correlation = products[1:] / products[0]
+    # Three lags always count: the correlation of what oscillates is negative early.
+    ends = np.flatnonzero((correlation <= 0) & (lags > 3))
+    summed = slice(ends[0] if ends.size else None)
+    return max(1.0, float(1 + 2 * (correlation * (1 - lags / n))[summed].sum()))
+
+
+def mean_products(values: np.ndarray, longest: int) -> np.ndarray:
+    """Mean over origins of the product of values (n, ...), summed over components, with those some samples later.
+
+    Args:
+        values: by time.
+        longest: number of samples in between, less than n; the result is (longest + 1,).
+
+    Source: Kneller et al., Comput. Phys. Commun. 91, 191 (1995), by fast Fourier transforms.
+    """
+    n = len(values)
+    transform = np.fft.rfft(values.reshape(n, -1), 2 * n, axis=0)
+    sums = np.fft.irfft((np.abs(transform) ** 2).sum(axis=1), 2 * n)[: longest + 1]
+    return sums / (n - np.arange(longest + 1))
+
+
+def of_independent(values: np.ndarray) -> Estimate:
+    """Mean of independent values (n,), n > 1; the error is from their scatter."""
+    return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(len(values))))
+
+
+def pooled(estimates: Sequence[Estimate]) -> Estimate:
+    """Mean over independent runs, each with the same weight.
+
+    The error is from their scatter if there are `ENOUGH_RUNS`, else from their errors.
+    """
+    values, errors, samples = np.array(estimates, dtype=float).T
+    if _is_constant(values) and not errors.any():
+        return Estimate(float(values.mean()), 0.0)
+    if len(values) >= ENOUGH_RUNS:
+        return of_independent(values)
+    return Estimate(float(values.mean()), float(np.linalg.norm(errors) / len(values)), float(samples.sum()))
+
+
+def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GROUPS) -> Estimate:
+    """An estimate from all of n samples, and its standard error from leaving out groups of them.
+
+    Args:
+        estimate: takes the indices of samples and returns a number.
+        n: number of samples; each is a group of its own if there are fewer than `groups`.
+        groups: how many, of neighbouring samples. In a series each must be longer than the correlation time.
+    """
+    value, k = estimate(np.arange(n)), min(n, groups)
+    if k < 2:
+        return Estimate(value, math.nan)
+    edges = np.linspace(0, n, k + 1).astype(int)
+    left_out = [estimate(np.r_[0:begin, end:n]) for begin, end in pairwise(edges)]
+    return Estimate(value, math.sqrt(k - 1) * float(np.std(left_out)))
+
+
+# --- slopes and medians ---
 
 
 def block_means(values: np.ndarray, blocks: int) -> np.ndarray:
@@ -23,20 +159,7 @@ def block_means(values: np.ndarray, blocks: int) -> np.ndarray:
     return values[len(values) - blocks * length :].reshape(blocks, length).mean(axis=1)
 
 
-def mean_and_error(values: np.ndarray, blocks: int = 20) -> tuple[float, float]:
-    """Mean of a correlated series and its standard error, from the scatter of the means of equal blocks.
-
-    Args:
-        values: the series; a remainder that fills no block is left out at its start.
-        blocks: how many, each of which must be longer than the correlation time. There are fewer where the series is so
-            short that a block would have fewer than two values; the error is NaN where it has fewer than four.
-    """
-    blocks = max(1, min(blocks, len(values) // 2))
-    means = block_means(values, blocks)
-    return float(means.mean()), float(means.std(ddof=1) / math.sqrt(blocks)) if blocks > 1 else math.nan
-
-
-def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> tuple[float, float]:
+def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> Estimate:
     """Slope of a straight line through a correlated series and its standard error, from the means of equal blocks.
 
     The error is that of independent block means, so blocks must be longer than the correlation time.
@@ -46,36 +169,20 @@ def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> tuple[flo
         blocks: how many. A series with fewer values has a slope but no error, one of two values or fewer has neither.
     """
     if len(x) < 3:
-        return math.nan, math.nan
+        return Estimate(math.nan, math.nan)
     if len(x) < blocks:
-        return float(np.polyfit(x - np.mean(x), y, 1)[0]), math.nan
+        return Estimate(float(np.polyfit(x - np.mean(x), y, 1)[0]), math.nan)
     means = block_means(x, blocks), block_means(y, blocks)
     (slope, _), covariance = np.polyfit(*means, 1, cov=True)
-    return float(slope), math.sqrt(covariance[0, 0])
+    return Estimate(float(slope), math.sqrt(covariance[0, 0]))
 
 
-def median_and_error(values: np.ndarray) -> tuple[float, float]:
+def median_and_error(values: np.ndarray) -> Estimate:
     """Median of independent values and its standard error, NaN for a single one.
 
     The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the
     distance of the quartiles, 1.349 sigma, so that outliers do not count.
     """
     low, median, high = np.percentile(values, [25, 50, 75])
-    return float(median), float(0.929 * (high - low) / math.sqrt(len(values))) if len(values) > 1 else math.nan
-
-
-def jackknife(estimate: Callable[[np.ndarray], float], n: int) -> tuple[float, float]:
-    """An estimate from all of n samples, and its standard error from leaving out groups of them.
-
-    Args:
-        estimate: takes the indices of samples and returns a number.
-        n: number of samples; each is a group of its own if there are fewer than `GROUPS`.
-    """
-    everything = np.arange(n)
-    groups = np.array_split(everything, min(n, GROUPS))
-    value = estimate(everything)
-    if len(groups) < 2:
-        return value, math.nan
-    left_out = np.array([estimate(np.setdiff1d(everything, group, assume_unique=True)) for group in groups])
-    k = len(groups)
-    return value, float(np.sqrt((k - 1) / k * ((left_out - left_out.mean()) ** 2).sum()))
+    error = float(0.929 * (high - low) / math.sqrt(len(values))) if len(values) > 1 else math.nan
+    return Estimate(float(median), error)

@@ -23,15 +23,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.measure.observables import WINDOW, energy_fluctuation
-from openmm_sier.measure.properties import inefficiency
+from openmm_sier.measure.observables import energy_fluctuation, number_of_windows
+from openmm_sier.measure.statistics import FEWEST, Estimate, inefficiency, of_independent
 from openmm_sier.observe.conservation import TEMPERATURES
 
 #: Standard errors beyond which a check fails. By chance, one number in 16000 lies so far out.
 LIMIT = 4.0
-
-#: Independent samples below which bootstrap errors mean little.
-FEWEST = 20
 
 #: Seed of the bootstrap, so that the same runs have the same verdict.
 BOOTSTRAP_SEED = 5
@@ -98,7 +95,7 @@ class Verdict(NamedTuple):
 
 def independent(*series: np.ndarray) -> np.ndarray:
     """One sample in g of k series (n,), with g the largest statistical inefficiency among them; (k, n/g)."""
-    every = math.ceil(max(inefficiency(values) if values.std() > 0 else 1.0 for values in series))
+    every = math.ceil(max(inefficiency(values) for values in series))
     return np.array(series)[:, ::every]
 
 
@@ -258,33 +255,32 @@ def _data(pv: Any, sample: Sampled) -> Any:
 # --- the order of the integrator ---
 
 
-def fluctuation(log: Mapping[str, np.ndarray]) -> tuple[float, float]:
-    """rms of the conserved energy of a run at constant energy and its standard error, kJ/mol, from windows of 1 ps."""
-    time, energy = log["Time (ps)"], log["Conserved Energy (kJ/mole)"]
-    windows = max(4, round(float(np.ptp(time)) / WINDOW))
-    parts = [
-        energy_fluctuation(t, e)
-        for t, e in zip(np.array_split(time, windows), np.array_split(energy, windows), strict=True)
-    ]
-    mean = math.sqrt(np.mean(np.square(parts)))
-    return mean, float(np.std(parts, ddof=1) / math.sqrt(windows))
+def fluctuation(logs: Sequence[Mapping[str, np.ndarray]]) -> Estimate:
+    """rms of the conserved energy of runs at constant energy, kJ/mol, from windows of 1 ps of all of them."""
+    squares = []
+    for log in logs:
+        time, energy = log["Time (ps)"], log["Conserved Energy (kJ/mole)"]
+        windows = max(4, number_of_windows(time))
+        for t, e in zip(np.array_split(time, windows), np.array_split(energy, windows), strict=True):
+            squares.append(energy_fluctuation(t, e) ** 2)
+    square = of_independent(np.array(squares))
+    root = math.sqrt(square.value)
+    return Estimate(root, square.error / (2 * root))
 
 
-def order_verdict(
-    steps: tuple[float, float], fluctuations: tuple[tuple[float, float], tuple[float, float]], order: int
-) -> Verdict:
+def order_verdict(steps: tuple[float, float], fluctuations: tuple[Estimate, Estimate], order: int) -> Verdict:
     """Whether fluctuations of the conserved energy at two steps are in the ratio that the order of a scheme demands.
 
     physical_validation has this test for second order alone.
 
     Args:
         steps: fs.
-        fluctuations: at these steps, with their standard errors.
+        fluctuations: at these steps.
         order: of the scheme.
     """
-    (one, first), (two, second) = fluctuations
-    expected, ratio = (steps[0] / steps[1]) ** order, one / two
-    error = math.hypot(first / one, second / two, NEXT_ORDER)
+    one, two = fluctuations
+    expected, ratio = (steps[0] / steps[1]) ** order, one.value / two.value
+    error = math.hypot(one.error / one.value, two.error / two.value, NEXT_ORDER)
     detail = f"ratio of fluctuations {ratio:.3g}, {expected:.3g} expected of order {order}"
     return Verdict(f"energy at {steps[0]:g} and {steps[1]:g} fs", abs(math.log(ratio / expected)) / error, 2, detail)
 

@@ -83,7 +83,7 @@ def _nanoseconds(sizes: list[int], rounds: int) -> dict[int, tuple[float, float]
             outside, _ = apart(clocks[n], partial(_run, contexts[n].getIntegrator(), calls))
             turn[i] = 1e9 * outside / (calls * STEPS * n)
     # The first turn does the set-up for later ones, and does not count.
-    return {n: median_and_error(values) for n, values in zip(sizes, found[1:].T, strict=True)}
+    return {n: median_and_error(values)[:2] for n, values in zip(sizes, found[1:].T, strict=True)}
 
 
 def _run(integrator: openmm.Integrator, calls: int) -> None:

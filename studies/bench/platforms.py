@@ -109,7 +109,7 @@ def _speeds(
     seconds = {name: np.maximum(values - reading, 1e-9) for name, values in seconds.items()}
     rows = []
     for name, (per_step, _) in METHODS.items():
-        over, error = median_and_error(seconds[name] / seconds[FORCES])
+        over, error, _ = median_and_error(seconds[name] / seconds[FORCES])
         speed = evaluations / float(np.median(seconds[name]))
         row: dict[str, Any] = {
             "platform": contexts[name].getPlatform().getName(),

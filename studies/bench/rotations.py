@@ -54,8 +54,8 @@ def time_rotations(sizes: Sequence[int], rounds: int, step: float = STEP) -> pd.
         with threads.use(1):
             seconds = interleaved(actions, rounds)
         for name, values in seconds.items():
-            cost, cost_error = median_and_error(1e9 * values / (repeats * n))
-            over, over_error = median_and_error(values / seconds["MRDL"])
+            cost, cost_error, _ = median_and_error(1e9 * values / (repeats * n))
+            over, over_error, _ = median_and_error(values / seconds["MRDL"])
             row = {"bodies": n, "name": name, "nanoseconds": cost, "nanoseconds_error": cost_error}
             rows.append(row | {"over_mrdl": over, "over_mrdl_error": over_error})
     return pd.DataFrame(rows)

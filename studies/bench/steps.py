@@ -78,7 +78,7 @@ def _ratios(copies: int, settings: BenchSettings, report: Report) -> list[dict[s
         ratios[f"{name} / the force calls in it"] = _over_own_force(name, contexts[name], max(FEWEST, rounds // 4))
     rows: list[dict[str, Any]] = []
     for name, (values, times) in ratios.items():
-        median, error = median_and_error(values)
+        median, error, _ = median_and_error(values)
         milliseconds = 1e3 * float(np.median(times)) / EVALUATIONS
         row = {"name": name, "molecules": molecules, "median": median, "median_error": error}
         rows.append(row | {"milliseconds": milliseconds})

@@ -108,7 +108,7 @@ def drift(parts: list[sampling.Series]) -> tuple[float, float]:
     precision let the energy walk at random, and the scatter about a straight line would make the error too small.
     """
     time, total = np.array([[part.time.mean(), part.total.mean()] for part in parts]).T
-    return mean_and_error(np.diff(total) / np.diff(time))
+    return mean_and_error(np.diff(total) / np.diff(time))[:2]
 
 
 def soak(options) -> dict:

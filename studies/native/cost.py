@@ -65,7 +65,7 @@ def main() -> None:
     for name in options.schemes:
         exact, native = (seconds[f"{CATALOGUE[name].name} {engine}"] for engine in ("exact", "native"))
         for title, ratios in (("native / exact", native / exact), ("native / Verlet", native / seconds["Verlet"])):
-            print(f"{CATALOGUE[name].name:7} {title:16} {'{:.3f} ± {:.3f}'.format(*median_and_error(ratios))}")
+            print(f"{CATALOGUE[name].name:7} {title:16} {median_and_error(ratios)}")
 
 
 if __name__ == "__main__":

@@ -50,7 +50,7 @@ def run(engine: str, options: argparse.Namespace) -> None:
         found = integrator.computeTemperatures()
         density = mass / context.getState().getPeriodicBoxVolume()._value * 1.66053907e-3
         rows.append([found.translation, found.rotation, found.rotation - found.translation, density])
-    cells = [mean_and_error(values) for values in np.array(rows).T]
+    cells = [mean_and_error(values)[:2] for values in np.array(rows).T]
     text = "  ".join(
         f"{name} {mean:.{digits}f} ± {error:.{digits}f}"
         for name, (mean, error), digits in zip(

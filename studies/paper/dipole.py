@@ -26,7 +26,7 @@ from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.measure.report import SILENT, Report, Table
-from openmm_sier.measure.statistics import jackknife
+from openmm_sier.measure.statistics import Estimate, jackknife
 from studies import records, style
 from studies.methods import PAPER, OwnMethod
 from studies.paper import published, tip4p
@@ -188,8 +188,8 @@ def _averages(energy: Spread, potential: Spread, momentum: Spread) -> dict[str, 
     ratio = 100 * energy.rms / potential.rms
     size = np.abs(momentum.mean)
     variance, rms = momentum.rms**2, momentum.rms
-    value, error = jackknife(lambda kept: float(ratio[kept].mean()), n)
-    Lz, Lz_error = jackknife(lambda kept: float(np.sqrt(variance[kept].mean()) / size[kept].mean()), n)
+    value, error, _ = jackknife(lambda kept: float(ratio[kept].mean()), n)
+    Lz, Lz_error, _ = jackknife(lambda kept: float(np.sqrt(variance[kept].mean()) / size[kept].mean()), n)
     return {
         "energy": value,
         "energy_error": error,
@@ -211,7 +211,7 @@ def tables(record: Record) -> list[Table]:
     what = (
         f"{settings['dipole']:g} D in {settings['field']:g} MV/m, {settings['bodies']} runs of {settings['span']:g} ps"
     )
-    energy = _beside(rows, "energy", published.ENERGY, lambda value, error: published.number(value, error))
+    energy = _beside(rows, "energy", published.ENERGY, lambda value, error: str(Estimate(value, error)))
     momentum = _beside(rows, "momentum", published.MOMENTUM, lambda value, error: f"{value:.2g}")
     return [
         records.table(f"Table 1, energy: rms(H)/rms(V) in %, {what}", energy, ENERGY, left=2),

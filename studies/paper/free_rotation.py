@@ -27,7 +27,7 @@ from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.measure.report import SILENT, Report, Table
-from openmm_sier.measure.statistics import jackknife
+from openmm_sier.measure.statistics import Estimate, jackknife
 from studies import records, style
 from studies.bench import rotations
 from studies.methods import PAPER, OwnMethod
@@ -147,7 +147,7 @@ def _curve(method: OwnMethod, step_fs: float, settings: FreeRotationSettings) ->
         if count in marks:
             squares.append(judge(state, start, bodies.species[0].moments, h, count))
     times, found = np.array(marks) * h, np.array(squares)
-    delta, error = np.array([jackknife(_root_mean(row), found.shape[1]) for row in found]).T
+    delta, error, _ = np.array([jackknife(_root_mean(row), found.shape[1]) for row in found]).T
     curve = pd.DataFrame({"time": times, "delta": delta, "delta_error": error})
     before, after = (_energies(each, bodies) for each in (start, state))
     energy = 100 * float(np.sqrt(((after - before) ** 2).mean()) / before.mean())
@@ -184,7 +184,7 @@ def summarize(times: np.ndarray, delta: np.ndarray, squares: np.ndarray) -> dict
     """
     moderate = np.flatnonzero(delta <= MODERATE)
     last = int(moderate[-1]) if moderate.size else 0
-    tau, tau_error = jackknife(
+    tau, tau_error, _ = jackknife(
         lambda kept: times[last] / (10 * math.sqrt(squares[last, kept].mean())), squares.shape[1]
     )
     decade = moderate[times[moderate] >= 0.099 * times[last]]
@@ -223,7 +223,7 @@ def _beside(row: dict[str, Any]) -> dict[str, str]:
     scale, unit = published.unit_of(tau)
     return {
         "paper": "as SIER2" if paper is None else published.picoseconds(paper, like=tau),
-        "ours": f"{published.number(tau / scale, row['tau_error'] / scale)} {unit}",
+        "ours": f"{Estimate(tau, row['tau_error']).times(1 / scale)} {unit}",
         "ratio": published.ratio(tau, paper),
         "median": published.picoseconds(row["tau_median"]),
         "power": published.picoseconds(row["tau_power"]),

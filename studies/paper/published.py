@@ -79,19 +79,6 @@ def unit_of(value: float) -> tuple[float, str]:
     return next(((scale, unit) for scale, unit in PS_UNITS if value >= scale), PS_UNITS[-1])
 
 
-def number(value: float, error: float | None = None) -> str:
-    """A value with its error: two digits of the error."""
-    if not math.isfinite(value):
-        return "-"
-    if error is None or not math.isfinite(error) or error <= 0:
-        return f"{value:.3g}"
-    if not 1e-3 <= abs(value) < 1e4:
-        exponent = math.floor(math.log10(abs(value)))
-        return f"({number(value / 10**exponent, error / 10**exponent)})e{exponent}"
-    places = max(0, 1 - math.floor(math.log10(error)))
-    return f"{value:.{places}f} ± {error:.{places}f}"
-
-
 def ratio(ours: float, paper: float | None) -> str:
     """Ours over the paper's."""
     if paper is None or not math.isfinite(ours):

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.measure.report import Table
-from openmm_sier.measure.statistics import jackknife
+from openmm_sier.measure.statistics import Estimate, jackknife
 from studies import records, style
 from studies.methods import PAPER
 from studies.paper import liquids, published
@@ -78,7 +78,9 @@ def _percent(runs: pd.DataFrame) -> float:
 def _point(runs: pd.DataFrame, kind: str, method: str, step: float) -> dict[str, Any]:
     chosen = (runs["kind"] == kind) & (runs["method"] == method) & (runs["force_step_fs"] == step)
     mine = runs[chosen].dropna(subset=["rms_H"])
-    value, error = jackknife(lambda kept: _percent(mine.iloc[kept]), len(mine)) if len(mine) else (math.nan, math.nan)
+    value, error = math.nan, math.nan
+    if len(mine):
+        value, error, _ = jackknife(lambda kept: _percent(mine.iloc[kept]), len(mine))
     point = {"kind": kind, "method": method, "force_step_fs": step, "percent": value, "percent_error": error}
     return point | mine[["rms_H", "rms_V", "drift"]].mean().to_dict() | {"runs": len(mine)}
 
@@ -89,7 +91,7 @@ def _crossing(runs: pd.DataFrame, kind: str) -> dict[str, Any]:
     def crossing_of(kept: np.ndarray) -> float:
         return intersection(*(_curve(runs, name, numbers[kept]) for name in ("SIER2", "SIER4")))
 
-    value, error = jackknife(crossing_of, len(numbers))
+    value, error, _ = jackknife(crossing_of, len(numbers))
     slopes = {
         f"slope_{name}": _slope(_curve(runs, name, numbers), SLOPE_RANGES[kind].get(name, (math.inf, math.inf)))
         for name in ("SIER2", "SIER4")
@@ -136,7 +138,7 @@ def tables(record: Record) -> list[Table]:
     for kind in settings["kinds"]:
         mine = points[points["kind"] == kind].copy()
         mine["text"] = [
-            published.number(value, error) if runs else "breaks"
+            str(Estimate(value, error)) if runs else "breaks"
             for value, error, runs in zip(mine["percent"], mine["percent_error"], mine["runs"], strict=True)
         ]
         wide = mine.pivot(index="force_step_fs", columns="method", values="text").fillna("").reset_index()
@@ -144,7 +146,7 @@ def tables(record: Record) -> list[Table]:
         made.append(records.table(f"Liquid water, {kind}, {told}", wide, columns))
     crossings = record.tables["crossings"].copy()
     pairs = zip(crossings["force_step_fs"], crossings["force_step_fs_error"], strict=True)
-    crossings["ours"] = [published.number(value, error) for value, error in pairs]
+    crossings["ours"] = [str(Estimate(value, error)) for value, error in pairs]
     crossings["ratio"] = [published.ratio(value, published.CROSSING) for value in crossings["force_step_fs"]]
     title = "h/f in fs below which SIER4 conserves energy better than SIER2, and slopes of the curves"
     return [*made, records.table(title, crossings, CROSSINGS)]

@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import openmm
 import pytest
 
-from openmm_sier.cli import records
-from openmm_sier.cli.plan import Options, new_plan
 from tests.support.canonical import P, T, log
 from tests.support.commands import complaint, run
+from tests.support.finished_runs import write_run
 
 pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
 
 FAILED = 5
 
 
-@pytest.fixture(scope="module")
-def state():
-    system = openmm.System()
-    system.addParticle(1.0)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions([[0.0, 0.0, 0.0]])
-    return context.getState(positions=True)
-
-
-def write_run(state, name, values, **options):
-    """A directory like that of an ensemble's member."""
-    Path(name).mkdir()
-    checkpoint = Path(name) / "run.chk"
-    plan = new_plan(Options(Path("box.pdb"), out=Path(name) / "run.dcd", **options))
-    records.write_checkpoint(checkpoint, state, {"plan": plan.noted(checkpoint)})
-    file = records.Log(Path(plan.report), tuple(values))
-    for row in np.transpose(list(values.values())):
-        file.write(row)
-    file.close()
-    return name
-
-
-def test_runs_that_differ_in_their_seeds_are_one(state, capsys):
+def test_runs_that_differ_in_their_seeds_are_one(capsys):
     options = {"ensemble": "npt", "temperature": T, "pressure": P}
-    runs = [write_run(state, f"seed{seed}", log(seed=seed, rows=200), seed=seed, **options) for seed in (1, 2)]
+    runs = [write_run(f"seed{seed}", log(seed=seed, rows=200), seed=seed, **options) for seed in (1, 2)]
     run("validate", *runs)
     said = capsys.readouterr().out
     assert "SIER4G, NPT, 300 K, 1000 bar, 6 fs, 2 runs" in said
@@ -51,8 +25,8 @@ def test_runs_that_differ_in_their_seeds_are_one(state, capsys):
     assert "a pressure higher by" in said
 
 
-def test_a_failed_check_is_the_exit_code(state, capsys):
-    write_run(state, "cold", log(heated=(1.0, 0.95)), ensemble="nvt", temperature=T, scheme="sier2", dt=4.0)
+def test_a_failed_check_is_the_exit_code(capsys):
+    write_run("cold", log(heated=(1.0, 0.95)), ensemble="nvt", temperature=T, scheme="sier2", dt=4.0)
     said = complaint_after_table(capsys, "cold")
     assert "rotation: mean kinetic energy of SIER2, NVT, 300 K, 4 fs by" in said
     run("validate", "cold", "--limit", "100")
@@ -66,11 +40,11 @@ def complaint_after_table(capsys, *arguments):
     return capsys.readouterr().err.splitlines()[-1]
 
 
-def test_state_points_are_compared_where_they_differ_in_one_setting(state, capsys):
+def test_state_points_are_compared_where_they_differ_in_one_setting(capsys):
     points = {"one": (T, P), "hot": (345.0, P), "pressed": (T, 1250.0)}
     for seed, (name, (temperature, pressure)) in enumerate(points.items()):
         values = log(temperature, pressure, seed=seed)
-        write_run(state, name, values, ensemble="npt", temperature=temperature, pressure=pressure)
+        write_run(name, values, ensemble="npt", temperature=temperature, pressure=pressure)
     run("validate", *points)
     said = " ".join(capsys.readouterr().out.split())
     assert "enthalpy at 300 and 345 K" in said
@@ -79,19 +53,19 @@ def test_state_points_are_compared_where_they_differ_in_one_setting(state, capsy
     assert said.count(" at ") == 2
 
 
-def test_the_order_at_constant_energy_is_the_schemes(state, capsys):
+def test_the_order_at_constant_energy_is_the_schemes(capsys):
     rng = np.random.default_rng(1)
     time = np.arange(1000) * 0.02
     for dt, width in ((4.0, 16.0), (2.0, 1.0)):
         values = log(rows=1000) | {"Time (ps)": time, "Conserved Energy (kJ/mole)": rng.normal(0, width, 1000)}
-        write_run(state, f"sier4-{dt:g}", values, scheme="sier4", dt=dt)
-        write_run(state, f"verlet-{dt:g}", values, scheme="verlet", dt=dt)
+        write_run(f"sier4-{dt:g}", values, scheme="sier4", dt=dt)
+        write_run(f"verlet-{dt:g}", values, scheme="verlet", dt=dt)
     run("validate", "sier4-4", "sier4-2")
     assert "16 expected of order 4" in " ".join(capsys.readouterr().out.split())
     assert "OpenMM Verlet, NVE" in complaint_after_table(capsys, "verlet-4", "verlet-2")
 
 
-def test_what_tells_nothing_is_refused(state, capsys):
-    write_run(state, "alone", log(), scheme="sier4")
+def test_what_tells_nothing_is_refused(capsys):
+    write_run("alone", log(), scheme="sier4")
     assert "nothing can be checked" in complaint(capsys, "validate", "alone")
     assert "has 10 rows after 390 ps" in complaint(capsys, "validate", "alone", "--skip", "390")

@@ -25,7 +25,7 @@ def within_three_errors(series, expected):
     fixed, so that three errors are exceeded always or never.
     """
     series = np.asarray(series)
-    mean, error = mean_and_error(series.reshape(len(series), -1).mean(axis=1))
+    mean, error, _ = mean_and_error(series.reshape(len(series), -1).mean(axis=1))
     print(f"{mean:.4f} +- {error:.4f}, expected {expected:.4f}, {(mean - expected) / error:+.1f} errors")
     # An error of more than this would let a wrong rule pass.
     assert error < 0.1 * abs(expected)

@@ -7,6 +7,7 @@ import pytest
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure import validation
+from openmm_sier.measure.statistics import Estimate
 from openmm_sier.measure.validation import LIMIT, ensemble_verdict, kinetic_verdicts, order_verdict, sampled
 from tests.support.canonical import DOF, ROWS, P, T, log
 
@@ -129,20 +130,34 @@ def test_correlated_samples_count_once():
 
 
 def test_the_order_is_that_of_the_ratio():
-    clean = (16.0, 0.0), (1.0, 0.0)
+    clean = Estimate(16.0, 0.0), Estimate(1.0, 0.0)
     assert order_verdict((2, 1), clean, 4).distance < 0.1
     # log(16/4) and log(16/8) over the share of the next order, 0.1.
     assert order_verdict((2, 1), clean, 2).distance > LIMIT
     assert order_verdict((2, 1), clean, 3).distance > LIMIT
     # Fluctuations that are hardly known tell nothing.
-    assert order_verdict((2, 1), ((16.0, 8.0), (1.0, 0.5)), 2).distance < LIMIT
+    assert order_verdict((2, 1), (Estimate(16.0, 8.0), Estimate(1.0, 0.5)), 2).distance < LIMIT
 
 
-def test_the_fluctuation_of_a_log_has_an_error():
-    """Of independent normal values of width 3: 20 windows of 50, straight lines taken out."""
-    rng = np.random.default_rng(1)
+def test_the_fluctuation_is_that_of_all_logs(rng):
+    """Of independent normal values: in each log 20 windows of 50, straight lines taken out."""
     time = np.arange(1000) * 0.02
-    found, error = validation.fluctuation({"Time (ps)": time, "Conserved Energy (kJ/mole)": rng.normal(0, 3, 1000)})
-    # 3/sqrt(2*1000) = 0.07 of chance, 2 % less by the lines.
-    assert found == pytest.approx(2.94, abs=0.2)
-    assert 0.03 < error < 0.15
+
+    def drawn(*widths):
+        logs = [{"Time (ps)": time, "Conserved Energy (kJ/mole)": rng.normal(0, width, 1000)} for width in widths]
+        return validation.fluctuation(logs)
+
+    # 3/sqrt(2*1000) = 0.07 of chance, 2 % less by the lines. The error of 20 windows is known to 16 %.
+    one = drawn(3.0)
+    assert one.value == pytest.approx(2.94, abs=0.2)
+    assert one.error == pytest.approx(0.067, rel=0.5)
+    # With a run of another width the mean square is (3² + 1²)/2.
+    assert drawn(3.0, 1.0).value == pytest.approx(0.98 * 5**0.5, abs=0.2)
+    assert drawn(*[3.0] * 16).error == pytest.approx(one.error / 4, rel=0.5)
+
+
+def test_rare_rows_have_a_fluctuation(rng):
+    """Rows 1 ps apart: windows are longer than 1 ps, since a line through two values leaves nothing."""
+    log = {"Time (ps)": np.arange(40.0), "Conserved Energy (kJ/mole)": rng.normal(0, 3, 40)}
+    # 40 values know their width to 11 %; lines through windows of 8 take two of eight degrees of freedom.
+    assert validation.fluctuation([log]).value == pytest.approx(3 * 0.75**0.5, rel=0.5)

@@ -1,0 +1,179 @@
+"""Finished runs as other commands read them: plans, logs and pressure tensors, and what may be pooled."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from openmm_sier.cli import records
+from openmm_sier.cli.plan import Plan, RunError, noted_plan
+from openmm_sier.cli.records import RecordError
+from openmm_sier.measure.statistics import FEWEST
+from openmm_sier.observe import conservation, pressure
+
+#: Settings in which runs that are pooled may differ: their noise, their length, and their files. All others define the
+#: liquid, its state and how it is followed.
+FREE = (
+    *("seed", "steps", "out", "report", "bodies", "pressure_tensor", "unwrapped"),
+    *("every", "report_every", "checkpoint_every", "bodies_every", "pressure_tensor_every"),
+)
+
+#: Columns that are NaN throughout where the run has no such motion, no box, or a bath whose heat is not counted.
+UNKNOWN = {"Conserved Energy (kJ/mole)", *conservation.TEMPERATURES, "Box Volume (nm^3)", "Density (g/mL)"}
+
+
+class FinishedRun(NamedTuple):
+    """A run on disk, at its last checkpoint.
+
+    Attributes:
+        checkpoint: its path.
+        plan: of the run.
+        notes: of the checkpoint.
+    """
+
+    checkpoint: Path
+    plan: Plan
+    notes: dict[str, Any]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run is at its end."""
+        return self.notes["step"] >= self.plan.steps
+
+    def settings(self, but: str = "") -> dict[str, str]:
+        """What runs that are pooled have in common, by name; one may be left out."""
+        names = [field.name for field in fields(Plan) if field.name not in FREE and field.name != but]
+        found = {name: str(getattr(self.plan, name)) for name in names}
+        return found if self.plan.box is None else found | {"box": os.path.realpath(self.plan.box)}
+
+    def log(self, skip: float) -> dict[str, np.ndarray]:
+        """Columns of the log without the first `skip` ps.
+
+        Raises:
+            RunError: fewer than `FEWEST` rows remain.
+            RecordError: see `read_rows`.
+        """
+        path, interval = Path(self.plan.report), self.plan.interval(self.plan.report_every)
+        # The first row is the start.
+        return _after(skip, path, read_rows(path, conservation.COLUMNS, self._count("log"), interval, 0))
+
+    def tensors(self, skip: float) -> dict[str, np.ndarray] | None:
+        """Columns of the pressure tensors likewise; None where the run wrote none."""
+        if self.plan.pressure_tensor is None:
+            return None
+        path, interval = Path(self.plan.pressure_tensor), self.plan.interval(self.plan.pressure_tensor_every)
+        return _after(skip, path, read_rows(path, pressure.COLUMNS, self._count("tensors"), interval, interval))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames in the trajectory."""
+        return self._count("trajectory")
+
+    def _count(self, file: str) -> int:
+        try:
+            return int(self.notes[file]["count"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise RecordError(f"{self.checkpoint} does not note the length of its {file}") from error
+
+
+def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
+    """Runs by their checkpoints, or by directories of an ensemble's members.
+
+    Raises:
+        RunError: two are one run.
+        RecordError, OSError: a checkpoint cannot be read.
+    """
+    runs: list[FinishedRun] = []
+    seen: dict[tuple, Path] = {}
+    for path in paths:
+        checkpoint = path / "run.chk" if path.is_dir() else path
+        _, notes = records.read_checkpoint(checkpoint)
+        run = FinishedRun(checkpoint, noted_plan(checkpoint, notes["plan"]), notes)
+        # No two runs arrive at one energy to all digits.
+        end = (run.plan.seed, notes["step"], notes.get("potential_energy"), *run.settings().values())
+        if end in seen:
+            raise RunError(f"{checkpoint} is the same run as {seen[end]}: it would count twice")
+        seen[end] = checkpoint
+        runs.append(run)
+    return runs
+
+
+def check_alike(run: FinishedRun, first: FinishedRun, names: Sequence[str], reason: str) -> None:
+    """Refuse a run whose settings of these names are not those of the first.
+
+    Raises:
+        RunError: with the first difference and the reason.
+    """
+    mine, others = run.settings(), first.settings()
+    for name in names:
+        if mine[name] != others[name]:
+            raise RunError(f"{run.checkpoint} has {name} {mine[name]}, {first.checkpoint} has {others[name]}: {reason}")
+
+
+def read_rows(path: Path, columns: Sequence[str], count: int, interval: int, first: int) -> dict[str, np.ndarray]:
+    """All rows of a log of numbers, by column, if there are just those that its run wrote.
+
+    Args:
+        path: of the file.
+        columns: that it must have.
+        count: rows that the checkpoint notes.
+        interval: steps between rows.
+        first: step of the first row.
+
+    Raises:
+        RecordError: a column, a number or a row is missing, or there is one too many. It names file and line.
+        OSError: the file cannot be read.
+    """
+    heading, *lines = path.read_text().splitlines() or [""]
+    names = heading.split(",")
+    if missing := [name for name in columns if name not in names]:
+        raise RecordError(f"{path}, line 1: expected a heading with {missing[0]}, got {heading[:60]!r}")
+    rows = _numbers(path, lines, len(names))
+    values = dict(zip(names, rows.T, strict=True))
+    steps = first + interval * np.arange(len(rows))
+    if (wrong := np.flatnonzero(values["Step"] != steps)).size:
+        i = int(wrong[0])
+        raise RecordError(
+            f"{path}, line {i + 2}: expected step {steps[i]}, got {values['Step'][i]:g}: rows are missing or repeated"
+        )
+    if len(rows) != count:
+        line = min(len(rows), count) + 2
+        raise RecordError(
+            f"{path}, line {line}: expected {count} rows, as the checkpoint notes, got {len(rows)}: the run still goes "
+            "on, was cut off (run --restart mends that), or the file is not that of the checkpoint"
+        )
+    for name in columns:
+        wrong = np.flatnonzero(~np.isfinite(values[name]))
+        if wrong.size and not (name in UNKNOWN and np.isnan(values[name]).all()):
+            raise RecordError(f"{path}, line {wrong[0] + 2}: {name} is {values[name][wrong[0]]}, expected a number")
+    return values
+
+
+def _numbers(path: Path, lines: Sequence[str], width: int) -> np.ndarray:
+    try:
+        rows = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2) if lines else np.empty((0, width))
+        # Empty lines are left out.
+        if rows.shape == (len(lines), width):
+            return rows
+    except ValueError:
+        pass
+    for number, line in enumerate(lines, 2):
+        try:
+            if len([float(word) for word in line.split(",")]) == width:
+                continue
+        except ValueError:
+            pass
+        raise RecordError(f"{path}, line {number}: expected {width} numbers, got {line[:60]!r}")
+    raise RecordError(f"{path} is no file of numbers")
+
+
+def _after(skip: float, path: Path, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    kept = values["Time (ps)"] >= skip
+    if kept.sum() < FEWEST:
+        raise RunError(f"{path} has {kept.sum()} rows after {skip:g} ps, {FEWEST} are needed")
+    return {name: column[kept] for name, column in values.items()}
