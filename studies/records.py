@@ -20,6 +20,7 @@ import pandas as pd
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure.report import Table
+from openmm_sier.measure.statistics import Estimate
 from openmm_sier.version import __version__
 
 #: Packages that results can depend on.
@@ -121,6 +122,16 @@ def cell(form: str, row: Mapping[str, Any]) -> str:
     """What stands in one cell, see `table`."""
     text = form.format_map(row).replace(" ± nan", "").replace("±nan", "")
     return "-" if "nan" in text else text
+
+
+def with_text(frame: pd.DataFrame, *names: str) -> pd.DataFrame:
+    """A table in which `NAME_text` has each of these values with its error as text."""
+
+    def text(name: str) -> list[str]:
+        pairs = zip(frame[name], frame[f"{name}_error"], strict=True)
+        return [str(Estimate(value, error)) for value, error in pairs]
+
+    return frame.assign(**{f"{name}_text": text(name) for name in names})
 
 
 def markdown(made: Table) -> str:

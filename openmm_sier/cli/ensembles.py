@@ -1,8 +1,7 @@
 """The command `openmm-sier ensemble`: a plan in TOML, and its members on a pool of processes or on dask's workers.
 
-A plan names a command, the options that all members share, and the values of those that vary:
+A plan names the options of `openmm-sier run` that all members share, and the values of those that vary:
 
-    command = "run"
     [options]
     time = 20
     ensemble = "npt"
@@ -35,14 +34,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-#: Tables and keys of a plan.
-KEYS = ("command", "options", "members")
-
-#: Commands that members of an ensemble may execute. Repeating one gives the same bytes.
-COMMANDS = ("run", "equipartition", "schemes", "acceptance", "paper")
-
-#: Keys that are positional arguments, not options.
-POSITIONAL = ("box", "experiment")
+#: Tables of a plan.
+KEYS = ("options", "members")
 
 #: Options that the ensemble itself sets.
 TAKEN = ("out", "restart", "overwrite")
@@ -111,13 +104,11 @@ def read_plan(path: Path) -> list[Member]:
         raise PlanError(f"{path} is no TOML file: {error}") from None
     if unknown := sorted(set(plan) - set(KEYS)):
         raise PlanError(f"{path}: expected {', '.join(KEYS)}, got {', '.join(unknown)}")
-    command, shared, tables = plan.get("command", "run"), plan.get("options", {}), plan.get("members", {})
-    if command not in COMMANDS:
-        raise PlanError(f"{path}: command must be one of {', '.join(COMMANDS)}, got {command!r}")
+    shared, tables = plan.get("options", {}), plan.get("members", {})
     tables = tables if isinstance(tables, list) else [tables]
     if not all(isinstance(table, dict) for table in (shared, *tables)):
         raise PlanError(f"{path}: options and members are tables, [options] and [members]")
-    members = [member for table in tables for member in _combinations(path, command, shared, table)]
+    members = [member for table in tables for member in _combinations(path, shared, table)]
     names = [member.name for member in members]
     if len(set(names)) < len(names):
         raise PlanError(
@@ -127,7 +118,7 @@ def read_plan(path: Path) -> list[Member]:
     return members
 
 
-def _combinations(path: Path, command: str, shared: dict[str, Any], table: dict[str, Any]) -> list[Member]:
+def _combinations(path: Path, shared: dict[str, Any], table: dict[str, Any]) -> list[Member]:
     """All members of one table: its lists vary, and its other values are options of all its members."""
     for key, value in table.items():
         if value == []:
@@ -140,26 +131,23 @@ def _combinations(path: Path, command: str, shared: dict[str, Any], table: dict[
     axes = {key: values for key, values in table.items() if isinstance(values, list)}
     fixed = shared | {key: value for key, value in table.items() if key not in axes}
     return [
-        _member(path, command, fixed | dict(zip(axes, values, strict=True)), list(axes))
-        for values in product(*axes.values())
+        _member(path, fixed | dict(zip(axes, values, strict=True)), list(axes)) for values in product(*axes.values())
     ]
 
 
-def _member(path: Path, command: str, options: Mapping[str, Any], varied: list[str]) -> Member:
-    arguments = [command]
-    for key in POSITIONAL:
-        if key in options:
-            arguments.append(_text(path, options[key]))
+def _member(path: Path, options: Mapping[str, Any], varied: list[str]) -> Member:
+    arguments = ["run"]
+    if "box" in options:
+        arguments.append(_text(path, options["box"]))
     for key, value in options.items():
-        if key not in POSITIONAL:
+        if key != "box":
             arguments += _option(path, key, value)
     settings = _parsed(path, arguments)
     # The command line accepts abbreviated options, but a plan is kept and read again.
     if short := [key for key in options if key.replace("-", "_") not in vars(settings)]:
-        raise PlanError(f"{path}: {command} has no option {', '.join(short)}")
-    name = "-".join(_label(key, options[key]) for key in varied) or command
-    time = getattr(settings, "time", None) if command == "run" else None
-    return Member(name, tuple(arguments), time or 0.0)
+        raise PlanError(f"{path}: run has no option {', '.join(short)}")
+    name = "-".join(_label(key, options[key]) for key in varied) or "run"
+    return Member(name, tuple(arguments), settings.time or 0.0)
 
 
 def _option(path: Path, key: str, value: Any) -> list[str]:
@@ -192,4 +180,4 @@ def _label(key: str, value: Any) -> str:
     """A part of a member's name: what varies, in characters that every file system accepts."""
     text = Path(value).stem if isinstance(value, str) else str(value)
     text = "".join(c if c.isalnum() or c in "._" else "_" for c in text)
-    return text if key in (*POSITIONAL, "scheme", "ensemble") else f"{key}{text}"
+    return text if key in ("box", "scheme", "ensemble") else f"{key}{text}"

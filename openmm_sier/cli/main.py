@@ -10,7 +10,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from openmm_sier.cli import streams, study_commands
+from openmm_sier.cli import streams
 from openmm_sier.cli.methods import METHODS, RECOMMENDED
 from openmm_sier.cli.parser import FORCEFIELD_HELP, Parser, UsageError
 from openmm_sier.cli.plan import Options
@@ -25,6 +25,16 @@ CONSTRAINTS = ("none", "hbonds", "allbonds", "hangles")
 
 #: Exit codes. An error may have its own `exit_code`, and after signal n the code is 128 + n.
 FAILED, MISUSED, SIGNALLED = 1, 2, 128
+
+#: Commands of earlier versions that are studies now, which are in the repository and not installed.
+MOVED = {
+    "paper": "studies.paper",
+    "equipartition": "studies.equipartition",
+    "schemes": "studies.schemes",
+    "acceptance": "studies.acceptance",
+    "bench": "studies.bench",
+    "study": "studies.step_study",
+}
 
 EXIT_CODES = """exit codes:
   0    done
@@ -56,6 +66,13 @@ STEP_HELP = (
 
 def main(arguments: list[str] | None = None) -> int:
     """Execute a command line and return the exit code."""
+    command, *_ = [*(sys.argv[1:] if arguments is None else arguments), ""]
+    if command in MOVED:
+        print(
+            f"{streams.PROGRAM}: {command} is now `python -m {MOVED[command]}` in a copy of the repository",
+            file=sys.stderr,
+        )
+        sys.exit(MISUSED)
     try:
         options = build_parser().parse_args(arguments)
     except UsageError as error:
@@ -88,7 +105,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog=streams.PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action="version", version=f"{streams.PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_study, _add_info, *study_commands.ADDED):
+    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_info):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
@@ -287,28 +304,6 @@ def _validate(options: argparse.Namespace) -> None:
     from openmm_sier.cli import validate
 
     validate.validate(options.runs, options.skip, options.limit)
-
-
-# --- study ---
-
-
-def _add_study(commands: Commands) -> argparse.ArgumentParser:
-    parser = commands.add_parser(
-        "study",
-        help="density, energy, dielectric constant and diffusion against the step, from the runs of an ensemble",
-        description="Properties of a liquid by box, method and step, with standard errors. Runs that differ in their "
-        "seeds alone count as one. Writes a table in Markdown and a figure.",
-    )
-    _add_runs(parser)
-    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out"), help="for the table and the figure")
-    parser.set_defaults(execute=_study)
-    return parser
-
-
-def _study(options: argparse.Namespace) -> None:
-    from openmm_sier.cli import study
-
-    study.study(options.runs, options.skip, options.out)
 
 
 # --- info ---

@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """Ensembles whose workers are killed at random, beside an undisturbed serial run: files must be identical.
 
     python -m studies.checks.kill_ensemble [--members 24] [--kills 10] [--on pool dask] [--out DIR] [--time 0.4]
@@ -12,21 +11,21 @@ every few seconds a member's process, or a whole worker of dask, is killed.
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
-import shutil
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
+from typing import Literal
 
-from openmm_sier.measure.ensemble import WORKER, EnsembleError, Member, Outcome, ensemble
-from openmm_sier.measure.forcefields import shipped_box
+from openmm_sier.measure.ensemble import WORKER, Member, Outcome, ensemble
+from openmm_sier.measure.report import SILENT, Report
+from studies.command import BoxSettings, execute
 
 OPTIONS = "--scheme sier2 --dt 2 --ensemble nvt --platform CPU --equilibrate 0.02 --every 0.04 --checkpoint-every 0.04"
 
@@ -95,51 +94,62 @@ def on_dask(members: Sequence[Member], place: Path, kills: int) -> tuple[list[Ou
             return ensemble(members, place, client.get_executor(pure=False), threads=1), killer.done
 
 
-def undisturbed(members: Sequence[Member], place: Path, processes: int, threads: int) -> None:
+def undisturbed(members: Sequence[Member], place: Path, processes: int, threads: int, report: Report) -> None:
     begun = perf_counter()
     ensemble(members, place, processes=processes, threads=threads)
     used = f"{processes} at a time, {threads} threads each"
-    print(f"{len(members)} members, {used}: {perf_counter() - begun:.0f} s", flush=True)
+    report.note(f"{len(members)} members, {used}: {perf_counter() - begun:.0f} s")
 
 
 def files(place: Path) -> dict[Path, bytes]:
     return {p.relative_to(place): p.read_bytes() for p in sorted(place.rglob("run.*")) if p.suffix in (".csv", ".dcd")}
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--box", type=Path, default=None, help="default: 512 molecules of TIP3P")
-    parser.add_argument("--members", type=int, default=24)
-    parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--time", type=float, default=0.4, help="ps")
-    parser.add_argument("--on", nargs="+", default=["pool", "dask"], choices=("pool", "dask"))
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--throughput", action="store_true", help="time undisturbed runs by processes and threads")
-    options = parser.parse_args()
-    out = (options.out or Path(tempfile.mkdtemp())).resolve()
-    members = members_of((options.box or shipped_box()).resolve(), options.members, options.time)
-    undisturbed(members, out / "quiet", 1, 1)
-    if options.throughput:
-        undisturbed(members, out / "pool-undisturbed", 2, 1)
-        undisturbed(members, out / "threads", 1, os.cpu_count() or 1)
-    expected, wrong = files(out / "quiet"), 0
-    for name in options.on:
+@dataclass(frozen=True)
+class KillSettings(BoxSettings):
+    """What is run and killed.
+
+    Attributes:
+        members: their number, which differ in their seeds.
+        kills: how many.
+        time: of each member, ps.
+        on: where members run that are killed.
+        throughput: whether undisturbed runs are timed by processes and threads too.
+    """
+
+    members: int = 24
+    kills: int = 10
+    time: float = 0.4
+    on: tuple[Literal["pool", "dask"], ...] = ("pool", "dask")
+    throughput: bool = False
+
+
+def study(settings: KillSettings, report: Report = SILENT) -> None:
+    """Run, kill and compare.
+
+    Raises:
+        EnsembleError: a member failed.
+        ValueError: files differ.
+    """
+    place = settings.out.resolve()
+    members = members_of(settings.box.resolve(), settings.members, settings.time)
+    undisturbed(members, place / "quiet", 1, 1, report)
+    if settings.throughput:
+        undisturbed(members, place / "pool-undisturbed", 2, 1, report)
+        undisturbed(members, place / "threads", 1, os.cpu_count() or 1, report)
+    expected = files(place / "quiet")
+    for name in settings.on:
         begun = perf_counter()
-        try:
-            outcomes, killed = {"pool": on_pool, "dask": on_dask}[name](members, out / name, options.kills)
-        except EnsembleError as error:
-            print(f"{name}: {error}")
-            return 1
-        same = files(out / name) == expected
-        wrong += not same
-        print(
-            f"{name}: {perf_counter() - begun:.0f} s, {killed} kills, {sum(o.restarts for o in outcomes)} restarts; "
-            f"files {'are the same to the byte' if same else 'DIFFER'}",
-            flush=True,
-        )
-    if options.out is None:
-        shutil.rmtree(out)
-    return wrong
+        outcomes, killed = {"pool": on_pool, "dask": on_dask}[name](members, place / name, settings.kills)
+        restarts = sum(outcome.restarts for outcome in outcomes)
+        report.note(f"{name}: {perf_counter() - begun:.0f} s, {killed} kills, {restarts} restarts")
+        if files(place / name) != expected:
+            raise ValueError(f"files of {name} differ from those of the undisturbed run")
+        report.note(f"{name}: files are the same to the byte")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(KillSettings, study, __doc__, arguments)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """`openmm-sier run` on a small box of water, ended by signals at random moments and continued again and again.
 
     python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--ensemble npt] [--signals KILL TERM]
-        [--directory DIR]
 
 At the end the trajectory must have every frame once, in order. Trajectory, log and body states must be those of an
 undisturbed run: byte for byte for .dcd, .xtc and .csv files, number by number for .h5. A signal that can be handled
@@ -11,27 +10,25 @@ must give its exit code and, after the first step, leave a checkpoint of the ste
 
 from __future__ import annotations
 
-import argparse
-import importlib.util
 import re
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import h5py
 import mdtraj
 import numpy as np
-from openmm import unit
 
 from openmm_sier.cli import records
-from openmm_sier.measure import forcefields
-
-SYSTEMS = Path(__file__).resolve().parents[2] / "systems"
+from openmm_sier.measure.report import SILENT, Report
+from studies.boxes import write_lattice
+from studies.command import Settings, execute
 
 #: A frame every 4 steps, a row every 6, body states every 5 and a checkpoint every 10, so that many kills come while
 #: something is written.
@@ -51,7 +48,7 @@ PLAN += ["--every", "0.004", "--report-every", "0.006", "--checkpoint-every", "0
 PLAN += ["--bodies-every", "0.005"]
 
 #: Signals by the names that `kill` uses.
-SIGNALS = ("KILL", "TERM", "INT", "HUP")
+SIGNALS: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = ("KILL", "TERM", "INT", "HUP")
 
 #: Longest times in seconds to a kill. One kill in `ONE_IN` comes within `EARLY` of the start of the program, all others
 #: within `LATE` of the first checkpoint.
@@ -64,21 +61,8 @@ PATIENCE = 60.0
 ENDLESS = 100_000_000
 
 
-class Lost(RuntimeError):
+class Lost(ValueError):
     """Something did not survive the kills."""
-
-
-def write_box(path: Path, molecules: int = 27) -> None:
-    """A box of TIP3P water on a lattice."""
-    spec = importlib.util.spec_from_file_location("make", SYSTEMS / "make.py")
-    make = sys.modules["make"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(make)
-    topology = make.make_topology(molecules, 0)
-    edge = make.box_edge(topology, 0.997)
-    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
-    geometry = make.water_geometry(forcefields.load(["tip3p.xml"], SYSTEMS))
-    positions = make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(3)) * unit.nanometer
-    make.write(path, topology, positions, edge, ["FORCEFIELD tip3p.xml"])
 
 
 def command(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
@@ -94,7 +78,7 @@ def bodies_of(out: str) -> str:
     return f"{Path(out).stem}-bodies.h5"
 
 
-def killed_at(directory: Path, out: str, rng, early: bool, ensemble: str, name: str) -> None:
+def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, ensemble: str, name: str) -> None:
     """Start or continue the endless run and end it by a signal.
 
     Raises:
@@ -207,7 +191,7 @@ def kill_loop(
     Raises:
         Lost: something did not survive.
     """
-    write_box(directory / "box.pdb")
+    write_lattice(directory / "box.pdb", 27)
     rng, out, met = np.random.default_rng(seed), f"killed{suffix}", Counter(kills=kills)
     for number in range(kills):
         # Shifted by one in every `ONE_IN` kills, so that early kills meet all signals.
@@ -222,25 +206,34 @@ def kill_loop(
     return met
 
 
-def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=50, help="default: %(default)s")
-    parser.add_argument("--suffix", choices=list(records.FORMATS), default=".dcd", help="default: %(default)s")
-    parser.add_argument("--ensemble", choices=("nve", "nvt", "npt"), default="npt", help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=1, help="of the moments (default: %(default)s)")
-    parser.add_argument("--signals", choices=SIGNALS, nargs="+", default=SIGNALS, help="default: all, by turns")
-    parser.add_argument("--directory", type=Path, help="where the files are left (default: they are removed)")
-    options = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as temporary:
-        directory = options.directory or Path(temporary)
-        try:
-            met = kill_loop(directory, options.suffix, options.kills, options.ensemble, options.seed, options.signals)
-        except Lost as error:
-            print(f"kill_loop.py: {error}", file=sys.stderr)
-            return 1
-    print("\n".join(f"{name}: {count}" for name, count in met.items()))
-    print("every frame and row once, in order, as in the run that nothing disturbed")
-    return 0
+@dataclass(frozen=True)
+class LoopSettings(Settings):
+    """How often and how a run is killed.
+
+    Attributes:
+        kills: how many.
+        suffix: of the trajectory.
+        ensemble: of the run.
+        signals: which take turns.
+    """
+
+    kills: int = 50
+    suffix: Literal[".dcd", ".xtc", ".h5"] = ".dcd"
+    ensemble: Literal["nve", "nvt", "npt"] = "npt"
+    signals: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = SIGNALS
+    out: Path = Path("killed")
+
+
+def study(settings: LoopSettings, report: Report = SILENT) -> None:
+    """Kill a run in the directory `out`, which is left, and compare."""
+    met = kill_loop(settings.out, settings.suffix, settings.kills, settings.ensemble, settings.seed, settings.signals)
+    for name, count in met.items():
+        report.note(f"{name}: {count}")
+    report.note("every frame and row once, in order, as in the run that nothing disturbed")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(LoopSettings, study, __doc__, arguments)
 
 
 if __name__ == "__main__":

@@ -1,57 +1,53 @@
 """A long run at constant energy of a small box of water: what drifts, what stays rigid, what memory it takes.
 
-    python -m studies.checks.soak [--steps N] [--platform NAME] [--out FILE]
+    python -m studies.checks.soak [--steps N] [--platform NAME]
 
-prints a table and writes the same figures as JSON. The run is checked from time to time; for quantities that must stay
+prints a table and writes soak.json. The run is checked from time to time; for quantities that must stay
 small, the table has the largest value seen.
 """
 
 from __future__ import annotations
 
-import argparse
-import importlib.util
-import json
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 import openmm
+import pandas as pd
 from openmm import app, unit
 
 from openmm_sier import RigidBodies, SIERIntegrator
-from openmm_sier.cli.console import REPORT, clock, note, table
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.measure import forcefields, sampling
+from openmm_sier.measure import forcefields
 from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.report import duration
+from openmm_sier.measure.report import SILENT, Report, duration
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.measure.statistics import mean_and_error
-
-SYSTEMS = Path(__file__).resolve().parents[2] / "systems"
+from studies import boxes, records, sampling
+from studies.command import Settings, chosen, execute
+from studies.records import Record
 
 #: How often the run is checked, steps between two energies, and ps of equilibration.
 LOOKS, EVERY, EQUILIBRATION = 20, 500, 20.0
 
 
-def water(molecules: int, temperature: float, seed: int):
+def water(molecules: int) -> tuple[openmm.System, unit.Quantity]:
     """System and positions of a cubic box of TIP3P water on a lattice, at its density.
 
     The reaction field of a conductor and a switched Lennard-Jones potential leave no step at the cut-off, neither in
     the energy nor in the forces, so any drift is the integrator's.
     """
-    make = _program(SYSTEMS / "make.py")
-    forcefield = forcefields.load(["tip3p.xml"], SYSTEMS)
-    topology = make.make_topology(molecules, 0)
-    edge = make.box_edge(topology, make.water_density(temperature))
-    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
-    lattice = make.start_positions(molecules, 0, edge, make.water_geometry(forcefield), np.random.default_rng(seed))
-    cutoff = forcefields.LARGEST_CUTOFF * edge
-    system = forcefield.createSystem(
+    topology, lattice = boxes.on_lattice(molecules)
+    cutoff = forcefields.LARGEST_CUTOFF * topology.getUnitCellDimensions()[0]
+    system = forcefields.load(["tip3p.xml"]).createSystem(
         topology,
         nonbondedMethod=app.CutoffPeriodic,
-        nonbondedCutoff=cutoff * unit.nanometer,
-        switchDistance=0.8 * cutoff * unit.nanometer,
+        nonbondedCutoff=cutoff,
+        switchDistance=0.8 * cutoff,
         removeCMMotion=False,
     )
     nonbonded = next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
@@ -59,16 +55,7 @@ def water(molecules: int, temperature: float, seed: int):
     return system, lattice * unit.nanometer
 
 
-def _program(path: Path):
-    """A program of the project as a module."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def deformation(positions, bodies: RigidBodies) -> float:
+def deformation(positions: np.ndarray, bodies: RigidBodies) -> float:
     """The largest difference in nm between a distance in a body and the same in the reference geometry."""
     differences = [0.0]
     for species in bodies.species:
@@ -86,8 +73,8 @@ def memory() -> float:
     return next((int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS")), float("nan"))
 
 
-def look(context) -> dict[str, float]:
-    """The present figures of the Context and its bodies."""
+def look(context: openmm.Context) -> dict[str, float]:
+    """The present figures of the Context and its bodies, in nm, dalton nm/ps and MiB."""
     integrator = context.getIntegrator()
     bodies, state = integrator.bodies, integrator.getBodyState()
     positions = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
@@ -95,9 +82,9 @@ def look(context) -> dict[str, float]:
     return {
         "step": context.getStepCount(),
         "orthogonality": float(np.abs(products).max()),
-        "deformation_nm": deformation(positions, bodies),
-        "momentum_dalton_nm_per_ps": float(np.linalg.norm(bodies.total_momenta(state)[0])),
-        "memory_MiB": memory(),
+        "deformation": deformation(positions, bodies),
+        "momentum": float(np.linalg.norm(bodies.total_momenta(state)[0])),
+        "memory": memory(),
     }
 
 
@@ -111,76 +98,73 @@ def drift(parts: list[sampling.Series]) -> tuple[float, float]:
     return mean_and_error(np.diff(total) / np.diff(time))[:2]
 
 
-def soak(options) -> dict:
-    """Equilibrate, run, and return the figures."""
-    system, positions = water(options.molecules, options.temperature, options.seed)
-    integrator = SIERIntegrator(options.dt / 1000, CATALOGUE[options.scheme])
-    context = make_context(system, integrator, options.platform)
-    prepare(context, positions, options.temperature, options.seed, EQUILIBRATION, report=REPORT)
-    looks, parts, start = [look(context)], [], clock()
+@dataclass(frozen=True)
+class SoakSettings(Settings):
+    """What is run.
+
+    Attributes:
+        steps: their number.
+        scheme: by name.
+        dt: step, fs.
+        molecules: of water.
+        temperature: K.
+        platform: of OpenMM.
+    """
+
+    steps: int = 1_000_000
+    scheme: str = "sier2"
+    dt: float = 1.0
+    molecules: int = 64
+    temperature: float = 297.0
+    platform: str = "CPU"
+
+
+COLUMNS = {"": "{name}", " ": "{text}"}
+
+
+def study(settings: SoakSettings, report: Report = SILENT) -> Record:
+    """Equilibrate and run, and write soak.json.
+
+    Raises:
+        ValueError: there are too few steps, or no such scheme.
+    """
+    if settings.steps < LOOKS * EVERY:
+        raise ValueError(f"steps must be at least {LOOKS * EVERY}, got {settings.steps}")
+    (scheme,) = chosen((settings.scheme,), CATALOGUE, "scheme")
+    system, positions = water(settings.molecules)
+    integrator = SIERIntegrator(settings.dt / 1000, scheme)
+    context = make_context(system, integrator, settings.platform)
+    prepare(context, positions, settings.temperature, settings.seed, EQUILIBRATION, report=report)
+    looks, parts, begun = [look(context)], [], perf_counter()
     for _ in range(LOOKS):
-        parts.append(sampling.sample(context, integrator.bodies, options.steps // LOOKS, EVERY))
+        parts.append(sampling.sample(context, integrator.bodies, settings.steps // LOOKS, EVERY))
         looks.append(look(context))
-    seconds = clock() - start
-    return {
-        "openmm": openmm.__version__,
-        "settings": {**vars(options), "out": str(options.out)},
-        "seconds_per_step": seconds / looks[-1]["step"],
-        "degrees_of_freedom": integrator.bodies.dof,
-        "drift_kJ_per_mol_per_ps": drift(parts),
-        "kinetic_kJ_per_mol": float(np.mean([part.kinetic.mean() for part in parts])),
-        "rms_H_over_rms_V": float(np.mean([energy_error(p.time, p.total, p.potential) for p in parts])),
-        "energies_kJ_per_mol": [float(part.total.mean()) for part in parts],
-        "looks": looks,
+    seconds = (perf_counter() - begun) / looks[-1]["step"]
+    found = pd.DataFrame(looks)
+    slope, error = drift(parts)
+    thermal = 2 * float(np.mean([part.kinetic.mean() for part in parts]))
+    conserved = 100 * float(np.mean([energy_error(p.time, p.total, p.potential) for p in parts]))
+    momenta, memories = found["momentum"], found["memory"]
+    rows = {
+        "energy drift": f"{slope:+.2e} ± {error:.1e} kJ/mol/ps",
+        "the same in kT per degree of freedom": f"{1e3 * slope / thermal:+.2e} ± {1e3 * error / thermal:.1e} per ns",
+        "rms(H)/rms(V)": f"{conserved:.3f} %",
+        "largest |A A^T - 1|": f"{found['orthogonality'].max():.1e}",
+        "largest error of a distance in a molecule": f"{found['deformation'].max():.1e} nm",
+        "total momentum, first and last": f"{momenta.iloc[0]:.1e}, {momenta.iloc[-1]:.1e} dalton nm/ps",
+        "memory, first, middle and last": ", ".join(f"{memories.iloc[i]:.1f}" for i in (0, 10, -1)) + " MiB",
+        "wall time per step": duration(seconds),
     }
+    told = pd.DataFrame({"name": list(rows), "text": list(rows.values())})
+    title = f"{settings.molecules} molecules of water, {looks[-1]['step']} steps of {settings.dt:g} fs, {scheme.name}, "
+    report.table(records.table(f"{title}{settings.platform} platform", told, COLUMNS))
+    record = Record(settings.recorded(), {"looks": found, "told": told}, {})
+    record.write(settings.out / "soak.json")
+    return record
 
 
-def show(figures: dict) -> None:
-    """Print the table."""
-    settings, looks = figures["settings"], figures["looks"]
-    slope, error = figures["drift_kJ_per_mol_per_ps"]
-    thermal = 2 * figures["kinetic_kJ_per_mol"]
-    memories = [each["memory_MiB"] for each in looks]
-    rows = [
-        ("energy drift", f"{slope:+.2e} ± {error:.1e} kJ/mol/ps"),
-        ("the same in kT per degree of freedom", f"{1e3 * slope / thermal:+.2e} ± {1e3 * error / thermal:.1e} per ns"),
-        ("rms(H)/rms(V)", f"{100 * figures['rms_H_over_rms_V']:.3f} %"),
-        ("largest |A A^T - 1|", f"{max(each['orthogonality'] for each in looks):.1e}"),
-        ("largest error of a distance in a molecule", f"{max(each['deformation_nm'] for each in looks):.1e} nm"),
-        (
-            "total momentum, first and last",
-            "{:.1e}, {:.1e} dalton nm/ps".format(*(looks[i]["momentum_dalton_nm_per_ps"] for i in (0, -1))),
-        ),
-        ("memory, first, middle and last", "{:.1f}, {:.1f}, {:.1f} MiB".format(*(memories[i] for i in (0, 10, -1)))),
-        ("wall time per step", duration(figures["seconds_per_step"])),
-    ]
-    title = f"{settings['molecules']} molecules of water, {looks[-1]['step']} steps of {settings['dt']:g} fs, "
-    table(f"{title}{settings['scheme'].upper()}, {settings['platform']} platform", ("", ""), rows)
-
-
-def parse(arguments):
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=1_000_000, help="default: %(default)s")
-    parser.add_argument("--scheme", choices=sorted(CATALOGUE), default="sier2", help="default: %(default)s")
-    parser.add_argument("--dt", type=float, default=1.0, help="step in fs (default: %(default)s)")
-    parser.add_argument("--molecules", type=int, default=64, help="default: %(default)s")
-    parser.add_argument("--temperature", type=float, default=297.0, help="K (default: %(default)s)")
-    parser.add_argument("--platform", default="CPU", help="OpenMM's name of it (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="default: %(default)s")
-    parser.add_argument("--out", type=Path, default=Path("soak.json"), help="default: %(default)s")
-    options = parser.parse_args(arguments)
-    if options.steps < LOOKS * EVERY:
-        parser.error(f"--steps must be at least {LOOKS * EVERY}")
-    return options
-
-
-def main(arguments=None) -> int:
-    options = parse(arguments)
-    figures = soak(options)
-    options.out.write_text(json.dumps(figures, indent=1))
-    show(figures)
-    note(f"wrote {options.out}")
-    return 0
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(SoakSettings, study, __doc__, arguments)
 
 
 if __name__ == "__main__":

@@ -11,19 +11,18 @@ again. Needs the extra `validation`.
 
 from __future__ import annotations
 
-import argparse
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from openmm import unit
-
-from openmm_sier.cli import main
+from openmm_sier.cli.main import main as main_command
 from openmm_sier.cli.validate import InvalidError
-from openmm_sier.measure import forcefields
-from systems import make
+from openmm_sier.measure.report import SILENT, Report
+from studies.boxes import write_lattice
+from studies.command import Settings, execute
 
-MOLECULES, DENSITY, FORCEFIELD = 64, 0.997, "tip3p.xml"
+MOLECULES = 64
 
 PLAN = """[options]
 box = "box.pdb"
@@ -67,41 +66,47 @@ temperature = [297, 325]
 """
 
 
-def write_box(path: Path) -> None:
-    """Molecules on a lattice, for the runs to equilibrate."""
-    topology = make.make_topology(MOLECULES, 0)
-    edge = make.box_edge(topology, DENSITY)
-    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
-    geometry = make.water_geometry(forcefields.load([FORCEFIELD]))
-    rng = np.random.default_rng(3)
-    positions = make.start_positions(MOLECULES, 0, edge, geometry, rng) * unit.nanometer
-    make.write(path, topology, positions, edge, [f"FORCEFIELD {FORCEFIELD}"])
-
-
 def verdict(members: list[Path]) -> int:
     """The exit code of `openmm-sier validate`, 2 ps of each run left out."""
-    return main.main(["validate", *map(str, members), "--skip", "2"])
+    return main_command(["validate", *map(str, members), "--skip", "2"])
 
 
-def run(out: Path, time: float, processes: int) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    if not (out / "box.pdb").exists():
-        write_box(out / "box.pdb")
-    plan = out / "validate-water.toml"
-    plan.write_text(PLAN.format(time=time))
-    if main.main(["ensemble", str(plan), "--processes", str(processes)]):
-        sys.exit("some runs failed")
+@dataclass(frozen=True)
+class ValidationSettings(Settings):
+    """What is run.
+
+    Attributes:
+        time: of each run, ps.
+        processes: at a time.
+    """
+
+    time: float = 150.0
+    processes: int = 2
+    out: Path = Path("out/validate-water")
+
+
+def study(settings: ValidationSettings, report: Report = SILENT) -> None:
+    """Run and test.
+
+    Raises:
+        ValueError: runs failed, or a verdict is not the expected one.
+    """
+    if not (settings.out / "box.pdb").exists():
+        write_lattice(settings.out / "box.pdb", MOLECULES)
+    plan = settings.out / "validate-water.toml"
+    plan.write_text(PLAN.format(time=settings.time))
+    if main_command(["ensemble", str(plan), "--processes", str(settings.processes)]):
+        raise ValueError("some runs failed")
     directory = plan.with_suffix("")
-    passed = verdict(sorted(directory.glob("sier4g-*")))
-    found_out = verdict(sorted(directory.glob("sier2-*")))
-    print(f"exit codes: SIER4G and hybrid Monte Carlo {passed}, SIER2 at 4 fs {found_out}")
-    sys.exit((passed, found_out) != (0, InvalidError.exit_code))
+    found = verdict(sorted(directory.glob("sier4g-*"))), verdict(sorted(directory.glob("sier2-*")))
+    report.note("exit codes: SIER4G and hybrid Monte Carlo {}, SIER2 at 4 fs {}".format(*found))
+    if found != (0, InvalidError.exit_code):
+        raise ValueError(f"the exit codes should be 0 and {InvalidError.exit_code}")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(ValidationSettings, study, __doc__, arguments)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("out/validate-water"))
-    parser.add_argument("--time", metavar="PS", type=float, default=150.0, help="of each run (default: 150)")
-    parser.add_argument("--processes", metavar="N", type=int, default=2, help="default: 2")
-    options = parser.parse_args()
-    run(options.out, options.time, options.processes)
+    sys.exit(main())

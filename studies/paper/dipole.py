@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,7 +38,7 @@ from studies.records import Record
 DEBYE_MV_PER_M = 1e-21 / 299792458 * 1e6 * 6.02214076e23 / 1e3
 
 #: The look of the paper's values.
-OPEN = {"ls": "none", "mfc": "white", "mew": 1.8, "zorder": 3, "label": "_"}
+OPEN: dict[str, Any] = {"ls": "none", "mfc": "white", "mew": 1.8, "zorder": 3, "label": "_"}
 
 #: The paper's z axis in the lab frame of the computation.
 Z = np.array([1.0, 2.0, 2.0]) / 3

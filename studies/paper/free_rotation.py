@@ -262,7 +262,7 @@ def _continue(axes: Axes, curve: pd.DataFrame, row: dict[str, Any]) -> None:
         axes.plot([*last["time"], end], [*last["delta"], MODERATE], line, color=look["color"], lw=1.4, zorder=1)
     tau = published.TAU.get((row["method"], row["step_fs"]))
     if tau is not None:
-        open_symbol = {"mfc": "white", "mew": 1.8, "ms": 9, "zorder": 4, "clip_on": False}
+        open_symbol: dict[str, Any] = {"mfc": "white", "mew": 1.8, "ms": 9, "zorder": 4, "clip_on": False}
         axes.plot(tau, MODERATE, look["marker"], color=look["color"], **open_symbol)
 
 

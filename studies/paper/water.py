@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.measure.report import Table
-from openmm_sier.measure.statistics import Estimate, jackknife
+from openmm_sier.measure.statistics import jackknife
 from studies import records, style
 from studies.methods import PAPER
 from studies.paper import liquids, published
@@ -38,7 +38,7 @@ SLOPE_RANGES = {
 CROSSINGS = {
     "system": "{kind}",
     "paper": f"{published.CROSSING:g}",
-    "ours": "{ours}",
+    "ours": "{force_step_fs_text}",
     "ratio": "{ratio}",
     "slope SIER2": "{slope_SIER2:.2f}",
     "slope SIER4": "{slope_SIER4:.2f}",
@@ -136,17 +136,12 @@ def tables(record: Record) -> list[Table]:
     told = f"{_molecules(settings)}: rms(H)/rms(V) in %, {settings['runs']} runs of {settings['span']:g} ps"
     made = []
     for kind in settings["kinds"]:
-        mine = points[points["kind"] == kind].copy()
-        mine["text"] = [
-            str(Estimate(value, error)) if runs else "breaks"
-            for value, error, runs in zip(mine["percent"], mine["percent_error"], mine["runs"], strict=True)
-        ]
-        wide = mine.pivot(index="force_step_fs", columns="method", values="text").fillna("").reset_index()
+        mine = records.with_text(points[points["kind"] == kind], "percent")
+        mine["percent_text"] = mine["percent_text"].where(mine["runs"] > 0, "breaks")
+        wide = mine.pivot(index="force_step_fs", columns="method", values="percent_text").fillna("").reset_index()
         columns = {"h/f (fs)": "{force_step_fs:g}"} | {method.name: f"{{{method.name}}}" for method in PAPER}
         made.append(records.table(f"Liquid water, {kind}, {told}", wide, columns))
-    crossings = record.tables["crossings"].copy()
-    pairs = zip(crossings["force_step_fs"], crossings["force_step_fs_error"], strict=True)
-    crossings["ours"] = [str(Estimate(value, error)) for value, error in pairs]
+    crossings = records.with_text(record.tables["crossings"], "force_step_fs")
     crossings["ratio"] = [published.ratio(value, published.CROSSING) for value in crossings["force_step_fs"]]
     title = "h/f in fs below which SIER4 conserves energy better than SIER2, and slopes of the curves"
     return [*made, records.table(title, crossings, CROSSINGS)]
