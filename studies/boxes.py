@@ -49,7 +49,7 @@ def on_lattice(molecules: int, forcefield: str = "tip3p.xml", seed: int = 3) -> 
     return topology, make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(seed))
 
 
-def write_lattice(path: Path, molecules: int, forcefield: str = "tip3p.xml", named: bool = True) -> Path:
+def write_lattice(path: Path, molecules: int = 27, forcefield: str = "tip3p.xml", named: bool = True) -> Path:
     """A PDB file of `on_lattice`, which names its force field if `named`."""
     topology, positions = on_lattice(molecules, forcefield)
     edge = topology.getUnitCellDimensions()[0].value_in_unit(unit.nanometer)

@@ -13,14 +13,14 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.backend.formulas import body_frame
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidityError
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import equilibrated, make_context
 from openmm_sier.observe import stock
-from openmm_sier.system.find_bodies import RigidBodies
+from openmm_sier.system import find_bodies
 from studies import boxes
 from studies.command import BoxSettings
 from studies.methods import Method
@@ -99,7 +99,7 @@ def equilibrated_liquid(settings: BoxSettings, time: float, report: Report = SIL
     """
     box = boxes.read(settings)
     start = equilibrated(box, settings.temperature, settings.seed, time, settings.platform, report)
-    return Liquid(box.system, RigidBodies.from_system(box.system, box.topology), start, settings.platform)
+    return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)
 
 
 class Followed(NamedTuple):

@@ -57,7 +57,7 @@ SPEEDS = {
 }
 
 #: Simulated time per second at an energy error, a column for each.
-EQUAL = {f"{level:g} %": f"fs_per_second_at_{level:g}" for level in LEVELS}
+EQUAL = {f"{level:g} %": f"fs_per_second_at_{level:g}".replace(".", "_") for level in LEVELS}
 
 
 def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:

@@ -1,9 +1,9 @@
 """Averages of liquid water at 1 bar by hybrid Monte Carlo and by Langevin dynamics, and what a sample costs.
 
-    python -m studies.hmc.liquid run hmc --step 2 --time 400 --out hmc-2.npz
-    python -m studies.hmc.liquid run sier2 --step 4 --time 400 --out sier2-4.npz
-    python -m studies.hmc.liquid run langevin --step 0.25 --time 400 --out langevin-0.25.npz
-    python -m studies.hmc.liquid table *.npz        runs with several seeds are pooled
+    python -m studies.hmc.liquid run --method hmc --step 2 --time 400 --out hmc-2
+    python -m studies.hmc.liquid run --method sier2 --step 4 --time 400 --out sier2-4
+    python -m studies.hmc.liquid run --method langevin --step 0.25 --time 400 --out langevin-0.25
+    python -m studies.hmc.liquid table */liquid.json        runs with several seeds are pooled
 
 Steps are in fs for each force evaluation. `hmc` and `sier4g` make steps of SIER4G, `langevin` is OpenMM's
 LangevinMiddleIntegrator with its MonteCarloBarostat. All have the same System: PME with a cut-off of 0.7 nm, so that
@@ -12,33 +12,90 @@ many samples can be afforded.
 
 from __future__ import annotations
 
-import argparse
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
+from typing import Literal
 
 import numpy as np
 import openmm
+import pandas as pd
 from openmm import app, unit
-from pymbar.timeseries import statistical_inefficiency
+from tyro.conf import Positional
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, balance_pme
-from openmm_sier.measure.sampling import observe
+from openmm_sier.measure import forcefields
+from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
+from openmm_sier.measure.statistics import Estimate, inefficiency, mean_and_error
+from openmm_sier.observe.conservation import density
+from studies import records
+from studies.command import Settings, execute
+from studies.records import Record
+from studies.sampling import observe
 
-SYSTEMS = Path(__file__).resolve().parents[2] / "systems"
-TEMPERATURE, CUTOFF, TOLERANCE = 297.0, 0.7, 1e-4
+CUTOFF, TOLERANCE = 0.7, 1e-4
 
 #: ps: from one sample to the next, which is the length of a trial; what is left out at the beginning.
 EVERY, SETTLING = 0.12, 10.0
 
-#: g/cm3 in daltons per nm3.
-DENSITY = 1.66053907e-3
+#: Samples between two records of a run that goes on.
+SAVED = 17
+
+COLUMNS = {
+    "run": "{method} {step:g} fs",
+    "ps": "{time:.0f}",
+    "accepted": "{accepted:.3f}",
+    "V, kJ/mol": "{potential_text}",
+    "T_trans, K": "{translation_text}",
+    "T_rot, K": "{rotation_text}",
+    "g/cm³": "{density_text}",
+    "forces per independent V": "{forces_per_potential:.0f}",
+    "per dipole": "{forces_per_dipole:.0f}",
+}
 
 
-def water() -> tuple[app.PDBFile, openmm.System]:
-    """512 molecules of TIP3P."""
-    pdb = app.PDBFile(str(SYSTEMS / "tip3p-512.pdb"))
+@dataclass(frozen=True)
+class LiquidSettings(Settings):
+    """What is run or read.
+
+    Attributes:
+        what: whether to make a run, or a table of runs.
+        files: records of runs, for the table.
+        method: of the run.
+        step: fs for each force evaluation.
+        time: of the run, ps.
+        friction: 1/ps.
+        temperature: K.
+        platform: of OpenMM; None takes the fastest.
+        box: of TIP3P.
+    """
+
+    what: Positional[Literal["run", "table"]] = "run"
+    files: Positional[tuple[Path, ...]] = ()
+    method: Literal["hmc", "sier4g", "sier2", "langevin"] = "hmc"
+    step: float = 2.0
+    time: float = 400.0
+    friction: float = 2.0
+    temperature: float = 297.0
+    platform: str | None = None
+    box: Path = field(default_factory=forcefields.shipped_box)
+
+
+def study(settings: LiquidSettings, report: Report = SILENT) -> None:
+    """Make a run, or a table of runs."""
+    if settings.what == "run":
+        run(settings)
+    else:
+        rows = records.with_text(table(settings.files), "potential", "translation", "rotation", "density")
+        report.table(records.table("Liquid water at 1 bar", rows, COLUMNS))
+
+
+def water(path: Path) -> tuple[app.PDBFile, openmm.System]:
+    """A box of TIP3P."""
+    pdb = app.PDBFile(str(path))
     system = app.ForceField("amber14/tip3p.xml").createSystem(
         pdb.topology,
         nonbondedMethod=app.PME,
@@ -51,112 +108,91 @@ def water() -> tuple[app.PDBFile, openmm.System]:
     return pdb, system
 
 
-def integrator_of(options: argparse.Namespace, system: openmm.System) -> tuple[openmm.Integrator, int]:
+def integrator_of(settings: LiquidSettings, system: openmm.System) -> tuple[openmm.Integrator, int]:
     """An integrator at 1 bar, and its number of steps in a sample."""
-    scheme = {"sier2": SIER2, "langevin": None}.get(options.method, SIER4G)
-    step = options.step / 1000 * (scheme.force_evaluations if scheme else 1)
+    temperature, friction = settings.temperature, settings.friction
+    if settings.method == "langevin":
+        step = settings.step / 1000
+        steps = round(EVERY / step)
+        system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, temperature * unit.kelvin, steps))
+        return openmm.LangevinMiddleIntegrator(temperature, friction, step), steps
+    scheme = SIER2 if settings.method == "sier2" else SIER4G
+    step = settings.step / 1000 * scheme.force_evaluations
     steps = round(EVERY / step)
-    if options.method == "hmc":
-        return SIERHMCIntegrator(TEMPERATURE, step, scheme, steps, pressure=1), steps
-    if scheme:
-        bath = SIERLangevinIntegrator(TEMPERATURE, options.friction, step, scheme, pressure=1, barostatInterval=steps)
-        return bath, steps
-    system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, TEMPERATURE * unit.kelvin, steps))
-    return openmm.LangevinMiddleIntegrator(TEMPERATURE, options.friction, step), steps
+    if settings.method == "hmc":
+        return SIERHMCIntegrator(temperature, step, scheme, steps, pressure=1), steps
+    return SIERLangevinIntegrator(temperature, friction, step, scheme, pressure=1, barostatInterval=steps), steps
 
 
-def run(options: argparse.Namespace) -> None:
-    """One run; results so far are saved every 2 ps."""
-    pdb, system = water()
+def run(settings: LiquidSettings) -> Record:
+    """One run, in liquid.json; results so far are saved every 2 ps."""
+    pdb, system = water(settings.box)
     bodies = RigidBodies.from_system(system, pdb.topology)
     nonbonded = next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
     charges = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(system.getNumParticles())])
-    integrator, steps = integrator_of(options, system)
-    integrator.setRandomNumberSeed(options.seed)
-    context = make_context(system, integrator, options.platform)
+    integrator, steps = integrator_of(settings, system)
+    integrator.setRandomNumberSeed(settings.seed)
+    context = make_context(system, integrator, settings.platform)
     context.setPositions(pdb.positions)
-    context.setVelocitiesToTemperature(TEMPERATURE, options.seed)
+    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
     integrator.step(round(SETTLING / EVERY) * steps)
-    if options.method == "hmc":
+    if settings.method == "hmc":
         integrator.resetStatistics()
     rows, begun = [], perf_counter()
-    for _ in range(round(options.time / EVERY)):
+    for done in range(1, round(settings.time / EVERY) + 1):
         integrator.step(steps)
         dipole = charges @ context.getState(positions=True).getPositions(asNumpy=True)._value
-        rows.append([*observe(context, bodies, False), *dipole])
-        if len(rows) % 17 == 0:
-            accepted = integrator.acceptanceRate if options.method == "hmc" else np.nan
-            mass = sum(system.getParticleMass(i)._value for i in range(system.getNumParticles()))
-            np.savez(
-                options.out,
-                rows=np.array(rows),
-                method=options.method,
-                per_force=options.step,
-                mass=mass,
-                accepted=accepted,
-                seconds=perf_counter() - begun,
-            )
+        sample = observe(context, bodies, False)
+        rows.append(sample._asdict() | {"density": density(bodies.masses.sum(), sample.volume)})
+        rows[-1] |= dict(zip(DIPOLE, dipole, strict=True))
+        if done % SAVED == 0:
+            accepted = integrator.acceptanceRate if settings.method == "hmc" else None
+            notes = {"accepted": accepted, "seconds": perf_counter() - begun}
+            Record(settings.recorded(), {"rows": pd.DataFrame(rows)}, notes).write(settings.out / "liquid.json")
+    return records.read(settings.out / "liquid.json")
 
 
-def mean(series: list[np.ndarray]) -> tuple[float, float]:
+#: Components of the box's dipole moment, e nm.
+DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
+
+
+def pooled_mean(series: Sequence[pd.Series]) -> Estimate:
     """Mean and standard error over all samples of independent runs, from the number of independent samples in each."""
-    lengths = np.array([len(values) for values in series])
-    variances = [values.var() * statistical_inefficiency(values) / len(values) for values in series]
-    weights = lengths / lengths.sum()
-    return float(weights @ [values.mean() for values in series]), float(np.sqrt(weights**2 @ variances))
+    weights = np.array([len(values) for values in series]) / sum(len(values) for values in series)
+    means = [mean_and_error(values.to_numpy()) for values in series]
+    error = np.linalg.norm(weights * [mean.error for mean in means])
+    return Estimate(float(weights @ [mean.value for mean in means]), float(error))
 
 
-def inefficiency(series: list[np.ndarray]) -> float:
-    """Samples per independent sample, averaged over the runs by their lengths."""
-    return float(np.average([statistical_inefficiency(x) for x in series], weights=[len(x) for x in series]))
-
-
-def table(options: argparse.Namespace) -> None:
+def table(files: Sequence[Path]) -> pd.DataFrame:
     """A row for each method and step; runs that differ in their seeds are pooled."""
-    runs: dict[tuple[str, float], list[dict[str, np.ndarray]]] = {}
-    for path in options.files:
-        with np.load(path) as data:
-            runs.setdefault((str(data["method"]), float(data["per_force"])), []).append(dict(data))
-    print("| run | ps | accepted | V, kJ/mol | T_trans, K | T_rot, K | g/cm³ | forces per independent V | per dipole |")
-    print("|---|---|---|---|---|---|---|---|---|")
-    for (method, per_force), several in sorted(runs.items()):
-        columns = [[run["rows"][:, i] for run in several] for i in range(several[0]["rows"].shape[1])]
-        time, potential, _, translation, rotation, volume, *dipole = columns
-        mass, forces = float(several[0]["mass"]), EVERY * 1000 / per_force
-        density = [mass * DENSITY / values for values in volume]
-        cells = " | ".join(
-            f"{value:.{digits}f} ± {error:.{digits}f}"
-            for digits, (value, error) in zip(
-                (1, 2, 2, 4), map(mean, (potential, translation, rotation, density)), strict=True
-            )
-        )
-        lengths = [values[-1] - values[0] for values in time]
-        accepted = f"{np.average([run['accepted'] for run in several], weights=lengths):.3f}" if method == "hmc" else ""
-        turning = np.mean([inefficiency(component) for component in dipole])
-        print(
-            f"| {method} {per_force:g} fs | {sum(lengths):.0f} | {accepted} | {cells} | "
-            f"{inefficiency(potential) * forces:.0f} | {turning * forces:.0f} |"
-        )
+    runs: dict[tuple[str, float], list[Record]] = {}
+    for path in files:
+        record = records.read(path)
+        runs.setdefault((record.settings["method"], record.settings["step"]), []).append(record)
+    rows = []
+    for (method, step), several in sorted(runs.items()):
+        tables = [record.tables["rows"] for record in several]
+        lengths = [frame["time"].iloc[-1] - frame["time"].iloc[0] for frame in tables]
+        accepted = [record.notes["accepted"] for record in several]
+        row = {"method": method, "step": step, "time": sum(lengths)}
+        row["accepted"] = np.nan if None in accepted else np.average(accepted, weights=lengths)
+        for name in ("potential", "translation", "rotation", "density"):
+            row[name], row[f"{name}_error"], _ = pooled_mean([frame[name] for frame in tables])
+        forces = EVERY * 1000 / step
+        row["forces_per_potential"] = forces * _inefficiency(tables, "potential")
+        row["forces_per_dipole"] = forces * np.mean([_inefficiency(tables, name) for name in DIPOLE])
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(required=True)
-    one = commands.add_parser("run")
-    one.add_argument("method", choices=("hmc", "sier4g", "sier2", "langevin"))
-    one.add_argument("--step", type=float, default=2.0, help="fs for each force evaluation")
-    one.add_argument("--time", type=float, default=400.0, help="ps")
-    one.add_argument("--friction", type=float, default=2.0, help="1/ps")
-    one.add_argument("--seed", type=int, default=1)
-    one.add_argument("--platform")
-    one.add_argument("--out", type=Path, default=Path("liquid.npz"))
-    one.set_defaults(does=run)
-    several = commands.add_parser("table")
-    several.add_argument("files", nargs="+", type=Path)
-    several.set_defaults(does=table)
-    options = parser.parse_args()
-    options.does(options)
-    return 0
+def _inefficiency(tables: Sequence[pd.DataFrame], name: str) -> float:
+    """Samples per independent sample, averaged over the runs by their lengths."""
+    return float(np.average([inefficiency(frame[name].to_numpy()) for frame in tables], weights=list(map(len, tables))))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(LiquidSettings, study, __doc__, arguments)
 
 
 if __name__ == "__main__":

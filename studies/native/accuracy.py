@@ -1,30 +1,33 @@
 """The native engine beside the exact one: rms(H)/rms(V) of liquids by scheme, platform and number of substeps.
 
-    python -m studies.native.accuracy [--box systems/tip3p-512.pdb | systems/peptide.pdb | co2] [--time 0.3]
-        [--schemes sier4g ...] [--substeps 2 3 5] [--fs 1 2] [--on CPU OpenCL:double OpenCL:mixed] [--molecules 64]
+    python -m studies.native.accuracy [BOX.pdb] [--carbon-dioxide] [--time 0.3] [--schemes sier4g ...]
+        [--substeps 2 3 5] [--fs 1 2] [--on CPU OpenCL:double OpenCL:mixed] [--molecules 64]
 
-prints one line per run: the exact engine's on the CPU first, then the native engine's with the ratio of both. All runs
+has a line for each run: the exact engine's on the CPU first, then the native engine's with the ratio of both. All runs
 of a box start from one phase point. The step is `--fs` times the force evaluations of the scheme. `--molecules` takes
-that many molecules of the box, in a smaller box of the same density, for slow platforms.
+that many molecules of the box, in a smaller box of the same density, for slow platforms. Writes native-accuracy.json.
 """
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
-from openmm import app, unit
+import pandas as pd
+from openmm import unit
 
 from openmm_sier import SIERIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
-from openmm_sier.measure import forcefields
 from openmm_sier.measure.observables import energy_drift, energy_error
-
-SYSTEMS = Path(__file__).resolve().parents[2] / "systems"
-
-TEMPERATURE, SEED = 297.0, 7
+from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.starts import make_context
+from studies import boxes, records
+from studies.command import BoxSettings, chosen, execute
+from studies.records import Record
 
 #: Steps of 2 fs before the runs, and of 1 fs in a strong bath before those of boxes that are set up here.
 EQUILIBRATION, MELTING = 1000, 2000
@@ -40,6 +43,52 @@ MASS_C, MASS_O = 12.011, 15.9994
 CO2_MOLECULES, CO2_DENSITY = 256, 10.95
 
 
+COLUMNS = {
+    "scheme": "{scheme}",
+    "engine": "{engine}",
+    "platform": "{platform}",
+    "substeps": "{substeps}",
+    "fs per force": "{fs_per_force:g}",
+    "rms(H)/rms(V)/%": "{percent:.5f}",
+    "over the exact engine's": "{ratio:.3f}",
+    "drift/kJ/mol/ps": "{drift:+.3f}",
+}
+
+
+@dataclass(frozen=True)
+class NativeSettings(BoxSettings):
+    """What is compared.
+
+    Attributes:
+        carbon_dioxide: whether the liquid is carbon dioxide in place of the box.
+        molecules: of the box; all unless given.
+        schemes: by name; all unless given.
+        substeps: of the native engine; the usual ones unless given.
+        fs: simulated time per force evaluation.
+        on: platforms of the native engine, and after a colon their precision.
+        exact_on: platform of the exact engine.
+        time: of each run, ps.
+    """
+
+    carbon_dioxide: bool = False
+    molecules: int | None = None
+    schemes: tuple[str, ...] = ()
+    substeps: tuple[int, ...] = ()
+    fs: tuple[float, ...] = (1.0, 2.0)
+    on: tuple[str, ...] = ("CPU",)
+    exact_on: str = "CPU"
+    time: float = 0.3
+    seed: int = 7
+
+
+class Started(NamedTuple):
+    """A System, a State of it, and its fast force groups."""
+
+    system: openmm.System
+    state: openmm.State
+    fast: frozenset[int]
+
+
 def carbon_dioxide() -> tuple[openmm.System, np.ndarray]:
     """System and positions of EPM2: two mass points at a constrained distance, which carry C and both O.
 
@@ -51,7 +100,7 @@ def carbon_dioxide() -> tuple[openmm.System, np.ndarray]:
     edge = (CO2_MOLECULES / CO2_DENSITY) ** (1 / 3)
     system, force = openmm.System(), openmm.NonbondedForce()
     system.setDefaultPeriodicBoxVectors(*np.diag([edge] * 3))
-    cells, rng = int(np.ceil(CO2_MOLECULES ** (1 / 3))), np.random.default_rng(SEED)
+    cells, rng = int(np.ceil(CO2_MOLECULES ** (1 / 3))), np.random.default_rng(7)
     lattice = (np.stack(np.meshgrid(*[np.arange(cells)] * 3), axis=-1).reshape(-1, 3) + 0.5) * edge / cells
     positions = []
     for centre in rng.permutation(lattice)[:CO2_MOLECULES]:
@@ -80,51 +129,35 @@ def carbon_dioxide() -> tuple[openmm.System, np.ndarray]:
     return system, np.concatenate(positions)
 
 
-def small_box(path: str, molecules: int) -> tuple[openmm.System, unit.Quantity]:
-    """System and positions of water of a box's force field, at its density, on no lattice of its own."""
-    box = forcefields.read_box(path)
-    field = forcefields.load(box.choice.files, Path(path).parent)
-    vectors = np.array(box.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
-    edge = vectors[0, 0] * (molecules / box.topology.getNumResidues()) ** (1 / 3)
-    modeller = app.Modeller(box.topology, box.positions)
-    centres = {r: box.positions[next(r.atoms()).index].value_in_unit(unit.nanometer) for r in box.topology.residues()}
-    # The molecules next to a corner, pulled together a little where the cut goes through the liquid.
-    ranked = sorted(centres, key=lambda residue: max(np.mod(centres[residue], vectors[0, 0])))
-    modeller.delete(ranked[molecules:])
-    modeller.topology.setPeriodicBoxVectors(np.diag([edge] * 3) * unit.nanometer)
-    return forcefields.pme_system(modeller.topology, field), modeller.positions
-
-
-def start(path: str, molecules: int | None, tolerance: float = 1e-5) -> tuple[openmm.System, openmm.State, frozenset]:
-    """System, State and fast force groups of a box; hydrogens of solutes are constrained.
+def start(settings: NativeSettings, tolerance: float = boxes.TOLERANCE) -> Started:
+    """A box, equilibrated; hydrogens of solutes are constrained.
 
     With the usual tolerance PME is exact enough to see the schemes' errors.
     """
-    if path == "co2":
+    made = settings.carbon_dioxide or settings.molecules is not None
+    if settings.carbon_dioxide:
         system, positions = carbon_dioxide()
-    elif molecules is not None:
-        system, positions = small_box(path, molecules)
     else:
-        box = forcefields.read_box(path, constraints="hbonds")
-        system, positions = box.system, box.positions
-    for force in system.getForces():
-        if isinstance(force, openmm.NonbondedForce):
-            force.setEwaldErrorTolerance(tolerance)
+        box = boxes.read(settings, "hbonds")
+        system, positions = box.system, np.array(box.positions.value_in_unit(unit.nanometer))
+        if settings.molecules is not None:
+            _, positions, system = boxes.of_size(box, settings.box.parent, settings.molecules)
+    boxes.with_tolerance(system, tolerance)
     fast = prepare_system(system).fastForceGroups
-    bath = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
-    bath.setRandomNumberSeed(SEED)
+    bath = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
+    bath.setRandomNumberSeed(settings.seed)
     bath.setConstraintTolerance(1e-9)
-    context = openmm.Context(system, bath, openmm.Platform.getPlatformByName("CPU"))
+    context = make_context(system, bath, "CPU")
     context.setPositions(positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
-    context.setVelocitiesToTemperature(TEMPERATURE, SEED)
-    if path == "co2" or molecules is not None:
+    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
+    if made:
         bath.setStepSize(0.001)
         bath.setFriction(20.0)
         bath.step(MELTING)
         bath.setStepSize(0.002)
     bath.step(EQUILIBRATION)
-    return system, context.getState(positions=True, velocities=True), fast
+    return Started(system, context.getState(positions=True, velocities=True), fast)
 
 
 def context_on(place: str, system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
@@ -149,40 +182,42 @@ def run(context: openmm.Context, state: openmm.State, step: float, time: float) 
     return 100 * energy_error(times, potential + kinetic, potential, None), energy_drift(times, potential + kinetic)[0]
 
 
-def compare(
-    system: openmm.System, state: openmm.State, fast: frozenset, scheme: Scheme, options: argparse.Namespace
-) -> None:
-    """Print the lines of one scheme."""
-    cases = [("exact", options.exact_on, None)]
-    cases += [("native", place, k) for place in options.on for k in options.substeps]
+def compare(begun: Started, scheme: Scheme, settings: NativeSettings, report: Report) -> list[dict[str, Any]]:
+    """Rows of one scheme."""
+    cases: list[tuple[str, str, int | None]] = [("exact", settings.exact_on, None)]
+    cases += [("native", place, k) for place in settings.on for k in settings.substeps or (None,)]
     exact: dict[float, float] = {}
+    rows: list[dict[str, Any]] = []
     for engine, place, k in cases:
-        integrator = SIERIntegrator(0.001, scheme, engine=engine, substeps=k, fastForceGroups=fast)
-        context = context_on(place, system, integrator)
-        for fs in options.fs:
-            error, drift = run(context, state, 1e-3 * fs * scheme.force_evaluations, options.time)
-            ratio = f"{error / exact.setdefault(fs, error):6.3f}"
-            name = f"{engine} on {place}" + ("" if k is None else f", {k} substeps")
-            print(f"{scheme.name:7} {fs:g} fs  {name:36} {error:9.5f} %  {ratio}  {drift:+8.3f} kJ/mol/ps", flush=True)
+        integrator = SIERIntegrator(0.001, scheme, engine=engine, substeps=k, fastForceGroups=begun.fast)
+        context = context_on(place, begun.system, integrator)
+        for fs in settings.fs:
+            error, drift = run(context, begun.state, 1e-3 * fs * scheme.force_evaluations, settings.time)
+            row = {"scheme": scheme.name, "fs_per_force": fs, "engine": engine, "platform": place, "substeps": k or ""}
+            rows.append(row | {"percent": error, "ratio": error / exact.setdefault(fs, error), "drift": drift})
+            report.note(
+                records.cell("{scheme} at {fs_per_force:g} fs, {engine} on {platform}: {percent:.5f} %", rows[-1])
+            )
         del context, integrator
+    return rows
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--box", default=str(SYSTEMS / "tip3p-512.pdb"))
-    parser.add_argument("--molecules", type=int)
-    parser.add_argument("--schemes", nargs="+", default=list(CATALOGUE), choices=CATALOGUE)
-    parser.add_argument("--substeps", nargs="+", type=int, default=[None], help="default: the usual ones")
-    parser.add_argument("--fs", nargs="+", type=float, default=[1.0, 2.0])
-    parser.add_argument("--on", nargs="+", default=["CPU"])
-    parser.add_argument("--exact-on", default="CPU")
-    parser.add_argument("--time", type=float, default=0.3)
-    options = parser.parse_args()
-    system, state, fast = start(options.box, options.molecules)
-    print(f"{Path(options.box).stem}, {options.molecules or 'all'} molecules, {options.time:g} ps", flush=True)
-    for name in options.schemes:
-        compare(system, state, fast, CATALOGUE[name], options)
+def study(settings: NativeSettings, report: Report = SILENT) -> Record:
+    """Compare the engines, and write native-accuracy.json."""
+    schemes = chosen(settings.schemes, CATALOGUE, "scheme")
+    begun = start(settings)
+    rows = pd.DataFrame([row for scheme in schemes for row in compare(begun, scheme, settings, report)])
+    name = "carbon dioxide" if settings.carbon_dioxide else settings.box.stem
+    title = f"{name}, {settings.molecules or 'all'} molecules, {settings.time:g} ps"
+    report.table(records.table(title, rows, COLUMNS, left=4))
+    record = Record(settings.recorded(), {"rows": rows}, {})
+    record.write(settings.out / "native-accuracy.json")
+    return record
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(NativeSettings, study, __doc__, arguments)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -10,7 +10,7 @@ import pytest
 from openmm_sier.dynamics import metropolis, operators
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.bodies import BodyState
-from openmm_sier.dynamics.metropolis import NoEnergyError, SampledState, reversal_error
+from openmm_sier.dynamics.metropolis import NoEnergyError, SampledState, expected_acceptance, reversal_error, spread_at
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
 from openmm_sier.dynamics.stages import DRIFT, KICK
@@ -165,3 +165,18 @@ def test_reversal_error():
     crooked = Scheme("Euler", ((KICK, 1.0), (DRIFT, 1.0)))
     advance = operators.stepper(crooked, chain.operations, chain.h)
     assert reversal_error(chain.model.bodies, advance, start, 10) > 1e-3
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.7, 3.0])
+def test_acceptance_is_that_of_normal_errors(rng, spread):
+    """Their mean is half their variance, as <exp(-error)> = 1 asks."""
+    errors = rng.normal(0.5 * spread**2, spread, size=200_000)
+    # Four standard errors of a mean of numbers between 0 and 1, of standard deviation below 0.5.
+    assert expected_acceptance(spread) == pytest.approx(
+        np.minimum(1, np.exp(-errors)).mean(), abs=4 * 0.5 / 200_000**0.5
+    )
+
+
+@pytest.mark.parametrize("accepted", [0.1, 0.5, 0.9, 0.999])
+def test_spread_is_its_inverse(accepted):
+    assert expected_acceptance(spread_at(accepted)) == pytest.approx(accepted, rel=1e-12)

@@ -197,13 +197,8 @@ import sys
 for name in ("rich", "matplotlib", "h5py", "numba"):
     sys.modules[name] = None
 
-import studies.bench
-import studies.equipartition
-import studies.paper
-import studies.schemes
 from openmm_sier import RigidBodies, SIER2Integrator
-from openmm_sier.measure import observables, sampling, starts
-from studies.bench.layer import free_water
+from openmm_sier.measure import starts
 
 system, positions = free_water(3)
 context = starts.make_context(system, SIER2Integrator(0.001), "Reference")

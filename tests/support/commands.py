@@ -8,12 +8,10 @@ import time
 from pathlib import Path
 
 import mdtraj
-import numpy as np
 import pytest
-from openmm import unit
 
 from openmm_sier.cli import main, records
-from openmm_sier.measure import forcefields
+from studies.boxes import write_lattice as write_lattice
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
 
@@ -30,20 +28,6 @@ def load_program(path):
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)
     return module
-
-
-make = load_program("systems/make.py")
-
-
-def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
-    """A box of water that has not seen an equilibration."""
-    topology = make.make_topology(molecules, 0)
-    edge = make.box_edge(topology, 0.997)
-    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
-    geometry = make.water_geometry(forcefields.load([file], SYSTEMS))
-    positions = make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(3)) * unit.nanometer
-    make.write(path, topology, positions, edge, [f"FORCEFIELD {file}"] if named else [])
-    return path
 
 
 def frames(path, box):

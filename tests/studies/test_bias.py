@@ -10,7 +10,8 @@ from scipy.linalg import logm
 from openmm_sier import SIER2, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import DRIFT
-from openmm_sier.measure import sampling
+from studies import sampling
+from studies.methods import SCHEMES, with_bath
 from tests.support.tethers import SPRINGS, tethered_water
 from tests.support.waters import platform
 
@@ -49,7 +50,7 @@ def test_bias_with_a_heat_bath():
     integrator.setStepSize(step)
     integrator.step(200)
     series = sampling.sample(context, bodies, 4000, 20)
-    bias = sampling.nvt_methods(TEMPERATURE, FRICTION, 1)["sier2"].bias
+    bias = with_bath(TEMPERATURE, FRICTION, 1)["sier2"].bias
     for found, curvature in zip((series.translation, series.rotation), steepness, strict=True):
         predicted = -bias * step**2 * curvature
         assert predicted < -7
@@ -67,7 +68,7 @@ def test_bias_at_constant_energy(phase):
         h = stage.fraction * phase
         step = (np.array([[1, h], [0, 1]]) if stage.operator == DRIFT else np.array([[1, 0], [-h, 1]])) @ step
     generator = logm(step) / phase
-    bias = sampling.nve_methods()["sier2"].bias
+    bias = SCHEMES["sier2"].bias
     assert generator[0, 1] - 1 == pytest.approx(bias * phase**2, abs=phase**4 / 20)
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 
 import pytest
 from openmm import app, unit
 
 from openmm_sier.dynamics.schemes import DRIFT, KICK, SIER4P, SIER4V, alternating
-from studies import schemes
-from studies.schemes import OTHERS, Row, SchemesSettings
+from studies import records, schemes
+from studies.methods import OTHERS
+from studies.schemes import SchemesSettings
 from tests.support.convergence import slope
 from tests.support.molecules import WATER, SoftCluster
 from tests.support.reports import Told
@@ -48,15 +48,6 @@ def test_a_nystroem_scheme_of_sixth_order_needs_kicks_and_drifts():
     assert alternating("exchanged", DRIFT, KICK, tuple(fractions)).order == 4
 
 
-def row(scheme, dt, error):
-    return Row(scheme, 4, 3, 3 * dt, dt, 1.0, error, (0.0, 0.1))
-
-
-def test_best_at_every_number_of_forces():
-    rows = [row("A", 1, 0.02), row("B", 1, 0.01), row("A", 2, 0.03), row("B", 2, math.nan), row("A", 4, math.nan)]
-    assert {dt: found.scheme for dt, found in schemes.best(rows).items()} == {1: "B", 2: "A"}
-
-
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
@@ -66,8 +57,9 @@ def settings(tmp_path_factory):
     path = tmp_path_factory.mktemp("survey") / "box.pdb"
     app.PDBFile.writeFile(topology, positions * unit.nanometer, str(path))
     return SchemesSettings(
+        out=path.parent,
         box=path,
-        forcefield=["tip3p.xml"],
+        forcefield=("tip3p.xml",),
         dt=(2.0, 12.0),
         schemes=("verlet", "sier2", "sier4g"),
         time=0.3,
@@ -78,54 +70,42 @@ def settings(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def finished(settings):
-    out = settings.box.parent / "new" / "out"
     told = Told()
-    return out, schemes.run(settings, out, told), told
+    return schemes.study(settings, told).tables["rows"], told
 
 
 def test_rows(finished):
-    _, rows, _ = finished
-    assert [(r.scheme, r.fs_per_force, r.force_evaluations) for r in rows] == [
+    rows, _ = finished
+    assert list(zip(rows["method"], rows["fs_per_force"], rows["forces"], strict=True)) == [
         (name, dt, forces) for dt in (2.0, 12.0) for name, forces in (("OpenMM Verlet", 1), ("SIER2", 1), ("SIER4G", 3))
     ]
-    assert [r.step for r in rows] == [2.0, 2.0, 6.0, 12.0, 12.0, 36.0]
-    assert [r.forces_per_ps for r in rows[:3]] == [500.0] * 3
-    verlet, sier2, sier4g = rows[:3]
+    assert list(rows["step"]) == [2.0, 2.0, 6.0, 12.0, 12.0, 36.0]
+    verlet, sier2, sier4g = rows["percent"][:3]
     # Second order is second order, and the fourth is several times better, cut-off and all.
-    assert 0.3 < sier2.error / verlet.error < 3
-    assert sier4g.error < 0.5 * sier2.error
+    assert 0.3 < sier2 / verlet < 3
+    assert sier4g < 0.5 * sier2
     # A step of a whole period of libration breaks the run, and says so.
-    assert rows[-1].broken
-    assert math.isnan(rows[-1].error)
+    assert rows["broken"].iloc[-1]
+    assert math.isnan(rows["percent"].iloc[-1])
 
 
 def test_files(finished, settings):
-    out, rows, _ = finished
-    loaded = schemes.load(out / "schemes.json")
-    for one, other in zip(loaded, rows, strict=True):
-        assert str(one) == str(other)
-    record = json.loads((out / "schemes.json").read_text())
-    assert record["settings"]["box"] == "box.pdb"
-    assert (out / "schemes.png").read_bytes().startswith(b"\x89PNG")
-    assert (out / "schemes.png").stat().st_size > 20000
+    record = records.read(settings.out / "schemes.json")
+    assert list(record.tables["rows"]["method"]) == list(finished[0]["method"])
+    assert record.settings["box"] == "box.pdb"
+    assert (settings.out / "schemes.png").read_bytes().startswith(b"\x89PNG")
+    assert (settings.out / "schemes.png").stat().st_size > 20000
 
 
 def test_what_is_reported(finished):
-    _, rows, told = finished
+    rows, told = finished
     (table,) = told.tables
-    cells = [cell for row in table.rows for cell in row]
     assert len(table.rows) == len(rows)
-    assert "broke down" in cells
-    assert not any("nan" in cell for cell in cells)
+    assert table.rows[-1][-2:] == ["-", "-"]
+    assert any("broke down" in note for note in told.notes)
     assert any(note.startswith("least energy error at 2 fs per force: SIER4G") for note in told.notes)
-    # The equilibration and every run show how far they are.
-    assert [what for what, _ in told.runs][1:3] == ["OpenMM Verlet, 2 fs per force", "SIER2, 2 fs per force"]
-    for _, amounts in told.runs[:3]:
-        assert amounts == sorted(amounts)
-        assert 0.9 < amounts[-1] <= 1
 
 
-def test_an_unknown_scheme_is_refused_before_anything_is_read(settings, tmp_path):
-    wrong = dataclasses.replace(settings, box=tmp_path / "none.pdb", schemes=("sier4g", "sier5"))
-    with pytest.raises(ValueError, match=r"unknown scheme 'sier5'; known are verlet, sier2, .*srkn6b"):
-        schemes.compare(wrong)
+def test_unknown_schemes_are_refused(settings):
+    with pytest.raises(ValueError, match="unknown scheme 'sier5'; known are verlet, sier2"):
+        schemes.compare(dataclasses.replace(settings, schemes=("sier5",)))

@@ -7,7 +7,7 @@ import openmm
 import pytest
 
 from openmm_sier import RigidBodies, SIER2Integrator
-from openmm_sier.measure import sampling
+from studies import sampling
 from tests.support.waters import periodic_system, platform
 
 
