@@ -73,26 +73,25 @@ def figure(path: Path, columns: int, title: str = "", **options: Any) -> Iterato
         made.savefig(path)
 
 
-def curves(
-    axes: Axes, frame: pd.DataFrame, x: str, y: str, scale: float = 1.0, apart: float = 0.0, **look: Any
-) -> None:
+def curves(axes: Axes, frame: pd.DataFrame, x: str, y: str, apart: float = 0.0, **look: Any) -> None:
     """One line for each method, with standard errors where they are known.
 
     Args:
         axes: to draw on.
         frame: with a column `method`; rows without a value of `y` are left out.
         x, y: columns.
-        scale: factor of `y`.
         apart: by which the points of each method are shifted along x from those of the one before.
         look: keyword arguments of `Axes.errorbar` in place of those of the method.
     """
-    for i, (method, mine) in enumerate(frame.groupby("method", sort=False)):
+    groups = frame.groupby("method", sort=False)
+    for i, (method, mine) in enumerate(groups):
         mine = mine.dropna(subset=[y]).sort_values(x)
         if mine.empty:
             continue
-        error = scale * mine[f"{y}_error"].fillna(0) if f"{y}_error" in mine else None
+        error = mine[f"{y}_error"].fillna(0) if f"{y}_error" in mine else None
         drawn = {"capsize": 3, "label": method} | of_method(method) | look
-        axes.errorbar(mine[x] + apart * i, scale * mine[y], error, **drawn)
+        shift = apart * (i - (len(groups) - 1) / 2)
+        axes.errorbar(mine[x] + shift, mine[y], error, **drawn)
 
 
 def shared_legend(made: Figure, axes: Axes) -> None:

@@ -53,8 +53,8 @@ def test_curves_have_every_point_and_its_error():
     drawn = {container.get_label(): container for container in axes.containers}
     assert list(drawn) == ["SIER2", "SIER4G"]
     x, y = drawn["SIER2"].lines[0].get_data()
-    assert (list(x), list(y)) == ([1, 2], [0.99, 0.98])
+    assert (list(x), list(y)) == ([0.9, 1.9], [0.99, 0.98])
     x, _ = drawn["SIER4G"].lines[0].get_data()
-    assert list(x) == [2.1]
+    assert list(x) == [2.0]
     (segment,) = drawn["SIER4G"].lines[2][0].get_segments()
     assert segment[:, 1] == pytest.approx([0.996, 1.0])
