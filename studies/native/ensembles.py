@@ -1,6 +1,6 @@
 """Temperatures and density with the native engine beside the exact one, at 2 fs per force evaluation.
 
-    python -m studies.native.ensembles nvt | npt [--engines native exact] [--molecules 125] [--time 100]
+    python -m studies.native.ensembles [--ensemble npt] [--engines native exact] [--molecules 125] [--time 100]
         [--friction 50] [--on CPU] [--seed 5]
 
 SIER4G with a heat bath; in npt at 1 bar, by OpenMM's MonteCarloBarostat with the native engine and by `pressure=` with
@@ -21,7 +21,6 @@ import numpy as np
 import openmm
 import pandas as pd
 from openmm import unit
-from tyro.conf import Positional
 
 from openmm_sier import SIER4G, SIERLangevinIntegrator
 from openmm_sier.measure.report import SILENT, Report
@@ -56,7 +55,7 @@ class EnsembleSettings(NativeSettings):
         friction: of the bath, 1/ps.
     """
 
-    ensemble: Positional[Literal["nvt", "npt"]] = "nvt"
+    ensemble: Literal["nvt", "npt"] = "nvt"
     engines: tuple[Literal["native", "exact"], ...] = ("native", "exact")
     friction: float = 50.0
     molecules: int | None = 125
