@@ -5,7 +5,6 @@ import signal
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
@@ -15,14 +14,13 @@ from tests.support import members
 from tests.support.members import HEADING
 
 
-@pytest.fixture(autouse=True)
-def counting(monkeypatch):
-    monkeypatch.setattr(module, "WORKER", "tests.support.members")
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+def counter(name, last):
+    """A member that counts, in the place of one that simulates."""
+    return Member(name, (str(last),), float(last), members.__name__)
 
 
 def counters(*lasts):
-    return [Member(f"to{last}", (str(last),), float(last)) for last in lasts]
+    return [counter(f"to{last}", last) for last in lasts]
 
 
 def counted(last):
