@@ -77,7 +77,7 @@ def test_a_member_that_gets_nowhere_is_given_up(tmp_path, monkeypatch):
 
 def test_a_member_that_fails_does_not_hinder_the_others(tmp_path):
     with pytest.raises(EnsembleError, match="wrong failed: expected a number, got x") as caught:
-        ensemble([Member("wrong", ("x",)), *counters(3)], tmp_path, processes=1)
+        ensemble([Member("wrong", ("x",), module=members.__name__), *counters(3)], tmp_path, processes=1)
     assert [bool(o.error) for o in caught.value.outcomes] == [True, False]
     assert (tmp_path / "to3" / LOG).read_text() == counted(3)
 
@@ -148,7 +148,7 @@ def test_wrong_arguments(tmp_path):
 
 
 def test_progress_within_a_member(tmp_path):
-    member = Member("one", ("8",), 8.0)
+    member = counter("one", 8)
     assert fraction_done(member, tmp_path) == 0
     (tmp_path / "one").mkdir()
     # The last line is being written.
