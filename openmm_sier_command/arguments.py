@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from openmm_sier_command import study_commands
 from openmm_sier_command.options import add_options
-from openmm_sier_command.parser import Parser, reading
+from openmm_sier_command.parser import MISUSED, Parser, reading
 from openmm_sier_command.values import COUNT, Number
 
 if TYPE_CHECKING:
@@ -39,12 +39,23 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+#: Commands of earlier versions that are studies now, and where.
+MOVED = {
+    "paper": "studies.paper",
+    "equipartition": "studies.equipartition",
+    "schemes": "studies.schemes",
+    "acceptance": "studies.acceptance",
+    "bench": "studies.bench",
+    "study": "studies.step_study",
+}
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The parser of `openmm-sier`. What it returns has the name of the command as `command`."""
     parser = Parser(prog=PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
-    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_study, _add_info, *study_commands.ADDED):
+    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_info):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error (default: one line)")
     return parser
@@ -56,7 +67,11 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     Raises:
         SystemExit: arguments are wrong, which has been said in one line; or `--help` or `--version` has been printed.
     """
-    return build_parser().parse_args(arguments)
+    parser = build_parser()
+    command, *_ = [*(sys.argv[1:] if arguments is None else arguments), ""]
+    if command in MOVED:
+        parser.exit(MISUSED, f"{PROGRAM}: {command} is now `python -m {MOVED[command]}` in a copy of the repository\n")
+    return parser.parse_args(arguments)
 
 
 def _add_run(commands: Commands) -> Parser:
@@ -152,20 +167,6 @@ def _add_validate(commands: Commands) -> Parser:
         type=reading(Number("", 0, 1e9, beyond=True)),
         default=4.0,
         help="standard errors beyond which a check fails (default: 4)",
-    )
-    return parser
-
-
-def _add_study(commands: Commands) -> Parser:
-    parser = commands.add_parser(
-        "study",
-        help="density, energy, dielectric constant and diffusion against the step, from the runs of an ensemble",
-        description="Properties of a liquid by box, method and step, with standard errors. Runs that differ in their "
-        "seeds alone count as one. Writes a table in Markdown and a figure.",
-    )
-    _add_runs(parser)
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("out"), help="for the table and the figure (default: out)"
     )
     return parser
 

@@ -47,8 +47,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-#: Tables and keys of a plan, and the only command that its members may execute.
-KEYS, COMMAND = ("command", "options", "members"), "run"
+#: Tables of a plan, and the command that its members execute.
+KEYS, COMMAND = ("options", "members"), "run"
 
 #: Options that the ensemble itself sets.
 TAKEN = ("out", "restart", "overwrite")
@@ -129,8 +129,6 @@ def read_plan(path: Path) -> list[Member]:
         raise PlanError(f"{path} is no TOML file: {error}") from None
     if unknown := sorted(set(plan) - set(KEYS)):
         raise PlanError(f"{path}: expected {', '.join(KEYS)}, got {', '.join(unknown)}")
-    if (command := plan.get("command", COMMAND)) != COMMAND:
-        raise PlanError(f'{path}: command: members are runs, command = "{COMMAND}", got {command!r}')
     shared, tables = plan.get("options", {}), plan.get("members", {})
     tables = tables if isinstance(tables, list) else [tables]
     if not all(isinstance(table, dict) for table in (shared, *tables)):

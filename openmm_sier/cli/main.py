@@ -86,12 +86,6 @@ def _validate(options: argparse.Namespace) -> None:
     validate.validate(options.runs, options.skip, options.limit)
 
 
-def _study(options: argparse.Namespace) -> None:
-    from openmm_sier.cli import study
-
-    study.study(options.runs, options.skip, options.out)
-
-
 def _info(options: argparse.Namespace) -> None:
     from openmm_sier.cli import info
 
@@ -103,7 +97,6 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], None]] = {
     "ensemble": _ensemble,
     "properties": _properties,
     "validate": _validate,
-    "study": _study,
     "info": _info,
 }
 

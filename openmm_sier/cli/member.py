@@ -13,7 +13,9 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 from filelock import FileLock
 
@@ -33,8 +35,14 @@ LENGTHS = ("--time", "--steps")
 FAILED = 1
 
 
-def execute(arguments: list[str]) -> int:
-    """Finish the member in the current directory and return the exit code."""
+def execute(arguments: list[str], command: Callable[[list[str]], int] | None = None) -> int:
+    """Finish the member in the current directory and return the exit code.
+
+    Args:
+        arguments: of the member.
+        command: takes them, writes its files here and returns its exit code; None is `openmm-sier`. Repeating it must
+            give the same files.
+    """
     # Two workers may get the same member if a scheduler believes the first one dead: the second then waits.
     with FileLock(LOCK):
         if _noted(COMPLETE) == arguments:
@@ -52,7 +60,7 @@ def execute(arguments: list[str]) -> int:
             print(f"{Path.cwd()} has another member, with {there}: choose another directory", file=sys.stderr)
             return FAILED
         _write(NOTES, identity)
-        code = main([*arguments, *_places(arguments)])
+        code = main([*arguments, *_places()]) if command is None else command(arguments)
         if code not in (0, NothingLeft.exit_code):
             return code
         _write(COMPLETE, arguments)
@@ -68,10 +76,8 @@ def _noted(name: str) -> list[str] | None:
         return None
 
 
-def _places(arguments: list[str]) -> list[str]:
-    """Options for the files that a command writes, and the checkpoint from which a run goes on."""
-    if arguments[0] != "run":
-        return ["--out", "."]
+def _places() -> list[str]:
+    """Options for the files that a run writes, and the checkpoint from which it goes on."""
     if not Path(CHECKPOINT).exists():
         # What was written before the first checkpoint is written again.
         return ["--out", TRAJECTORY, "--overwrite"]
@@ -80,8 +86,6 @@ def _places(arguments: list[str]) -> list[str]:
 
 def _identity(arguments: list[str]) -> list[str]:
     """The arguments without the length of a run."""
-    if arguments[0] != "run":
-        return arguments
     left_out = {i + k for i, argument in enumerate(arguments) if argument in LENGTHS for k in (0, 1)}
     return [argument for i, argument in enumerate(arguments) if i not in left_out]
 
@@ -104,8 +108,13 @@ def _end_with_parent() -> None:
     os._exit(128 + signal.SIGTERM)
 
 
-if __name__ == "__main__":
+def serve(command: Callable[[list[str]], int] | None = None) -> NoReturn:
+    """Execute the arguments of this process, see `execute`, and end it."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    sys.exit(execute(sys.argv[1:]))
+    sys.exit(execute(sys.argv[1:], command))
+
+
+if __name__ == "__main__":
+    serve()

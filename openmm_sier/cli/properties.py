@@ -15,12 +15,11 @@ from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.cli.records import RecordError
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.measure import properties
+from openmm_sier.measure.figures import can_draw, property_figure
 from openmm_sier.measure.forcefields import Box, describe, read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, read_samples
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from openmm_sier.observe import pressure
-from openmm_sier.studies import style
-from openmm_sier.studies.figures import property_figure
 
 #: Liquid water at 298.15 K and 1 bar: density, heat capacity, enthalpy of vaporization and dielectric constant by the
 #: IAPWS formulations; self-diffusion of Holz et al., Phys. Chem. Chem. Phys. 2, 4740 (2000); the first maximum of the
@@ -177,7 +176,7 @@ def properties_of(
     number = f"{len(runs)} runs" if len(runs) > 1 else "one run"
     title = f"{plan.title}, {number}, {length:.4g} ps in all"
     table(title, ("", "", "water, 298.15 K, 1 bar"), rows)
-    if style.can_draw(REPORT):
+    if can_draw(REPORT):
         out.mkdir(parents=True, exist_ok=True)
         samples = [run.samples for run in _written_as_often(runs)]
         property_figure(samples, title, out / "properties.png", _integrals(_written_as_often(stressed)), moving)

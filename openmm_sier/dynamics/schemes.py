@@ -236,6 +236,6 @@ SIER4P = Scheme(
 )
 
 #: The schemes that users can name. Which one conserves the energy of liquid water best depends on the simulated time
-#: per force evaluation (`openmm-sier schemes`). It is SIER4P up to 1.5 fs, and SIER4G or SIER4P at 2 fs. SIER4V is the
-#: best without a gradient, SIER2 allows the longest steps per force evaluation, and SIER4 is the paper's.
+#: per force evaluation (docs/accuracy.md). It is SIER4P up to 1.5 fs, and SIER4G or SIER4P at 2 fs. SIER4V is the best
+#: without a gradient, SIER2 allows the longest steps per force evaluation, and SIER4 is the paper's.
 CATALOGUE = {scheme.name.lower(): scheme for scheme in (SIER2, SIER4, SIER4V, SIER4G, SIER4P)}

@@ -41,13 +41,15 @@ class Member(NamedTuple):
 
     Attributes:
         name: of its directory.
-        arguments: command line of `openmm-sier`, without the paths of files that it writes.
+        arguments: command line of `openmm-sier run`, without the paths of files that it writes.
         length: simulated ps, if progress within the member is to be shown; 0 otherwise.
+        module: executed with these arguments in the member's directory; it calls `openmm_sier.cli.member.serve`.
     """
 
     name: str
     arguments: tuple[str, ...]
     length: float = 0.0
+    module: str = WORKER
 
 
 class Outcome(NamedTuple):
@@ -287,8 +289,10 @@ def carry_out(member: Member, place: str, threads: int | None) -> Outcome:
     directory = Path(place) / member.name
     directory.mkdir(parents=True, exist_ok=True)
     begun, restarts, kills, reached = monotonic(), 0, 0, -1.0
-    command = [sys.executable, "-m", WORKER, *member.arguments]
+    command = [sys.executable, "-m", member.module, *member.arguments]
     environment = {"OPENMM_CPU_THREADS": "1"} | os.environ
+    # A member finds the modules that this process finds, though it has another current directory.
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     if threads is not None:
         environment["OPENMM_CPU_THREADS"] = str(threads)
     while True:

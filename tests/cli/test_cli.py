@@ -19,7 +19,7 @@ from openmm_sier.cli import main, records, trajectories
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__
-from tests.support.commands import SMALL, SYSTEMS, complaint, frames, load_program, log, wait_for, write_lattice
+from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, wait_for, write_lattice
 
 #: Frames and rows of a run of 0.4 ps with the options of SMALL: every 5th step of 4 fs, every 10th, and the start.
 STEPS, FRAMES, ROWS = 100, 20, 11
@@ -108,7 +108,7 @@ def test_start_with_overlaps_is_minimized_and_others_are_not(box, capsys):
 
 @pytest.mark.slow
 def test_trajectory_has_the_atoms_of_the_pdb_file_for_a_model_with_virtual_sites(capsys):
-    box = write_lattice(Path("four.pdb"), file="tip4p.xml")
+    box = write_lattice(Path("four.pdb"), forcefield="tip4p.xml")
     assert main.main(["run", str(box), *SMALL, "--time", "0.04"]) == 0
     read = frames(Path("four.dcd"), box)
     assert read.n_atoms == 3 * 27
@@ -294,15 +294,6 @@ def test_killed_when_nothing_but_the_hdf5_file_is_missing(box, whole_run):
 
 
 @pytest.mark.slow
-def test_killed_at_random_moments_again_and_again(tmp_path):
-    """What benchmarks/kill_loop.py does fifty times: not a bit may differ from a run that nothing disturbed."""
-    met = load_program("benchmarks/kill_loop.py").kill_loop(tmp_path, ".dcd", kills=3, signals=("KILL", "TERM"))
-    assert (met["by SIGKILL"], met["by SIGTERM"]) == (2, 1)
-    assert met["steps"] >= 30
-    assert met["frames"] == met["steps"] // 4
-
-
-@pytest.mark.slow
 def test_killed_from_outside_and_continued(box):
     command = [sys.executable, "-m", "openmm_sier.cli", "run", str(box), *SMALL, "--out", "cut.dcd"]
     process = subprocess.Popen([*command, "--time", "1000"], stdout=subprocess.DEVNULL)
@@ -424,7 +415,6 @@ def test_bad_arguments_are_refused_in_one_line(box, capsys):
         ["run", "a.pdb", "--steps", "0"],
         ["run", "a.pdb", "--steps", "5", "--time", "1"],
         ["run", "a.pdb", "--scheme", "sier3"],
-        ["paper", "everything"],
         ["fly"],
         [],
     ):

@@ -79,8 +79,8 @@ def test_tables_of_members_add_up(plan):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[options]", "[option]", "expected command, options, members, got option"),
-        ("[options]", 'command = "bench"\n[options]', "command: members are runs, command = \"run\", got 'bench'"),
+        ("[options]", "[option]", "expected options, members, got option"),
+        ("[options]", 'command = "run"\n[options]', "expected options, members, got command"),
         ("dt = [4]", "dt = []", r"dt in \[members\] must have values, got an empty list"),
         ("seed = [1, 2]", "seed = [1, 2]\nevery = 1", r"every is in \[options\] and in \[members\]"),
         ("dt = [4]", 'ensemble = ["nve"]', r"ensemble is in \[options\] and in \[members\]"),

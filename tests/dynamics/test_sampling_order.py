@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from openmm_sier.dynamics.order import HIGHEST_ORDER
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, KICK, Stage
-from openmm_sier.studies.scheme_comparison import OTHERS
+from studies.methods import OTHERS
 
 ALL = {**CATALOGUE, **OTHERS}
 

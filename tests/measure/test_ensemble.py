@@ -5,7 +5,6 @@ import signal
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
@@ -15,14 +14,13 @@ from tests.support import members
 from tests.support.members import HEADING
 
 
-@pytest.fixture(autouse=True)
-def counting(monkeypatch):
-    monkeypatch.setattr(module, "WORKER", "tests.support.members")
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+def counter(name, last):
+    """A member that counts, in the place of one that simulates."""
+    return Member(name, (str(last),), float(last), members.__name__)
 
 
 def counters(*lasts):
-    return [Member(f"to{last}", (str(last),), float(last)) for last in lasts]
+    return [counter(f"to{last}", last) for last in lasts]
 
 
 def counted(last):
@@ -79,7 +77,7 @@ def test_a_member_that_gets_nowhere_is_given_up(tmp_path, monkeypatch):
 
 def test_a_member_that_fails_does_not_hinder_the_others(tmp_path):
     with pytest.raises(EnsembleError, match="wrong failed: expected a number, got x") as caught:
-        ensemble([Member("wrong", ("x",)), *counters(3)], tmp_path, processes=1)
+        ensemble([Member("wrong", ("x",), module=members.__name__), *counters(3)], tmp_path, processes=1)
     assert [bool(o.error) for o in caught.value.outcomes] == [True, False]
     assert (tmp_path / "to3" / LOG).read_text() == counted(3)
 
@@ -173,7 +171,7 @@ def test_wrong_arguments(tmp_path):
 
 
 def test_progress_within_a_member(tmp_path):
-    member = Member("one", ("8",), 8.0)
+    member = counter("one", 8)
     assert fraction_done(member, tmp_path) == 0
     (tmp_path / "one").mkdir()
     # The last line is being written.

@@ -220,24 +220,26 @@ import sys
 for name in ("rich", "matplotlib", "h5py", "numba"):
     sys.modules[name] = None
 
-import openmm_sier.studies.bench
-import openmm_sier.studies.equipartition
-import openmm_sier.studies.paper
-import openmm_sier.studies.scheme_comparison
-from openmm_sier import RigidBodies, SIER2Integrator
-from openmm_sier.measure import observables, sampling, starts
-from openmm_sier.studies.bench.layer import free_water
+import openmm
+from openmm_sier import SIER2Integrator
+from openmm_sier.measure import starts
 
-system, positions = free_water(3)
+system, positions = openmm.System(), []
+for x in range(3):
+    for site in ((0, 0), (0.1, 0), (0, 0.1)):
+        system.addParticle(1.0)
+        positions.append((x, *site))
+    for i, j, length in ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.02**0.5)):
+        system.addConstraint(3 * x + i, 3 * x + j, length)
 context = starts.make_context(system, SIER2Integrator(0.001), "Reference")
 starts.prepare(context, positions, 300.0, time=0.05)
-series = sampling.sample(context, RigidBodies.from_system(system), 20, 1)
-print(len(series.time), observables.energy_drift(series.time, series.total)[0] < 1e-6)
+context.getIntegrator().step(20)
+print(context.getStepCount(), context.getIntegrator().bodies.n)
 assert not any(name.split(".")[0] in ("rich", "matplotlib") for name, module in sys.modules.items() if module)
 """
 
 
-def test_equilibrating_and_sampling_need_neither_rich_nor_matplotlib():
+def test_equilibrating_needs_neither_rich_nor_matplotlib():
     done = subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["20", "True"]
+    assert done.stdout.split() == ["20", "3"]

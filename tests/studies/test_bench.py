@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
 import os
 import sys
-from pathlib import Path
 
 import numpy as np
 import openmm
+import pandas as pd
 import pytest
 from openmm import app, unit
 
 from openmm_sier import RigidBodies
 from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure import forcefields
-from openmm_sier.studies import bench
-from openmm_sier.studies.bench import accuracy, layer, peers, timing
-from openmm_sier.studies.bench.accuracy import Point
-from tests.support.commands import SYSTEMS, run, write_lattice
+from studies import bench, records
+from studies.bench import accuracy, layer, peers, timing
+from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.reports import Told
 
 
 @pytest.fixture(scope="module")
@@ -44,27 +43,39 @@ def test_bench_in_miniature(box, tmp_path, monkeypatch):
     monkeypatch.setattr(peers, "installed", list)
     monkeypatch.setattr(layer, "SMALLEST", 20)
     monkeypatch.setattr(layer, "_least", functools.partial(layer._least, repeats=1))
-    parts = ("--parts", "steps", "rotations", "layer", "accuracy")
-    sizes = (*parts, "--copies", "1", "--rounds", "1", "--bodies", "20", "40", "--time", "0.1")
-    run("bench", box, *sizes, "--platform", "Reference", "--out", tmp_path)
-    record = json.loads((tmp_path / "bench.json").read_text())
-    assert {row["molecules"] for row in record["steps"]} == {27}
-    assert all(row["median"] > 0 for row in record["steps"])
+    settings = timing.BenchSettings(
+        out=tmp_path,
+        box=box,
+        parts=("steps", "rotations", "layer", "accuracy"),
+        copies=(1,),
+        rounds=1,
+        bodies=(20, 40),
+        time=0.1,
+        equilibrate=0.02,
+        platform="Reference",
+    )
+    told = Told()
+    found = bench.study(settings, told).tables
+    steps = found["steps"]
+    assert set(steps["molecules"]) == {27}
+    assert (steps["median"] > 0).all()
     # A step is longer than the calls of forces in it.
-    own = [row["median"] for row in record["steps"] if row["name"].endswith("the force calls in it")]
+    own = steps[steps["name"].str.endswith("the force calls in it")]
     assert len(own) == 2
-    assert min(own) > 1
-    assert [row["bodies"] for row in record["rotations"]] == [20, 40]
-    assert set(record["layer"]["nanoseconds"]) == {"20", "40"}
-    assert [point["method"] for point in record["accuracy"]["points"]] == ["OpenMM Verlet", "SIER4"]
-    assert record["settings"]["box"] == "box.pdb"
+    assert (own["median"] > 1).all()
+    assert set(found["rotations"]["bodies"]) == {20, 40}
+    assert set(found["rotations"]["name"]) == {"MRDL", "exact", "SEJ4", "exact, Numba"}
+    assert list(found["layer"]["what"][:2]) == [f"{n} bodies, ns a body and step" for n in (20, 40)]
+    assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4"]
+    assert records.read(tmp_path / "bench.json").settings["box"] == "box.pdb"
     assert (tmp_path / "bench.png").stat().st_size > 10_000
+    assert len(told.tables) == 5
 
 
-def test_unknown_part_is_refused(tmp_path):
+def test_unknown_part_is_refused():
     known = "known are steps, rotations, layer, accuracy, platform"
-    with pytest.raises(ValueError, match=f"unknown part 'speed' of the benchmark; {known}"):
-        bench.run(timing.BenchSettings(box=Path("none.pdb"), parts=("speed",)), tmp_path)
+    with pytest.raises(ValueError, match=f"unknown part of the benchmark 'speed'; {known}"):
+        bench.study(timing.BenchSettings(parts=("speed",)))
 
 
 def test_interleaved_timings_discard_the_first_round():
@@ -86,26 +97,29 @@ def test_free_water_is_water():
 
 
 def power_law(factor, power, steps=(0.25, 0.5, 1.0, 2.0)):
-    return [Point("m", h, factor * h**power, 100 * h) for h in steps]
+    rows = [("m", h, factor * h**power, 100 * h) for h in steps]
+    return pd.DataFrame(rows, columns=["method", "fs_per_force", "percent", "fs_per_second"])
 
 
 @pytest.mark.parametrize("power", [2, 4])
 def test_step_at_a_level_of_a_power_law(power):
-    level = 1e-3 * 0.7**power
-    assert accuracy.step_at(power_law(1e-3, power), "m", level) == pytest.approx(0.7, rel=1e-12)
+    level = 0.1 * 0.7**power
+    assert accuracy.step_at(power_law(0.1, power), "m", level) == pytest.approx(0.7, rel=1e-12)
 
 
 def test_level_that_no_step_or_every_step_reaches():
-    points = power_law(1e-3, 2)
-    assert math.isnan(accuracy.step_at(points, "m", 1e-7))
-    assert math.isnan(accuracy.step_at(points, "m", 1.0))
-    assert math.isnan(accuracy.step_at([*points[:1], Point("m", 0.5, math.nan, math.nan)], "m", 1e-3))
+    points = power_law(0.1, 2)
+    assert math.isnan(accuracy.step_at(points, "m", 1e-5))
+    assert math.isnan(accuracy.step_at(points, "m", 100.0))
+    points.loc[1:, "percent"] = math.nan
+    assert math.isnan(accuracy.step_at(points, "m", 0.1))
 
 
 def test_cost_at_a_level():
-    (row,) = accuracy.summary(power_law(1e-3 / 0.64, 2), 1e-3).values()
-    # 0.8 fs per force reach it, and a force takes 10 ms.
-    assert row == pytest.approx({"fs_per_force": 0.8, "forces_per_ps": 1250.0, "fs_per_second": 80.0})
+    row = accuracy.costs_of(power_law(0.1 / 0.64, 2)).to_dict("records")[-1]
+    # 0.8 fs per force reach 0.1 %, and a force takes 10 ms.
+    expected = {"percent": 0.1, "fs_per_force": 0.8, "forces_per_ps": 1250.0, "fs_per_second": 80.0}
+    assert row == pytest.approx(expected | {"method": "m"})
 
 
 # --- peers ---

@@ -10,27 +10,23 @@ from scipy.integrate import solve_ivp
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState
-from openmm_sier.studies.paper import dipole, published, tip4p
-from openmm_sier.studies.paper.dipole import DipoleSettings, Field, Spread
-from openmm_sier.studies.paper.methods import METHODS
+from studies.methods import PAPER
+from studies.paper import dipole, published, tip4p
+from studies.paper.dipole import DipoleSettings, Field, Spread
 from tests.support.oracles import random_attitudes, skew
 
-NAMES = [method.name for method in METHODS]
+NAMES = [method.name for method in PAPER]
 
 
 @functools.cache
 def miniature():
-    return dipole.turn_in_field(DipoleSettings(bodies=1500, span=1.5))
-
-
-def entry(method, step):
-    return next(e for e in miniature().entries if (e.method, e.force_step_fs) == (method, step))
+    return dipole.find(DipoleSettings(bodies=1500, span=1.5)).tables["rows"].set_index(["method", "force_step_fs"])
 
 
 @pytest.mark.parametrize("step", [4.2, 11.0, 21.0])
 def test_energies_are_those_of_table_1(step):
     """Within the factor 2 that the paper's unknown ensemble leaves; the order of the methods is the paper's."""
-    found = {name: 100 * entry(name, step).energy for name in NAMES}
+    found = {name: miniature()["energy"][name, step] for name in NAMES}
     for name in NAMES:
         assert 0.5 < found[name] / published.ENERGY[name, step][0] < 2
     ranks = sorted(("SIER2", "SIER4", "MRDL"), key=lambda name: found[name])
@@ -43,8 +39,8 @@ def test_energies_are_those_of_table_1(step):
 def test_angular_momenta_are_those_of_table_1(step):
     """Rounding, below 1e-13 in a few hundred steps, and for SEJ4 within a factor 3 of the paper."""
     for name in ("MRDL", "SIER2", "SIER4"):
-        assert 0 < entry(name, step).momentum < 1e-13
-    assert 1 / 3 < entry("SEJ4", step).momentum / published.MOMENTUM["SEJ4", step][0] < 3
+        assert 0 < miniature()["momentum"][name, step] < 1e-13
+    assert 1 / 3 < miniature()["momentum"]["SEJ4", step] / published.MOMENTUM["SEJ4", step][0] < 3
 
 
 def test_the_field_is_2_7_megavolts_per_metre():
@@ -53,8 +49,8 @@ def test_the_field_is_2_7_megavolts_per_metre():
     The energy error of SIER2 hardly depends on a weak field, that of MRDL as its inverse: rms(V) grows, the error of
     free rotation stays.
     """
-    strong = dipole.turn_in_field(DipoleSettings(field=270.0, bodies=500, span=1.0, force_steps_fs=(11.0,)))
-    found = {e.method: 100 * e.energy for e in strong.entries}
+    strong = dipole.find(DipoleSettings(field=270.0, bodies=500, span=1.0, force_steps_fs=(11.0,)))
+    found = strong.tables["rows"].set_index("method")["energy"]
     assert found["MRDL"] < published.ENERGY["MRDL", 11.0][0] / 4
 
 
@@ -90,7 +86,7 @@ def test_motion_agrees_with_the_integrated_equations(rng):
 
     y = np.concatenate([start.A.ravel(), start.L.ravel()])
     expected = solve_ivp(derivative, (0, 0.2), y, method="DOP853", rtol=1e-12, atol=1e-14).y[:9, -1].reshape(3, 3)
-    for method, order in ((METHODS[2], 2), (METHODS[3], 4)):
+    for method, order in ((PAPER[2], 2), (PAPER[3], 4)):
         errors = []
         for steps in (40, 80):
             state = BodyState(start.q, start.p, start.A, start.L)

@@ -2,106 +2,30 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-import sys
 from dataclasses import replace
 
+import pandas as pd
 import pytest
 
-from openmm_sier.cli.main import build_parser
-from openmm_sier.studies import paper
-from openmm_sier.studies.paper import dipole, figures, free_rotation, liquids, output, published, tables, water_runs
-from openmm_sier.studies.paper.free_rotation import Cost, Curve, FreeRotation
-from openmm_sier.studies.paper.methods import METHODS
-from openmm_sier.studies.paper.water import Crossing, Point, Water
+from studies import paper, records
+from studies.methods import PAPER
+from studies.paper import PaperSettings, dipole, free_rotation, liquids, published, water, water_runs
 from tests.support.reports import Told
 
-PNG = b"\x89PNG"
-
-
-def rotation_result():
-    def curve(method, step, tau):
-        times = (0.1, 1.0, 10.0)
-        delta = tuple(t / 10 / tau for t in times)
-        return Curve(method, step, times, delta, delta, 1e-6, tau, 0.1 * tau, 2 * tau, 1.0, tau)
-
-    taus = {"MRDL": 8.0, "SEJ4": 2e3, "SIER2": 1e11, "SIER4": 5e10}
-    curves = tuple(curve(method, step, tau) for step in (1.66, 8.0) for method, tau in taus.items())
-    costs = tuple(Cost(method, 8.0, 200.0, ratio, ratio, ratio) for method, ratio in (("MRDL", 1.0), ("SIER2", 1.8)))
-    return FreeRotation(free_rotation.FreeRotationSettings(seed=77), (1.0, 2.0, 3.0), curves, costs)
-
-
-def water_result(runs=2):
-    points = [
-        Point(liquids.MOLECULAR, method, step, 1e-3 * step**2, 1e-4, 0.1, 50.0, 0.01, runs)
-        for method in ("MRDL", "SEJ4", "SIER2", "SIER4")
-        for step in (1.0, 2.0)
-    ]
-    crossing = Crossing(liquids.MOLECULAR, 2.0, 0.1, {"SIER2": 2.03, "SIER4": 4.0})
-    return Water(water_runs.QUICK, "made", 1.9, tuple(points), (crossing,))
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "text"),
-    [
-        (1.8, 0.3, "1.80 ± 0.30"),
-        (0.0035, 0.0005, "0.00350 ± 0.00050"),
-        (51.0, 7.0, "51.0 ± 7.0"),
-        (1234.0, 56.0, "1234 ± 56"),
-        (2.2e-5, 1e-6, "(2.20 ± 0.10)e-5"),
-        (2.5e6, 3e5, "(2.50 ± 0.30)e6"),
-        (0.12345, None, "0.123"),
-        (0.12345, math.nan, "0.123"),
-        (math.nan, 1.0, "-"),
-    ],
-)
-def test_numbers(value, error, text):
-    assert tables.number(value, error) == text
+TINY = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=2)
 
 
 @pytest.mark.parametrize(
     ("value", "text"), [(117.0, "117 ps"), (0.91e6, "910 ns"), (2.1e3, "2.1 ns"), (16e9, "16 ms"), (math.inf, "-")]
 )
 def test_times(value, text):
-    assert tables.picoseconds(value) == text
+    assert published.picoseconds(value) == text
 
 
 def test_times_to_be_compared_have_one_unit():
-    assert tables.picoseconds(0.91e6, like=1.1e6) == "0.91 µs"
-    assert tables.picoseconds(48e9, like=1.2e12) == "0.048 s"
-
-
-def cells(table):
-    assert all(len(row) == len(table.columns) for row in table.rows)
-    return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
-
-
-def test_tables_have_the_papers_values_beside_ours():
-    rows = cells(tables.tau_table(rotation_result()))
-    first = next(row for row in rows if row["method"] == "MRDL" and row["h (fs)"] == "8")
-    assert first["paper"] == "7.6 ps"
-    assert first["tau"] == "8.00 ± 0.80 ps"
-    assert first["ratio"] == "1.05"
-    assert next(row for row in rows if row["method"] == "SIER4")["paper"] == "as SIER2"
-
-    small = dipole.turn_in_field(dipole.DipoleSettings(bodies=20, span=0.1))
-    energies = cells(tables.dipole_energy_table(small))
-    assert len(energies) == 12
-    assert energies[0]["paper"] == "1.80 ± 0.30"
-    assert float(energies[0]["ratio"]) == pytest.approx(100 * small.entries[0].energy / 1.8, abs=0.006)
-    momenta = cells(tables.dipole_momentum_table(small))
-    assert momenta[1]["paper"] == "1.4e-06"
-
-    table = tables.water_table(water_result(), liquids.MOLECULAR)
-    assert "216 molecules (the paper: 512)" in table.title
-    assert cells(table)[1] == {"h/f (fs)": "2", **dict.fromkeys(("MRDL", "SEJ4", "SIER2", "SIER4"), "0.400 ± 0.010")}
-    crossing = cells(tables.crossing_table(water_result()))[0]
-    assert crossing["ratio"] == "1.11"
-    assert (crossing["slope SIER2"], crossing["slope SIER4"]) == ("2.03", "4.00")
-    assert cells(tables.water_table(water_result(0), liquids.MOLECULAR))[0]["SIER4"] == "breaks"
-    assert cells(tables.cost_table(rotation_result()))[1]["paper, over MRDL"] == "1.7 - 2"
+    assert published.picoseconds(0.91e6, like=1.1e6) == "0.91 µs"
+    assert published.picoseconds(48e9, like=1.2e12) == "0.048 s"
 
 
 def test_published_values_are_complete():
@@ -110,101 +34,101 @@ def test_published_values_are_complete():
     assert len(published.TAU) == 6
 
 
-def test_json_has_everything(tmp_path):
-    result = replace(water_result(), crossings=(Crossing(liquids.PME, math.nan, math.nan, {"SIER2": 2.0}),))
-    output.write_json(tmp_path / "water.json", result, 12.34)
-    content = json.loads((tmp_path / "water.json").read_text())
-    assert content["versions"]["numpy"]
-    assert content["versions"]["openmm-sier"]
-    assert content["seconds"] == 12.3
-    settings = content["result"]["settings"]
-    assert settings["seed"] == 1
-    assert settings["cutoffs"]["molecular_off"] == 0.9
-    assert content["result"]["crossings"][0]["force_step_fs"] is None
-    assert content["result"]["points"][0]["energy"] == 1e-3
+def cells(table):
+    assert all(len(row) == len(table.columns) for row in table.rows)
+    return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
 
 
-def test_csv_has_a_row_for_each_point(tmp_path):
-    output.write_csv(tmp_path / "a.csv", rotation_result().curves)
-    with (tmp_path / "a.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 8 * 3
-    assert float(rows[2]["times"]) == 10
-    assert float(rows[2]["delta"]) == pytest.approx(10 / 80)
-    assert rows[2]["method"] == "MRDL"
+def test_free_rotation_is_told_beside_the_paper(tmp_path):
+    record = free_rotation.find(TINY)
+    tau = {"MRDL": 8.0, "SEJ4": 2e3, "SIER2": 1e11, "SIER4": 5e10}
+    taus = record.tables["taus"]
+    taus["tau"] = taus["method"].map(tau)
+    taus["tau_error"] = taus["tau"] / 10
+    table, costs = free_rotation.tables(record)
+    rows = cells(table)
+    first = next(row for row in rows if row["method"] == "MRDL" and row["h (fs)"] == "8")
+    assert (first["paper"], first["tau"], first["ratio"]) == ("7.6 ps", "8.00 ± 0.80 ps", "1.05")
+    assert next(row for row in rows if row["method"] == "SIER4")["paper"] == "as SIER2"
+    paper_costs = {row["map"]: row["paper, over MRDL"] for row in cells(costs)}
+    assert paper_costs == {"MRDL": "1", "exact": "1.7 - 2", "SEJ4": "2 - 2.4", "exact, Numba": "-"}
+    record.write(tmp_path / "a.json")
+    free_rotation.figure(records.read(tmp_path / "a.json"), tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 20_000
 
 
-def test_figures(tmp_path):
-    figures.free_rotation(rotation_result(), tmp_path / "a.png")
-    figures.dipole(dipole.turn_in_field(dipole.DipoleSettings(bodies=20, span=0.1)), tmp_path / "b.png")
-    figures.water(water_result(), tmp_path / "c.png")
-    no_crossing = replace(water_result(0), crossings=(Crossing(liquids.MOLECULAR, math.nan, math.nan, {}),))
-    figures.water(no_crossing, tmp_path / "d.png")
-    for name in "abcd":
-        data = (tmp_path / f"{name}.png").read_bytes()
-        assert data.startswith(PNG)
-        assert len(data) > 20_000
+def test_the_dipole_is_told_beside_the_paper():
+    record = dipole.find(dipole.DipoleSettings(bodies=20, span=0.1))
+    energies, momenta = map(cells, dipole.tables(record))
+    assert len(energies) == 12
+    assert energies[0]["paper"] == "1.80 ± 0.30"
+    assert float(energies[0]["ratio"]) == pytest.approx(record.tables["rows"]["energy"][0] / 1.8, abs=0.006)
+    assert momenta[1]["paper"] == "1.4e-06"
 
 
-def test_run_writes_and_reports(tmp_path, monkeypatch):
-    """The function behind `openmm-sier paper`, for two small experiments."""
-    monkeypatch.setattr(dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1))
-    tiny = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=2)
-    monkeypatch.setattr(free_rotation, "QUICK", tiny)
-    for name in ("dipole", "free-rotation"):
-        told = Told()
-        found = paper.run(name, quick=True, out=tmp_path / "deep" / "er", seed=9, report=told)
-        assert "expected to take about" in told.notes[0]
-        assert told.tables == found[name].tables
-        assert all({"ratio", "paper"} & set(table.columns) for table in told.tables[:1])
-        ((_, fractions),) = told.runs
-        assert fractions == sorted(fractions)
-        assert fractions[-1] == pytest.approx(1)
-        for ending in ("json", "csv", "png"):
-            assert (tmp_path / "deep" / "er" / f"{name}.{ending}").stat().st_size > 0
-        content = json.loads((tmp_path / "deep" / "er" / f"{name}.json").read_text())
-        assert content["result"]["settings"]["seed"] == 9
+def runs_of_water(settings, broken=()):
+    """Runs whose errors are powers of the step."""
+    return [
+        {"kind": kind, "number": number, "method": method.name, "force_step_fs": step}
+        | ({} if method.name in broken else {"rms_H": 1e-3 * step**method.order, "rms_V": 1.0, "drift": 0.01})
+        for kind in settings.kinds
+        for number in (1, 2)
+        for method in PAPER
+        for step in settings.steps_of(method, water_runs.PhasePoint(kind, number))
+    ]
 
 
-def runs_of_water(members, place, processes, report):
+def test_water_is_told_beside_the_paper(tmp_path):
+    settings = replace(water_runs.QUICK, kinds=(liquids.MOLECULAR,))
+    record = water.evaluate(settings, 1.9, runs_of_water(settings))
+    table, crossing = water.tables(record)
+    assert "216 molecules (the paper: 512)" in table.title
+    assert [row["SIER4"] for row in cells(table)[1:3]] == ["0.1", "0.3842"]
+    (found,) = cells(crossing)
+    # Curves of h^2 and h^4 cross at 1 fs.
+    assert (found["ours"], found["ratio"]) == ("1", "0.56")
+    assert (found["slope SIER2"], found["slope SIER4"]) == ("2.00", "4.00")
+    record.write(tmp_path / "water.json")
+    again = records.read(tmp_path / "water.json")
+    pd.testing.assert_frame_equal(again.tables["points"], record.tables["points"])
+    water.figure(again, tmp_path / "water.png")
+    assert (tmp_path / "water.png").stat().st_size > 20_000
+    broken = water.evaluate(settings, 1.9, runs_of_water(settings, ("SIER4",)))
+    assert cells(water.tables(broken)[0])[0]["SIER4"] == "breaks"
+    assert cells(water.tables(broken)[1])[0]["ratio"] == "-"
+    water.figure(broken, tmp_path / "broken.png")
+
+
+def members_of_water(members, place, processes, report):
     """In place of the ensemble: what its members would write."""
     assert [member.name for member in members] == ["molecular-1", "molecular-2"]
     for member in members:
-        assert build_parser().parse_args(member.arguments).phase_point == member.name
+        settings = water_runs.QUICK
+        assert member.module == paper.MEMBER
+        assert member.arguments[:3] == ("water", "--phase-point", member.name)
         (place / member.name).mkdir(parents=True)
-        point = water_runs.phase_point(member.name, water_runs.QUICK)
-        runs = [
-            water_runs.Run(method.name, step, (1e-3 * step**order, 1.0, 0.01))
-            for method, order in zip(METHODS, (2, 2, 2, 4), strict=True)
-            for step in water_runs.QUICK.steps_of(method, point)
-        ]
-        water_runs.keep_runs(runs, place / member.name)
+        kind, number = water_runs.phase_point(member.name, settings)
+        runs = [run for run in runs_of_water(settings) if (run["kind"], run["number"]) == (kind, number)]
+        records.replace_file(place / member.name / water_runs.FILE, pd.DataFrame(runs).to_json(orient="records"))
 
 
 def test_all_runs_every_experiment(tmp_path, monkeypatch):
-    monkeypatch.setattr(free_rotation, "rotate_freely", lambda settings, show: rotation_result())
     monkeypatch.setattr(dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1))
+    monkeypatch.setattr(free_rotation, "QUICK", TINY)
     monkeypatch.setattr(water_runs, "QUICK", replace(water_runs.QUICK, kinds=(liquids.MOLECULAR,)))
-    monkeypatch.setattr(paper, "ensemble", runs_of_water)
+    monkeypatch.setattr(paper, "ensemble", members_of_water)
     told = Told()
-    paper.run("all", quick=True, out=tmp_path, report=told)
+    found = paper.study(PaperSettings(quick=True, out=tmp_path, seed=9), told)
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
-        f"{name}.{ending}" for name in paper.EXPERIMENTS for ending in ("json", "csv", "png")
+        f"{name}.{ending}" for name in paper.EXPERIMENTS for ending in ("json", "png")
     }
-    (table,) = [table for table in told.tables if table.title.startswith("Liquid water, molecular")]
-    assert cells(table)[2]["SIER4"] == "0.384"
+    assert [record.settings["seed"] for record in found.values()] == [9, 9, 9]
+    assert len(told.tables) == 6
+    for _, fractions in told.runs:
+        assert fractions == sorted(fractions)
+        assert fractions[-1] == pytest.approx(1)
 
 
-def test_unknown_experiment(tmp_path):
-    with pytest.raises(ValueError, match="must be one of free-rotation"):
-        paper.run("ice", out=tmp_path)
-
-
-@pytest.mark.parametrize(("missing", "message"), [("matplotlib", r"openmm-sier\[plots\]"), ("mpmath", "needs mpmath")])
-def test_missing_extras_are_named_before_anything_is_computed(tmp_path, monkeypatch, missing, message):
-    """One sentence with the remedy."""
-    monkeypatch.setattr(free_rotation, "rotate_freely", lambda *_: pytest.fail("computed"))
-    monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(ModuleNotFoundError, match=message):
-        paper.run("free-rotation", quick=True, out=tmp_path / "none")
-    assert not (tmp_path / "none").exists()
+def test_a_member_that_there_is_not(tmp_path):
+    with pytest.raises(ValueError, match=r"must be one of pme-1, .* got 'ice-1'"):
+        paper.study(PaperSettings(experiment="water", quick=True, phase_point="ice-1", out=tmp_path))

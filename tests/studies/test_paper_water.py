@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,19 +15,23 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.dynamics import backend
-from openmm_sier.studies.paper import liquids, molecular_cutoff, start, tip4p, water, water_runs
-from openmm_sier.studies.paper.liquids import MOLECULAR, PME, Cutoffs
-from openmm_sier.studies.paper.methods import METHODS
-from openmm_sier.studies.paper.molecular_cutoff import MolecularCutoff
-from openmm_sier.studies.paper.pairs import switch
-from openmm_sier.studies.paper.water_runs import PhasePoint, WaterSettings
+from studies.methods import PAPER
+from studies.paper import liquids, molecular_cutoff, tip4p, water, water_runs
+from studies.paper.liquids import MOLECULAR, PME, Cutoffs
+from studies.paper.molecular_cutoff import MolecularCutoff
+from studies.paper.pairs import switch
+from studies.paper.water_runs import PhasePoint, WaterSettings
 from tests.support.oracles import random_attitudes
 
-SYSTEMS = Path(__file__).parents[2] / "systems"
 ON, OFF, EDGE = 0.3, 0.5, 1.5
 POTENTIAL = MolecularCutoff(tip4p.SIGMA, tip4p.EPSILON, tip4p.CHARGE, ON, OFF)
 SMALL = Cutoffs(molecular_on=0.4, molecular_off=0.6, pme=0.6, pme_switch=0.5, ewald_tolerance=1e-5)
+
+
+REAL_PHASE_POINT = liquids.phase_point
+
+#: Of O, H, H and M, the last 0.015 nm from O.
+GEOMETRY = np.vstack([tip4p.GEOMETRY, [0.0, 0.015, 0.0]])
 
 
 def molecules(rng, n=27, edge=EDGE):
@@ -34,7 +39,8 @@ def molecules(rng, n=27, edge=EDGE):
     side = round(n ** (1 / 3))
     places = np.array(list(itertools.product(range(side), repeat=3))) * edge / side + 0.04 * rng.normal(size=(n, 3))
     A = random_attitudes(rng, n)
-    return start._with_m(places[:, None] + np.einsum("ka,abn->nkb", tip4p.GEOMETRY, A))
+    r = places[:, None] + np.einsum("ka,abn->nkb", GEOMETRY, A)
+    return r.reshape(-1, 3)
 
 
 def compound_bonds(n):
@@ -72,19 +78,7 @@ def reference_energy_and_forces(positions):
     )
 
 
-@pytest.fixture(params=["NumPy", "Numba"])
-def either(request):
-    """Both ways in which the sum over pairs is executed."""
-    if request.param == "NumPy":
-        with backend.using(backend.NUMPY):
-            yield
-        return
-    if backend.active() is backend.NUMPY:
-        pytest.fail("Numba, of the extra 'test', is not installed")
-    yield
-
-
-def test_molecular_cutoff_against_openmm(rng, either):
+def test_molecular_cutoff_against_openmm(rng):
     """27 molecules in a box in which no pair of sites within the cut-off is nearer by another image."""
     positions = molecules(rng)
     energy, forces = POTENTIAL.energy_and_forces(positions, np.full(3, EDGE))
@@ -98,7 +92,7 @@ def test_molecular_cutoff_against_openmm(rng, either):
     assert ((R > ON) & (R < OFF)).sum() > 50
 
 
-def test_forces_are_the_gradient(rng, either):
+def test_forces_are_the_gradient(rng):
     """Central differences of the energy; their own error is some 1e-7 of these forces."""
     positions = molecules(rng)
     box = np.full(3, EDGE)
@@ -111,12 +105,11 @@ def test_forces_are_the_gradient(rng, either):
     assert np.abs(forces.sum(axis=0)).max() < 1e-10 * np.abs(forces).max()
 
 
-def test_periodic_images_and_blocks(rng, monkeypatch, either):
-    """Molecules that are moved by edges of the box, and the size of blocks, make no difference beyond rounding."""
+def test_periodic_images(rng):
+    """Molecules that are moved by edges of the box make no difference beyond rounding."""
     positions, box = molecules(rng), np.array([1.5, 1.6, 1.7])
     energy, forces = POTENTIAL.energy_and_forces(positions, box)
     images = np.repeat(rng.integers(-2, 3, size=(27, 3)), 4, axis=0) * box
-    monkeypatch.setattr(molecular_cutoff, "BLOCK", 5)
     again, forces_again = POTENTIAL.energy_and_forces(positions + images, box)
     assert again == pytest.approx(energy, rel=1e-11)
     assert np.abs(forces_again - forces).max() < 1e-11 * np.abs(forces).max()
@@ -142,24 +135,17 @@ def test_refusals():
     with pytest.raises(ValueError, match="0 < on < off"):
         MolecularCutoff(0.3, 0.6, 0.5, 0.9, 0.8)
     with pytest.raises(ValueError, match="kind of liquid"):
-        liquids.build("ice", 8, 2.0, SMALL)
+        liquids.build("ice", box(), SMALL)
     with pytest.raises(ValueError, match="needs a box"):
-        liquids.build(MOLECULAR, 8, 1.0, SMALL)
-
-
-def test_old_openmm(monkeypatch):
-    monkeypatch.delattr(openmm, "PythonForce")
-    with pytest.raises(ImportError, match="newer one"):
-        liquids.build(MOLECULAR, 8, 2.0, SMALL)
+        liquids.build(MOLECULAR, box(), replace(SMALL, molecular_off=0.7))
 
 
 @pytest.mark.parametrize("kind", [MOLECULAR, PME])
 def test_systems_are_water(rng, kind):
     """Bodies of TIP4P, M at 0.015 nm, the dipole of the published model, and no net force."""
-    n, edge = 27, EDGE
-    system = liquids.build(kind, n, edge, SMALL)
-    context = liquids.context(system, SIERIntegrator(0.001), kind)
-    context.setPositions(molecules(rng))
+    n = 64
+    context = liquids.context(liquids.build(kind, box(), SMALL), SIERIntegrator(0.001), kind)
+    context.setPositions(molecules(rng, n, box().edge))
     context.computeVirtualSites()
     state = context.getState(positions=True, forces=True)
     r = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer).reshape(n, 4, 3)
@@ -179,16 +165,32 @@ def test_systems_are_water(rng, kind):
 
 @functools.cache
 def box():
-    return start.make_box(64, SMALL, 297.0, 5)
+    return liquids.water_box(64)
 
 
-def runs_from(point, settings, directory=None):
-    return water_runs.make_runs(box(), point, settings, directory, lambda what, fraction: None)
+@functools.cache
+def phase(kind, number):
+    """A phase point, equilibrated once for all tests."""
+    return REAL_PHASE_POINT(box(), kind, SMALL, 297.0, 3.0, number)
 
 
-def samples(kind, settings):
-    runs = [run for i in range(settings.runs) for run in runs_from(PhasePoint(kind, 1 + i), settings)]
-    return water.samples_of(settings, kind, runs)
+@pytest.fixture(autouse=True)
+def known_phase_points(monkeypatch):
+    monkeypatch.setattr(liquids, "phase_point", lambda water, kind, *_: phase(kind, _[-1]))
+
+
+def runs_from(point, settings, directory):
+    return water_runs.make_runs(box(), point, settings, directory)
+
+
+def evaluated(settings):
+    """The record of the experiment in miniature."""
+    (kind,) = settings.kinds
+    made = []
+    for i in range(settings.runs):
+        with tempfile.TemporaryDirectory() as directory:
+            made += runs_from(PhasePoint(kind, 1 + i), settings, Path(directory))
+    return water.evaluate(settings, box().edge, made)
 
 
 @functools.cache
@@ -206,11 +208,11 @@ def miniature():
         runs=2,
         relax=0.2,
     )
-    return settings, samples(MOLECULAR, settings)
+    return settings, evaluated(settings)
 
 
-def ratios():
-    return {key: water._ratio(np.array(values)) for key, values in miniature()[1].items()}
+def ratios(record):
+    return record.tables["points"].set_index(["method", "force_step_fs"])["percent"]
 
 
 def test_slopes_are_the_orders():
@@ -218,7 +220,7 @@ def test_slopes_are_the_orders():
 
     Higher orders of the error add up to 0.3 at these steps.
     """
-    found = ratios()
+    found = ratios(miniature()[1])
     second = math.log(found["SIER2", 2.0] / found["SIER2", 0.5]) / math.log(4)
     fourth = math.log(found["SIER4", 1.0] / found["SIER4", 0.5]) / math.log(2)
     assert second == pytest.approx(2, abs=0.15)
@@ -226,16 +228,15 @@ def test_slopes_are_the_orders():
 
 
 def test_crossing_is_where_the_paper_has_it():
-    crossing = water._crossing(MOLECULAR, miniature()[1])
-    assert 1.5 < crossing.force_step_fs < 2.8
-    found = ratios()
+    assert 1.5 < miniature()[1].tables["crossings"]["force_step_fs"][0] < 2.8
+    found = ratios(miniature()[1])
     assert found["SIER4", 1.0] < 0.15 * found["SIER2", 1.0]
     assert found["SIER4", 3.0] > found["SIER2", 3.0]
 
 
 def test_mrdl_and_sej4_lie_on_sier2():
     """Forces make the error, not free rotation: from the same starts they agree within 2 %."""
-    found = ratios()
+    found = ratios(miniature()[1])
     assert found["MRDL", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)
     assert found["SEJ4", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)
 
@@ -243,12 +244,10 @@ def test_mrdl_and_sej4_lie_on_sier2():
 def test_broken_runs_are_left_out():
     """A step at which the integration fails gives no sample, and longer ones are not tried."""
     settings = replace(miniature()[0], force_steps_fs=(1.0, 30.0, 60.0), compared_from_fs=100.0, runs=1, span=0.1)
-    made = samples(MOLECULAR, settings)
-    assert len(made["SIER4", 1.0]) == 1
-    assert not made["SIER4", 60.0]
-    point = water._point(MOLECULAR, "SIER4", 60.0, np.array([]))
-    assert point.runs == 0
-    assert math.isnan(point.energy)
+    points = evaluated(settings).tables["points"].set_index(["method", "force_step_fs"])
+    assert points["runs"]["SIER4", 1.0] == 1
+    assert points["runs"]["SIER4", 60.0] == 0
+    assert math.isnan(points["percent"]["SIER4", 60.0])
 
 
 def test_runs_on_disk_are_not_made_again(tmp_path, monkeypatch):
@@ -263,8 +262,9 @@ def test_runs_on_disk_are_not_made_again(tmp_path, monkeypatch):
         relax=0.1,
     )
     point = PhasePoint(MOLECULAR, 1)
-    undisturbed = runs_from(point, settings)
-    assert [(run.method, run.force_step_fs) for run in undisturbed] == [
+    (tmp_path / "quiet").mkdir()
+    undisturbed = runs_from(point, settings, tmp_path / "quiet")
+    assert [(run["method"], run["force_step_fs"]) for run in undisturbed] == [
         (method, step) for method in ("SIER2", "SIER4") for step in (1.0, 2.0)
     ]
     made = []
@@ -298,7 +298,7 @@ def test_phase_points():
     assert water_runs.phase_point("pme-3", settings) == PhasePoint(PME, 3)
     with pytest.raises(ValueError, match=r"must be one of pme-1, .* got 'pme-10'"):
         water_runs.phase_point("pme-10", settings)
-    exact, mrdl = METHODS[-1], METHODS[0]
+    exact, mrdl = PAPER[-1], PAPER[0]
     coarse = [0.5, 1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0]
     assert settings.steps_of(exact, PhasePoint(MOLECULAR, 3)) == [0.1, 0.25, *coarse]
     assert settings.steps_of(exact, PhasePoint(MOLECULAR, 4)) == coarse
@@ -310,8 +310,8 @@ def test_intersection():
     """Curves h^2 and h^4/4 cross at 2; there is none where one is always below."""
     second = {h: h**2 for h in (0.5, 1.0, 1.8, 3.0)}
     fourth = {h: h**4 / 4 for h in (0.5, 1.0, 1.8, 3.0)}
-    assert water._intersection(second, fourth) == pytest.approx(2)
-    assert math.isnan(water._intersection(second, {h: v / 2 for h, v in second.items()}))
+    assert water.intersection(second, fourth) == pytest.approx(2)
+    assert math.isnan(water.intersection(second, {h: v / 2 for h, v in second.items()}))
 
 
 def test_pme_liquid_runs():
@@ -323,48 +323,37 @@ def test_pme_liquid_runs():
     settings = replace(
         miniature()[0], kinds=(PME,), force_steps_fs=(0.75, 1.5), compared_from_fs=9.0, compared_to_fs=9.0, runs=1
     )
-    made = samples(PME, settings)
-    found = {key: water._ratio(np.array(values)) for key, values in made.items()}
+    found = ratios(evaluated(settings))
     assert math.log2(found["SIER2", 1.5] / found["SIER2", 0.75]) == pytest.approx(2, abs=0.2)
     # The molecular cut-off of as many molecules has 0.5 %.
-    assert 0.002 < found["SIER2", 1.5] < 0.02
+    assert 0.2 < found["SIER2", 1.5] < 2
     assert found["SIER4", 1.5] < 0.4 * found["SIER2", 1.5]
 
 
-def test_starting_box():
-    """A made box is liquid water at the experimental density: 64 molecules near -40 kJ/mol each, molecules whole."""
-    made = box()
-    assert made.molecules == 64
-    assert 64 * 18.0153 / 602.214 / made.edge**3 == pytest.approx(0.99734, rel=1e-4)
-    r = made.positions.reshape(64, 4, 3)
-    assert np.linalg.norm(r[:, 1:3] - r[:, :1], axis=2) == pytest.approx(np.full((64, 2), 0.09572), abs=1e-6)
-    context = liquids.context(liquids.build(PME, 64, made.edge, SMALL), openmm.VerletIntegrator(0.001), PME)
-    context.setPositions(made.positions)
+@pytest.mark.parametrize("n", [64, 512])
+def test_starting_box(n):
+    """The project's box, or a part of it at its density, molecules whole."""
+    made = liquids.water_box(n)
+    assert made.molecules == n
+    assert n * 18.0153 / 602.214 / made.edge**3 == pytest.approx(0.99734, rel=1e-3)
+    r = made.positions.reshape(n, 4, 3)
+    # A PDB file has 1e-4 nm.
+    assert np.linalg.norm(r[:, 1:3] - r[:, :1], axis=2) == pytest.approx(np.full((n, 2), 0.09572), abs=3e-4)
+
+
+def test_phase_points_are_liquid_water():
+    """64 molecules near -40 kJ/mol each."""
+    context = liquids.context(liquids.build(PME, box(), SMALL), openmm.VerletIntegrator(0.001), PME)
+    context.setState(phase(PME, 1))
     # TIP4P: -41.8 kJ/mol (Jorgensen 1983); a short cut-off without its correction and 64 molecules change it by some.
     assert -46 < liquids.energies(context)[1] / 64 < -36
 
 
-def test_shipped_box():
-    made = start.read_box(SYSTEMS / start.BOX)
-    assert made.molecules == start.BOX_MOLECULES
-    assert made.edge == pytest.approx(tip4p.box_edge(512), rel=2e-4)
-    r = made.positions.reshape(512, 4, 3)
-    # A PDB file has 1e-4 nm.
-    assert np.linalg.norm(r[:, 1:3] - r[:, :1], axis=2) == pytest.approx(np.full((512, 2), 0.09572), abs=3e-4)
-    assert start.water_box(512, Cutoffs(), 297.0, 1).origin == start.BOX
-
-
-def test_other_files_are_refused():
-    with pytest.raises(ValueError, match="no CRYST1"):
-        start.read_box(SYSTEMS / "tip4p-1.pdb")
-    with pytest.raises(ValueError, match="water alone"):
-        start.read_box(SYSTEMS / "tip3p-nacl-512.pdb")
-
-
 def test_phase_points_are_reproducible_and_differ():
-    """The same seed gives the same points with DeterministicForces; two points of one run are not the same."""
-    points = [list(start.phase_points(box(), MOLECULAR, SMALL, 297.0, 0.02, 2, 3)) for _ in range(2)]
-    for first, second in zip(*points, strict=True):
-        assert np.array_equal(first[0], second[0])
-        assert np.array_equal(first[1], second[1])
-    assert np.abs(points[0][0][0] - points[0][1][0]).max() > 1e-4
+    """The same seed gives the same point, another seed another."""
+    positions = [
+        REAL_PHASE_POINT(box(), MOLECULAR, SMALL, 297.0, 0.02, seed).getPositions(asNumpy=True)._value
+        for seed in (3, 3, 4)
+    ]
+    assert np.array_equal(positions[0], positions[1])
+    assert np.abs(positions[0] - positions[2]).max() > 1e-4

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import inspect
 
+import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
-from openmm_sier.measure import sampling
-from openmm_sier.studies import scheme_comparison, style
-from openmm_sier.studies.bench import peers
-from openmm_sier.studies.paper.methods import METHODS
-from tests.support.reports import Told
+from studies import methods, schemes, style
+from studies.bench import peers
 
-COMPARED = {method.name for method, _ in scheme_comparison.known().values()}
-COMPARED |= {method.name for method in (*sampling.nve_methods().values(), *METHODS)}
-COMPARED |= {method.name for method in sampling.nvt_methods(300, 1, 1).values()}
+COMPARED = {method.name for method in (*schemes.KNOWN.values(), *methods.PAPER, *methods.REVERSIBLE.values())}
+COMPARED |= {method.name for method in methods.with_bath(300, 1, 1).values()}
 
 
 @pytest.mark.parametrize("name", sorted(COMPARED))
@@ -25,7 +23,6 @@ def test_every_method_that_can_be_compared_has_a_look(name):
 
 def test_peers_have_a_look():
     source = inspect.getsource(peers.installed)
-    assert all(name in style.METHODS for name in style.METHODS if name.startswith(("LAMMPS", "GROMACS")))
     for name in ("LAMMPS rigid/nve/small", "GROMACS md-vv, mixed", "GROMACS md-vv, double"):
         assert name in source
         assert name in style.METHODS
@@ -43,14 +40,21 @@ def test_a_heat_bath_does_not_change_the_look():
     assert style.of_method("SIER4G Langevin") == style.of_method("SIER4G")
     assert style.of_method("SIER4G")["ls"] == "-"
     assert style.of_method("OpenMM LangevinMiddle")["ls"] == "--"
+    assert style.of_method("SIER4G HMC")["color"] == style.of_method("SIER4G")["color"]
 
 
-def test_a_missing_matplotlib_is_noted(monkeypatch):
-    monkeypatch.setattr(style, "find_spec", lambda name: None)
-    told = Told()
-    assert not style.can_draw(told)
-    (note,) = told.notes
-    assert note.startswith("no figure: ")
-    assert "openmm-sier[plots]" in note
-    with pytest.raises(ModuleNotFoundError, match=r"openmm-sier\[plots\]"):
-        style.require()
+def test_curves_have_every_point_and_its_error():
+    rows = pd.DataFrame(
+        [("SIER2", 2.0, 0.98, 0.01), ("SIER4G", 2.0, 0.998, 0.002), ("SIER2", 1.0, 0.99, float("nan"))],
+        columns=["method", "h", "density", "density_error"],
+    )
+    axes = Figure().subplots()
+    style.curves(axes, pd.concat([rows, rows.assign(method="SIER4", density=float("nan"))]), "h", "density", apart=0.1)
+    drawn = {container.get_label(): container for container in axes.containers}
+    assert list(drawn) == ["SIER2", "SIER4G"]
+    x, y = drawn["SIER2"].lines[0].get_data()
+    assert (list(x), list(y)) == ([0.9, 1.9], [0.99, 0.98])
+    x, _ = drawn["SIER4G"].lines[0].get_data()
+    assert list(x) == [2.0]
+    (segment,) = drawn["SIER4G"].lines[2][0].get_segments()
+    assert segment[:, 1] == pytest.approx([0.996, 1.0])

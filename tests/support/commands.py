@@ -11,12 +11,10 @@ import zipfile
 from pathlib import Path
 
 import mdtraj
-import numpy as np
 import pytest
-from openmm import unit
 
 from openmm_sier.cli import main, records
-from openmm_sier.measure import forcefields
+from studies.boxes import write_lattice as write_lattice
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
 
@@ -35,25 +33,11 @@ def load_program(path):
     return module
 
 
-make = load_program("systems/make.py")
-
-
-def write_lattice(path, molecules=27, file="tip3p.xml", named=True):
-    """A box of water that has not seen an equilibration."""
-    topology = make.make_topology(molecules, 0)
-    edge = make.box_edge(topology, 0.997)
-    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
-    geometry = make.water_geometry(forcefields.load([file], SYSTEMS))
-    positions = make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(3)) * unit.nanometer
-    make.write(path, topology, positions, edge, [f"FORCEFIELD {file}"] if named else [])
-    return path
-
-
 def notes_of(plan, checkpoint):
     """The notes in a checkpoint of a run that has not begun."""
-    empty = {"size": 0, "count": 0}
+    empty = {"size": 0, "count": 0, "fingerprint": "none"}
     numbers = {"step": 0, "potential_energy": 0.0, "start_energy": None}
-    return {"plan": plan.noted(checkpoint), **numbers, "trajectory": empty, "log": empty}
+    return {"run": "identity", "plan": plan.noted(checkpoint), **numbers, "trajectory": empty, "log": empty}
 
 
 def frames(path, box):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import openmm
 
-from openmm_sier.studies.bench.layer import free_water
+from studies.bench.layer import free_water
 
 #: kJ/mol/nm^2, of the springs of O and H.
 SPRINGS = (1e5, 7e3, 7e3)

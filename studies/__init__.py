@@ -1,0 +1,25 @@
+"""The experiments of the documentation, one command each. They are in the repository, and not installed."""
+
+from __future__ import annotations
+
+#: Modules that are studies, with what they take on two cores where that was measured.
+STUDIES = {
+    "studies.paper": "2 min with --quick, else 70 min",
+    "studies.schemes": "",
+    "studies.equipartition": "",
+    "studies.bench": "9 min without --platform",
+    "studies.acceptance": "1 to 2 h of one core",
+    "studies.step_study": "its runs 3.6 h of one core",
+    "studies.molecules": "",
+    "studies.hmc.exactness": "7 min of one core",
+    "studies.hmc.liquid": "",
+    "studies.native.accuracy": "",
+    "studies.native.ensembles": "",
+    "studies.native.cost": "",
+    "studies.checks.soak": "",
+    "studies.checks.kill_loop": "",
+    "studies.checks.kill_ensemble": "4 min with --time 0.2",
+    "studies.checks.validate_water": "",
+    "studies.checks.andersen_oscillators": "",
+    "studies.figures": "seconds",
+}

@@ -1,0 +1,167 @@
+"""Energy error against cost: OpenMM's Verlet, the schemes of the catalogue, and other programs where installed."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import pandas as pd
+
+from openmm_sier.measure.observables import energy_error
+from openmm_sier.measure.report import Report, Table
+from studies import records, style
+from studies.bench import peers
+from studies.bench.timing import BenchSettings
+from studies.methods import CONSTANT_ENERGY, Method
+from studies.records import Record
+from studies.sampling import INTERVAL, Energies, Liquid, Unstable, equilibrated_liquid, follow
+
+#: fs per force evaluation: of methods of second order, and of those of fourth.
+SECOND_ORDER = (0.25, 0.5, 1.0, 2.0)
+FOURTH_ORDER = (0.75, 1.0, 1.5, 2.0, 2.5)
+METHODS = {"verlet": SECOND_ORDER, "sier2": SECOND_ORDER, "sier4": FOURTH_ORDER, "sier4g": FOURTH_ORDER}
+METHODS["sier4p"] = FOURTH_ORDER
+
+#: Values of rms(H)/rms(V) in per cent at which costs are compared; 0.003 % is the floor of forces in single precision.
+LEVELS = (0.02, 0.05, 0.1)
+
+
+POINTS = {
+    "method": "{method}",
+    "fs per force": "{fs_per_force:g}",
+    "rms(H)/rms(V)/%": "{percent:.4f}",
+    "simulated fs per second": "{fs_per_second:.0f}",
+}
+
+COSTS = {
+    "rms(H)/rms(V)/%": "{percent:g}",
+    "method": "{method}",
+    "fs per force": "{fs_per_force:.2f}",
+    "forces per ps": "{forces_per_ps:.0f}",
+    "simulated fs per second": "{fs_per_second:.0f}",
+}
+
+#: What is measured: energies, and simulated fs per second of wall time.
+Measured = tuple[Energies, float]
+
+
+def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:
+    """All methods at all their steps from one equilibrated start, and what an energy error costs.
+
+    Returns:
+        `points` with rms(H)/rms(V) in per cent and the simulated time per wall time, both NaN where a method broke
+        down, and `costs`, see `costs_of`.
+    """
+    liquid = equilibrated_liquid(settings, settings.equilibrate, report)
+    points = measure(liquid, METHODS, settings.time, report)
+    for peer, water in _peers(liquid, report):
+        for dt in SECOND_ORDER:
+            points.append(_point(peer.name, dt, partial(_of_peer, peer, water, dt, settings.time), report))
+    made = pd.DataFrame(points)
+    return {"points": made, "costs": costs_of(made)}
+
+
+def measure(liquid: Liquid, methods: Mapping[str, tuple[float, ...]], time: float, report: Report) -> list[dict]:
+    """Points of integrators in OpenMM, by their names in `CONSTANT_ENERGY`, for runs of some ps."""
+    return [
+        _point(CONSTANT_ENERGY[name].name, dt, partial(_of_openmm, liquid, CONSTANT_ENERGY[name], dt, time), report)
+        for name, steps in methods.items()
+        for dt in steps
+    ]
+
+
+def _point(method: str, dt: float, run: Callable[[], Measured], report: Report) -> dict:
+    point = {"method": method, "fs_per_force": dt, "percent": math.nan, "fs_per_second": math.nan}
+    try:
+        energies, point["fs_per_second"] = run()
+    except (Unstable, peers.PeerError) as error:
+        report.note(f"{method} at {dt:g} fs per force: {error}")
+        return point
+    point["percent"] = 100 * energy_error(energies.time, energies.total, energies.potential)
+    report.note(f"{method} at {dt:g} fs per force: {point['percent']:.4f} %")
+    return point
+
+
+def _of_openmm(liquid: Liquid, method: Method, dt: float, time: float) -> Measured:
+    found = follow(liquid, method, dt, time)
+    return found.series, found.fs_per_second
+
+
+def _of_peer(peer: peers.Peer, water: peers.Liquid, dt: float, time: float) -> Measured:
+    steps = max(1, round(1e3 * time / dt))
+    every = min(steps, max(1, round(INTERVAL / dt)))
+    with tempfile.TemporaryDirectory() as directory:
+        energies, seconds = peer.simulate(water, dt, steps, every, Path(directory))
+    return energies, steps * dt / seconds
+
+
+def _peers(liquid: Liquid, report: Report) -> Iterator[tuple[peers.Peer, peers.Liquid]]:
+    """The programs that are installed, each with the liquid."""
+    found = peers.installed()
+    if not found:
+        report.note("no other program: neither lmp nor gmx is on the PATH")
+        return
+    water = peers.liquid_of(liquid.system, liquid.start)
+    if water is None:
+        report.note("no other program: they are compared at three-site water alone")
+        return
+    for peer in found:
+        report.note(f"{peer.name}: {peers.DIFFERENCES[peer.name.split()[0]]}")
+        yield peer, water
+
+
+def step_at(points: pd.DataFrame, method: str, level: float) -> float:
+    """fs per force evaluation at which a method reaches an error; NaN where its points do not enclose it.
+
+    Between two points the error is taken as a power of the step. The longest such step is returned.
+
+    Args:
+        points: of `find`.
+        method: name of it.
+        level: rms(H)/rms(V) in per cent.
+    """
+    mine = points[points["method"] == method].dropna(subset=["percent"]).sort_values("fs_per_force")
+    for (h1, e1), (h2, e2) in reversed(list(pairwise(zip(mine["fs_per_force"], mine["percent"], strict=True)))):
+        if e1 <= level < e2:
+            return float(h1 * (h2 / h1) ** (math.log(level / e1) / math.log(e2 / e1)))
+    return math.nan
+
+
+def costs_of(points: pd.DataFrame) -> pd.DataFrame:
+    """For each method and each of `LEVELS` the step in fs per force, the forces per ps and the speed."""
+    rows = []
+    for level in LEVELS:
+        for method, mine in points.groupby("method", sort=False):
+            dt = step_at(points, str(method), level)
+            speed = (mine["fs_per_second"] / mine["fs_per_force"]).median()
+            row = {"percent": level, "method": method, "fs_per_force": dt, "forces_per_ps": 1000 / dt}
+            rows.append(row | {"fs_per_second": dt * speed})
+    return pd.DataFrame(rows)
+
+
+def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
+    """Errors and costs, for the report."""
+    title = "Cost of an accuracy; - where the steps do not enclose it"
+    return [
+        records.table("Energy error and speed", found["points"], POINTS),
+        records.table(title, found["costs"], COSTS),
+    ]
+
+
+def figure(record: Record, path: Path) -> None:
+    """Energy error against force evaluations per picosecond, and speed against energy error, one line per method."""
+    points = record.tables["points"].assign(forces_per_ps=lambda points: 1000 / points["fs_per_force"])
+    with style.figure(path, 2) as (made, (cost, speed)):
+        style.curves(cost, points, "forces_per_ps", "percent")
+        style.curves(speed, points, "percent", "fs_per_second")
+        cost.set(xlabel="force evaluations per picosecond", ylabel="rms(H)/rms(V) (%)")
+        cost.set_title("Accuracy for a number of forces")
+        speed.set(xlabel="rms(H)/rms(V) (%)", ylabel="simulated fs per second of wall time")
+        speed.set_title("Speed for an accuracy")
+        for axes in (cost, speed):
+            style.logarithmic(axes)
+        style.shared_legend(made, cost)

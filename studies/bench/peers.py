@@ -1,0 +1,306 @@
+"""LAMMPS and GROMACS, where they are installed, at the same liquid: rigid water of three sites.
+
+Both get the positions, velocities, charges, cut-offs, Ewald parameter, mesh and spline order of the OpenMM System. What
+differs is written down in `DIFFERENCES` and printed with the comparison.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.backend.threads import cores
+from studies.sampling import Energies
+
+KCAL = 4.184
+#: nm^2/ps^2 times dalton is kJ/mol; LAMMPS' velocities are in A/fs.
+ANGSTROM = 0.1
+SPLINE_ORDER = 5
+
+DIFFERENCES = {
+    "LAMMPS": "fix rigid/nve/small; Lennard-Jones switched by the cubic in r^2 of lj/charmm, PPPM of the same mesh",
+    "GROMACS": "md-vv with SETTLE; the same quintic switch; pair list of 1.1 nm, in single precision but for gmx_d",
+}
+
+
+class PeerError(RuntimeError):
+    """A peer could not be run."""
+
+
+@dataclass(frozen=True)
+class Liquid:
+    """A System of three-site water as peers need it, in OpenMM's units.
+
+    Attributes:
+        positions, velocities: (N, 3), atoms in the order O, H, H.
+        box: edges of the rectangular box, (3,).
+        masses, charges, sigmas, epsilons: of O and H, (2,).
+        bonds: O-H and H-H distance.
+        cutoff, switch: of the direct sum, and where the switching of Lennard-Jones begins.
+        alpha, mesh: of the Ewald sum, 1/nm and (3,).
+    """
+
+    positions: np.ndarray
+    velocities: np.ndarray
+    box: np.ndarray
+    masses: np.ndarray
+    charges: np.ndarray
+    sigmas: np.ndarray
+    epsilons: np.ndarray
+    bonds: tuple[float, float]
+    cutoff: float
+    switch: float
+    alpha: float
+    mesh: tuple[int, int, int]
+
+    @property
+    def molecules(self) -> int:
+        return len(self.positions) // 3
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A program that is installed.
+
+    Attributes:
+        name: for tables.
+        simulate: (liquid, step in fs, number of steps, steps between two samples, empty directory) -> energies, and the
+            seconds that the run took.
+    """
+
+    name: str
+    simulate: Callable[[Liquid, float, int, int, Path], tuple[Energies, float]]
+
+
+def installed() -> list[Peer]:
+    """The peers on this machine: `lmp`, `gmx` and `gmx_d` on the PATH or beside the running Python."""
+    peers = []
+    if (lammps := _find("lmp")) is not None:
+        peers.append(Peer("LAMMPS rigid/nve/small", _Lammps(lammps)))
+    for name, title in (("gmx", "GROMACS md-vv, mixed"), ("gmx_d", "GROMACS md-vv, double")):
+        if (program := _find(name)) is not None:
+            peers.append(Peer(title, _Gromacs(program)))
+    return peers
+
+
+def _find(program: str) -> str | None:
+    return shutil.which(program) or shutil.which(program, path=str(Path(sys.executable).parent))
+
+
+def liquid_of(system: openmm.System, start: openmm.State) -> Liquid | None:
+    """The System at a State with positions and velocities; None if it is not three-site water alone."""
+    force = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    n = system.getNumParticles()
+    kinds = [tuple(value._value for value in force.getParticleParameters(i)) for i in range(n)]
+    masses = [system.getParticleMass(i)._value for i in range(n)]
+    water = n % 3 == 0 and kinds == (kinds[:1] + 2 * kinds[1:2]) * (n // 3) and system.getNumConstraints() == n
+    if not water or any(system.isVirtualSite(i) for i in range(n)):
+        return None
+    constraints = (system.getConstraintParameters(c) for c in range(n))
+    distances = {frozenset((i, j)): d._value for i, j, d in constraints if max(i, j) < 3}
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
+    alpha, *mesh = force.getPMEParametersInContext(context)
+    (q1, s1, e1), (q2, s2, e2) = kinds[:2]
+    return Liquid(
+        positions=start.getPositions(asNumpy=True)._value,
+        velocities=start.getVelocities(asNumpy=True)._value,
+        box=np.diag(start.getPeriodicBoxVectors(asNumpy=True)._value),
+        masses=np.array(masses[:2]),
+        charges=np.array([q1, q2]),
+        sigmas=np.array([s1, s2]),
+        epsilons=np.array([e1, e2]),
+        bonds=(distances[frozenset((0, 1))], distances[frozenset((1, 2))]),
+        cutoff=force.getCutoffDistance().value_in_unit(unit.nanometer),
+        switch=force.getSwitchingDistance().value_in_unit(unit.nanometer),
+        alpha=alpha._value if hasattr(alpha, "_value") else float(alpha),
+        mesh=(int(mesh[0]), int(mesh[1]), int(mesh[2])),
+    )
+
+
+def _execute(command: list[str], directory: Path, given: str = "") -> str:
+    done = subprocess.run(command, cwd=directory, input=given, capture_output=True, text=True)
+    if done.returncode:
+        tail = " ".join((done.stderr or done.stdout).split()[-40:])
+        raise PeerError(f"{Path(command[0]).name} ended with code {done.returncode}: {tail}")
+    return done.stdout
+
+
+class _Lammps:
+    """LAMMPS, on all cores if the `mpiexec` that belongs to it lies beside it."""
+
+    def __init__(self, program: str):
+        # An MPI other than the one that LAMMPS was built with would start that many independent runs.
+        launcher = shutil.which("mpiexec", path=str(Path(program).parent))
+        self.command = [*([launcher, "-n", str(cores())] if launcher else []), program, "-in", "in.lmp", "-log", "log"]
+
+    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> tuple[Energies, float]:
+        (directory / "data").write_text(_lammps_data(liquid))
+        (directory / "in.lmp").write_text(_lammps_input(liquid, step, steps, every))
+        text = _execute(self.command, directory)
+        table = re.search(r"^ *Step +PotEng +KinEng *\n((?: *\d.*\n)+)Loop time of ([\d.eE+-]+)", text, re.M)
+        if table is None:
+            raise PeerError("LAMMPS printed no energies")
+        rows = np.array([line.split() for line in table[1].splitlines()], dtype=float)
+        return Energies(1e-3 * step * rows[:, 0], KCAL * rows[:, 1], KCAL * rows[:, 2]), float(table[2])
+
+
+def _lammps_input(liquid: Liquid, step: float, steps: int, every: int) -> str:
+    pairs = "\n".join(
+        f"pair_coeff {i + 1} {i + 1} {liquid.epsilons[i] / KCAL:.12g} {liquid.sigmas[i] / ANGSTROM:.12g}"
+        for i in (0, 1)
+    )
+    return f"""units real
+atom_style full
+bond_style zero
+angle_style zero
+special_bonds lj/coul 0 0 0
+pair_style lj/charmm/coul/long {liquid.switch / ANGSTROM} {liquid.cutoff / ANGSTROM}
+pair_modify mix arithmetic
+read_data data
+bond_coeff *
+angle_coeff *
+{pairs}
+kspace_style pppm 1e-5
+kspace_modify gewald {liquid.alpha * ANGSTROM:.12g} mesh {" ".join(map(str, liquid.mesh))} order {SPLINE_ORDER} diff ad
+neighbor 2.0 bin
+neigh_modify every 1 delay 0 check yes
+timestep {step}
+fix motion all rigid/nve/small molecule
+thermo {every}
+thermo_style custom step pe ke
+thermo_modify norm no format float %.12g
+run {steps}
+"""
+
+
+def _lammps_data(liquid: Liquid) -> str:
+    n = liquid.molecules
+    edges = liquid.box / ANGSTROM
+    lines = ["water", "", f"{3 * n} atoms", f"{2 * n} bonds", f"{n} angles", "2 atom types", "1 bond types"]
+    lines += [
+        "1 angle types",
+        "",
+        *(f"0 {edge:.12g} {axis}lo {axis}hi" for edge, axis in zip(edges, "xyz", strict=True)),
+    ]
+    lines += [
+        "",
+        "Masses",
+        "",
+        *(f"{i + 1} {mass:.12g}" for i, mass in enumerate(liquid.masses)),
+        "",
+        "Atoms # full",
+        "",
+    ]
+    for i, place in enumerate(liquid.positions / ANGSTROM):
+        kind = 1 if i % 3 == 0 else 2
+        where = " ".join(f"{x:.12f}" for x in place)
+        lines.append(f"{i + 1} {i // 3 + 1} {kind} {liquid.charges[kind - 1]:.12g} {where}")
+    lines += ["", "Velocities", ""]
+    # nm/ps are 0.01 A/fs.
+    lines += [f"{i + 1} " + " ".join(f"{0.01 * x:.14g}" for x in v) for i, v in enumerate(liquid.velocities)]
+    bonds = [(3 * m + 1, 3 * m + 1 + k) for m in range(n) for k in (1, 2)]
+    lines += ["", "Bonds", "", *(f"{i + 1} 1 {a} {b}" for i, (a, b) in enumerate(bonds))]
+    lines += ["", "Angles", "", *(f"{m + 1} 1 {3 * m + 2} {3 * m + 1} {3 * m + 3}" for m in range(n))]
+    return "\n".join(lines) + "\n"
+
+
+class _Gromacs:
+    """GROMACS on all cores."""
+
+    def __init__(self, program: str):
+        self.program = program
+
+    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> tuple[Energies, float]:
+        (directory / "conf.gro").write_text(_gro(liquid))
+        (directory / "topol.top").write_text(_topology(liquid))
+        (directory / "grompp.mdp").write_text(_mdp(liquid, step, steps, every))
+        _execute([self.program, "grompp", "-maxwarn", "10"], directory)
+        _execute([self.program, "mdrun", "-ntmpi", "1", "-ntomp", str(cores()), "-pin", "off"], directory)
+        _execute([self.program, "energy", "-dp", "-o", "e.xvg"], directory, "Potential\nKinetic-En.\n\n")
+        time, potential, kinetic = np.loadtxt(directory / "e.xvg", comments=("#", "@")).T
+        wall = re.search(r"^ +Time: +[\d.]+ +([\d.]+)", (directory / "md.log").read_text(), re.M)
+        return Energies(time, potential, kinetic), float(wall[1]) if wall else math.nan
+
+
+def _gro(liquid: Liquid) -> str:
+    """Positions and velocities with 9 and 10 decimals; GROMACS infers them from the spacing of the decimal points."""
+    lines = ["water", str(len(liquid.positions))]
+    for i, (x, v) in enumerate(zip(liquid.positions, liquid.velocities, strict=True)):
+        name = ("OW", "HW1", "HW2")[i % 3]
+        numbers = "".join(f"{a:14.9f}" for a in x) + "".join(f"{a:14.10f}" for a in v)
+        lines.append(f"{(i // 3 + 1) % 100000:5d}SOL  {name:>5s}{(i + 1) % 100000:5d}{numbers}")
+    return "\n".join([*lines, " ".join(f"{edge:.9f}" for edge in liquid.box)]) + "\n"
+
+
+def _topology(liquid: Liquid) -> str:
+    types = "\n".join(
+        f"{name} {mass:.9g} {charge:.9g} A {sigma:.12g} {epsilon:.12g}"
+        for name, mass, charge, sigma, epsilon in zip(
+            ("OT", "HT"), liquid.masses, liquid.charges, liquid.sigmas, liquid.epsilons, strict=True
+        )
+    )
+    atoms = "\n".join(
+        f"{i + 1} {'OT' if i == 0 else 'HT'} 1 SOL {name} {i + 1} {liquid.charges[min(i, 1)]:.9g}"
+        for i, name in enumerate(("OW", "HW1", "HW2"))
+    )
+    return f"""[ defaults ]
+1 2 no 1.0 1.0
+[ atomtypes ]
+{types}
+[ moleculetype ]
+SOL 2
+[ atoms ]
+{atoms}
+[ settles ]
+1 1 {liquid.bonds[0]:.12g} {liquid.bonds[1]:.12g}
+[ exclusions ]
+1 2 3
+2 1 3
+3 1 2
+[ system ]
+water
+[ molecules ]
+SOL {liquid.molecules}
+"""
+
+
+def _mdp(liquid: Liquid, step: float, steps: int, every: int) -> str:
+    x, y, z = liquid.mesh
+    return f"""integrator = md-vv
+dt = {1e-3 * step:.9g}
+nsteps = {steps}
+nstenergy = {every}
+nstcalcenergy = {every}
+nstlog = 0
+nstxout-compressed = 0
+comm-mode = None
+continuation = no
+gen-vel = no
+cutoff-scheme = Verlet
+verlet-buffer-tolerance = -1
+nstlist = 10
+rlist = {liquid.cutoff + 0.2:.6g}
+coulombtype = PME
+rcoulomb = {liquid.cutoff:.6g}
+ewald-rtol = {math.erfc(liquid.alpha * liquid.cutoff):.12g}
+fourier-nx = {x}
+fourier-ny = {y}
+fourier-nz = {z}
+pme-order = {SPLINE_ORDER}
+vdwtype = cut-off
+vdw-modifier = potential-switch
+rvdw-switch = {liquid.switch:.6g}
+rvdw = {liquid.cutoff:.6g}
+DispCorr = no
+constraints = none
+"""

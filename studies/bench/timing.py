@@ -1,0 +1,67 @@
+"""Timings that allow for a machine's changing speed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from openmm_sier.measure.force_clock import ForceClock
+from studies.command import BoxSettings
+
+
+@dataclass(frozen=True)
+class BenchSettings(BoxSettings):
+    """Settings of the benchmark.
+
+    Attributes:
+        copies: repetitions of the box along each edge, one number for each size.
+        bodies: sizes of the sets of bodies for the rotation and the layer alone.
+        rounds: how often everything takes its turn; steps in small boxes do so more often, in large ones less often.
+        time: length of the runs that measure the energy error, ps.
+        equilibrate: before those runs, ps.
+        parts: of steps, rotations, layer, accuracy, platform; unless given, `platform` if a platform is given, and all
+            others if not.
+        molecules: numbers of molecules for the platform, multiples of that of the box.
+    """
+
+    copies: tuple[int, ...] = (1, 2, 4)
+    bodies: tuple[int, ...] = (512, 4096, 32768, 131072)
+    rounds: int = 8
+    time: float = 1.0
+    equilibrate: float = 2.0
+    parts: tuple[str, ...] = ()
+    molecules: tuple[int, ...] = (512, 4096, 32768, 98304)
+
+
+def interleaved(
+    actions: Mapping[str, Callable[[], object]], rounds: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, np.ndarray]:
+    """Seconds that each action took in each round; a first round is not counted.
+
+    Actions to be compared should take their turns within some tenths of a second: a machine's speed changes over
+    seconds.
+
+    Args:
+        actions: by name.
+        rounds: how many.
+        clock: of wall time, or of processor time, on which other work on the machine has less effect.
+    """
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    for number in range(rounds + 1):
+        for name, action in actions.items():
+            start = clock()
+            action()
+            if number:
+                times[name].append(clock() - start)
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def apart(clock: ForceClock, action: Callable[[], object]) -> tuple[float, float]:
+    """Seconds that an action takes outside and inside the force calls that a clock counts."""
+    before, start = clock.seconds, time.perf_counter()
+    action()
+    total, inside = time.perf_counter() - start, clock.seconds - before
+    return total - inside, inside

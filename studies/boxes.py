@@ -1,0 +1,168 @@
+"""Boxes of liquids: read, repeated, cut, and made on a lattice."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from openmm_sier.measure import forcefields
+from openmm_sier.measure.forcefields import Box
+from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from studies.command import BoxSettings
+from systems import make
+
+#: OpenMM's ewaldErrorTolerance: with balanced sums, forces exact enough to see what a scheme of fourth order does.
+TOLERANCE = 1e-5
+
+#: Liquid water, g/cm^3.
+DENSITY = 0.997
+
+
+def read(settings: BoxSettings, constraints: str | None = None, tolerance: float = TOLERANCE) -> Box:
+    """The box of a study, its PME at a tolerance; the other arguments are those of `forcefields.read_box`."""
+    box = forcefields.read_box(settings.box, settings.forcefield, constraints)
+    with_tolerance(box.system, tolerance)
+    return box
+
+
+def with_tolerance(system: openmm.System, tolerance: float = TOLERANCE) -> openmm.System:
+    """A System with PME at a tolerance, its sums in balance."""
+    for force in meshed_forces(system):
+        force.setEwaldErrorTolerance(tolerance)
+        force.setPMEParameters(0, 0, 0, 0)
+    balance_pme(system)
+    return system
+
+
+def on_lattice(molecules: int, forcefield: str = "tip3p.xml", seed: int = 3) -> tuple[app.Topology, np.ndarray]:
+    """Topology, with its box, and positions in nm of water that has not been equilibrated."""
+    topology = make.make_topology(molecules, 0)
+    edge = make.box_edge(topology, DENSITY)
+    topology.setUnitCellDimensions([edge] * 3 * unit.nanometer)
+    geometry = make.water_geometry(forcefields.load([forcefield]))
+    return topology, make.start_positions(molecules, 0, edge, geometry, np.random.default_rng(seed))
+
+
+def write_lattice(path: Path, molecules: int = 27, forcefield: str = "tip3p.xml", named: bool = True) -> Path:
+    """A PDB file of `on_lattice`, which names its force field if `named`."""
+    topology, positions = on_lattice(molecules, forcefield)
+    edge = topology.getUnitCellDimensions()[0].value_in_unit(unit.nanometer)
+    remarks = [f"FORCEFIELD {forcefield}"] if named else []
+    make.write(path, topology, positions * unit.nanometer, edge, remarks)
+    return path
+
+
+class Replica(NamedTuple):
+    """A box repeated along its edges, or a part of one.
+
+    Attributes:
+        molecules: their number.
+        positions: (N, 3), nm, virtual sites included.
+        system: with PME.
+    """
+
+    molecules: int
+    positions: np.ndarray
+    system: openmm.System
+
+
+def copies_for(molecules: int, of: int) -> tuple[int, int, int]:
+    """Copies of a box of `of` molecules along each edge of the most nearly cubic box of `molecules` molecules.
+
+    Raises:
+        ValueError: `molecules` is not a multiple of `of`.
+    """
+    times, rest = divmod(molecules, of)
+    if rest or not times:
+        raise ValueError(f"sizes are multiples of the {of} molecules of the box, got {molecules}")
+    divisors = [n for n in range(1, times + 1) if times % n == 0]
+    shapes = [(a, b, times // (a * b)) for a, b in itertools.product(divisors, repeat=2) if times % (a * b) == 0]
+    return min(shapes, key=lambda shape: (max(shape) - min(shape), shape))
+
+
+def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica:
+    """A box repeated along each edge.
+
+    Args:
+        box: the box.
+        directory: of its PDB file, where force fields are looked for too.
+        copies: along each edge.
+    """
+    positions = np.array(box.positions.value_in_unit(unit.nanometer))
+    if copies == (1, 1, 1):
+        return Replica(box.topology.getNumResidues(), positions, box.system)
+    vectors = np.array(box.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
+    places = np.array(list(itertools.product(*map(range, copies))))
+    topology = app.Topology()
+    for _ in places:
+        _add(list(box.topology.residues()), box.topology, topology)
+    topology.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
+    system = _system(topology, box, directory)
+    return Replica(topology.getNumResidues(), ((places @ vectors)[:, None] + positions).reshape(-1, 3), system)
+
+
+def cropped(box: Box, directory: Path, molecules: int) -> Replica:
+    """Molecules around a corner of a box, in a smaller box of the same shape and density.
+
+    The molecules are those nearest to the corner. They meet new neighbours across the faces of the smaller box, so
+    minimize and equilibrate.
+
+    Args:
+        box: the box, rectangular.
+        directory: see `repeated`.
+        molecules: how many.
+
+    Raises:
+        ValueError: the box has no more molecules than that.
+    """
+    positions = np.array(box.positions.value_in_unit(unit.nanometer))
+    residues = list(box.topology.residues())
+    if not 0 < molecules < len(residues):
+        raise ValueError(f"a part of a box of {len(residues)} molecules has 1 to {len(residues) - 1}, got {molecules}")
+    edges = np.diag(np.array(box.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer)))
+    atoms = [np.array([atom.index for atom in residue.atoms()]) for residue in residues]
+    centres = np.array([positions[each].mean(axis=0) for each in atoms]) % edges
+    reach = (centres / edges).max(axis=1)
+    chosen = np.argsort(reach, kind="stable")[:molecules]
+    share = (molecules / len(residues)) ** (1 / 3)
+    topology = app.Topology()
+    _add([residues[i] for i in chosen], box.topology, topology)
+    topology.setPeriodicBoxVectors(np.diag(share * edges) * unit.nanometer)
+    # Centres fill the smaller box as they filled their part of the larger one.
+    shifts = centres[chosen] * share / reach[chosen[-1]] - [positions[atoms[i]].mean(axis=0) for i in chosen]
+    found = np.concatenate([positions[atoms[i]] + shift for i, shift in zip(chosen, shifts, strict=True)])
+    return Replica(molecules, found, _system(topology, box, directory))
+
+
+def _system(topology: app.Topology, box: Box, directory: Path) -> openmm.System:
+    return with_tolerance(forcefields.pme_system(topology, forcefields.load(box.choice.files, directory)))
+
+
+def of_size(box: Box, directory: Path, molecules: int) -> Replica:
+    """A box of this many molecules: `cropped` where it is smaller than the one given, else `repeated`.
+
+    Raises:
+        ValueError: the number is neither smaller than that of the box nor a multiple of it.
+    """
+    there = box.topology.getNumResidues()
+    if molecules < there:
+        return cropped(box, directory, molecules)
+    return repeated(box, directory, copies_for(molecules, there))
+
+
+def _add(residues: Iterable[app.topology.Residue], bonded: app.Topology, topology: app.Topology) -> None:
+    """Add molecules of a topology to another one, with their bonds, in a chain of their own."""
+    atoms, chain = {}, topology.addChain()
+    for residue in residues:
+        place = topology.addResidue(residue.name, chain)
+        for atom in residue.atoms():
+            atoms[atom] = topology.addAtom(atom.name, atom.element, place)
+    for first, second in bonded.bonds():
+        if first in atoms:
+            topology.addBond(atoms[first], atoms[second])

@@ -1,0 +1,1 @@
+"""Long checks: runs that are killed, drift over millions of steps, sampled ensembles."""

@@ -1,0 +1,240 @@
+"""`openmm-sier run` on a small box of water, ended by signals at random moments and continued again and again.
+
+    python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--ensemble npt] [--signals KILL TERM]
+
+At the end the trajectory must have every frame once, in order. Trajectory, log and body states must be those of an
+undisturbed run: byte for byte for .dcd, .xtc and .csv files, number by number for .h5. A signal that can be handled
+must give its exit code and, after the first step, leave a checkpoint of the step that the message names. The status is
+1 if not.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import h5py
+import mdtraj
+import numpy as np
+
+from openmm_sier.cli import records
+from openmm_sier.measure.report import SILENT, Report
+from studies.boxes import write_lattice
+from studies.command import Settings, execute
+
+#: A frame every 4 steps, a row every 6, body states every 5 and a checkpoint every 10, so that many kills come while
+#: something is written.
+EVERY, ROWS, BODIES, CHECKPOINTS = 4, 6, 5, 10
+
+#: The command, with signals handled as when a terminal starts it, since background jobs of a script ignore SIGINT.
+LAUNCH = """
+import signal, sys
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+from openmm_sier.cli.main import main
+sys.exit(main())
+"""
+COMMAND = [sys.executable, "-c", LAUNCH, "run", "box.pdb", "--platform", "Reference"]
+PLAN = ["--scheme", "sier2", "--dt", "1", "--equilibrate", "0.05"]
+PLAN += ["--every", "0.004", "--report-every", "0.006", "--checkpoint-every", "0.01"]
+PLAN += ["--bodies-every", "0.005"]
+
+#: Signals by the names that `kill` uses.
+SIGNALS: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = ("KILL", "TERM", "INT", "HUP")
+
+#: Longest times in seconds to a kill. One kill in `ONE_IN` comes within `EARLY` of the start of the program, all others
+#: within `LATE` of the first checkpoint.
+EARLY, ONE_IN, LATE = 4.0, 4, 0.4
+
+#: Seconds in which a run has to end after a signal. Steps take a few ms.
+PATIENCE = 60.0
+
+#: More steps than any of these runs reaches.
+ENDLESS = 100_000_000
+
+
+class Lost(ValueError):
+    """Something did not survive the kills."""
+
+
+def command(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
+    """The command that begins a run, or goes on from its checkpoint if there is one."""
+    checkpoint = Path(out).with_suffix(".chk")
+    begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out, "--bodies", bodies_of(out)]
+    way = ["--restart", str(checkpoint)] if (directory / checkpoint).exists() else begin
+    return [*COMMAND, *way, "--steps", str(steps)]
+
+
+def bodies_of(out: str) -> str:
+    """Name of the body states' file of a run."""
+    return f"{Path(out).stem}-bodies.h5"
+
+
+def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, ensemble: str, name: str) -> None:
+    """Start or continue the endless run and end it by a signal.
+
+    Raises:
+        Lost: the run ended by itself, or did not end as the signal demands.
+    """
+    number = getattr(signal, f"SIG{name}")
+    checkpoint = (directory / out).with_suffix(".chk")
+    before = _changed(checkpoint)
+    with open(directory / "said.txt", "w") as said:
+        process = subprocess.Popen(command(directory, out, ENDLESS, ensemble), cwd=directory, stdout=said, stderr=said)
+    while not early and _changed(checkpoint) == before:
+        if process.poll() is not None:
+            raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
+        time.sleep(0.002)
+    time.sleep(rng.uniform(0, EARLY if early else LATE))
+    process.send_signal(number)
+    try:
+        code = process.wait(PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise Lost(f"SIG{name} did not end the run within {PATIENCE:g} s") from None
+    message = (directory / "said.txt").read_text()
+    # A signal that comes before the command handles it ends Python like any program; `main` reports Ctrl-C.
+    if number == signal.SIGKILL or (early and (code == -number or "interrupted" in message)):
+        return
+    if code != 128 + number or f"stopped by SIG{name}" not in message:
+        raise Lost(f"SIG{name} ended the run with the code {code}: {message}")
+    named = re.search(r"at step (\d+)", message)
+    if named and int(named.group(1)) != last_step(directory, out):
+        raise Lost(f"the checkpoint is of step {last_step(directory, out)}, but: {message}")
+
+
+def _changed(path: Path) -> int:
+    return path.stat().st_mtime_ns if path.exists() else 0
+
+
+def trace(directory: Path, out: str) -> dict[str, int]:
+    """What a kill left: whether files had grown since the checkpoint, and whether one was being written."""
+    checkpoint = (directory / out).with_suffix(".chk")
+    if not checkpoint.exists():
+        return {"before the first checkpoint": 1}
+    _, notes = records.read_checkpoint(checkpoint)
+    growing = directory / (out + ".dcd" if out.endswith(".h5") else out)
+    return {
+        "with something written after the checkpoint": int(growing.stat().st_size > notes["trajectory"]["size"]),
+        "while a checkpoint was being written": int(checkpoint.with_name(checkpoint.name + ".tmp").exists()),
+    }
+
+
+def last_step(directory: Path, out: str) -> int:
+    checkpoint = (directory / out).with_suffix(".chk")
+    return records.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
+
+
+def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:
+    """Run to a step undisturbed."""
+    line = command(directory, out, steps, ensemble)
+    done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
+
+
+def compare(directory: Path, one: str, two: str, steps: int) -> int:
+    """Check that two runs left the same complete files; returns the number of frames.
+
+    Raises:
+        Lost: naming what differs.
+    """
+    load = {"top": str(directory / "box.pdb")} if not one.endswith(".h5") else {}
+    trajectories = [mdtraj.load(str(directory / name), **load) for name in (one, two)]
+    logs = [(directory / name).with_suffix(".csv").read_bytes() for name in (one, two)]
+    if trajectories[0].n_frames != steps // EVERY:
+        raise Lost(f"{one} has {trajectories[0].n_frames} frames, expected {steps // EVERY}")
+    if not np.array_equal(trajectories[0].xyz, trajectories[1].xyz):
+        raise Lost(f"the frames of {one} are not those of {two}")
+    if not one.endswith(".h5") and (directory / one).read_bytes() != (directory / two).read_bytes():
+        raise Lost(f"{one} and {two} differ, though their coordinates are the same")
+    if logs[0] != logs[1] or logs[0].count(b"\n") != steps // ROWS + 2:
+        raise Lost(f"the log of {one} is not that of {two}, or not all of it")
+    ours, theirs = (_datasets(directory / bodies_of(name)) for name in (one, two))
+    if len(ours["step"]) != steps // BODIES or any(not np.array_equal(ours[key], theirs[key]) for key in theirs):
+        raise Lost(f"the body states of {one} are not those of {two}, or not all of them")
+    return steps // EVERY
+
+
+def _datasets(path: Path) -> dict[str, np.ndarray]:
+    """All datasets of an HDF5 file by name, those in groups too."""
+    found: dict[str, np.ndarray] = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+    return found
+
+
+def kill_loop(
+    directory: Path, suffix: str, kills: int, ensemble: str = "npt", seed: int = 1, signals: Sequence[str] = SIGNALS
+) -> Counter:
+    """Kill and continue a run, then compare it with an undisturbed one.
+
+    Args:
+        directory: where the files go.
+        suffix: of the trajectory.
+        kills: how many.
+        ensemble: nve, nvt or npt.
+        seed: of the moments of the kills.
+        signals: names, which take turns.
+
+    Returns:
+        Numbers of steps and frames, and of kills by their signal and by what they met.
+
+    Raises:
+        Lost: something did not survive.
+    """
+    write_lattice(directory / "box.pdb", 27)
+    rng, out, met = np.random.default_rng(seed), f"killed{suffix}", Counter(kills=kills)
+    for number in range(kills):
+        # Shifted by one in every `ONE_IN` kills, so that early kills meet all signals.
+        name = signals[(number + number // ONE_IN) % len(signals)]
+        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, ensemble, name)
+        met[f"by SIG{name}"] += 1
+        met.update(trace(directory, out))
+    steps = last_step(directory, out) + CHECKPOINTS
+    finish(directory, out, steps, ensemble)
+    finish(directory, f"whole{suffix}", steps, ensemble)
+    met.update(steps=steps, frames=compare(directory, out, f"whole{suffix}", steps))
+    return met
+
+
+@dataclass(frozen=True)
+class LoopSettings(Settings):
+    """How often and how a run is killed.
+
+    Attributes:
+        kills: how many.
+        suffix: of the trajectory.
+        ensemble: of the run.
+        signals: which take turns.
+    """
+
+    kills: int = 50
+    suffix: Literal[".dcd", ".xtc", ".h5"] = ".dcd"
+    ensemble: Literal["nve", "nvt", "npt"] = "npt"
+    signals: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = SIGNALS
+    out: Path = Path("killed")
+
+
+def study(settings: LoopSettings, report: Report = SILENT) -> None:
+    """Kill a run in the directory `out`, which is left, and compare."""
+    met = kill_loop(settings.out, settings.suffix, settings.kills, settings.ensemble, settings.seed, settings.signals)
+    for name, count in met.items():
+        report.note(f"{name}: {count}")
+    report.note("every frame and row once, in order, as in the run that nothing disturbed")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(LoopSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""Studies as commands: the fields of a dataclass of settings are the options, and its docstring is their help."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import openmm
+import tyro
+from tyro.conf import Positional
+
+from openmm_sier.cli.console import REPORT
+from openmm_sier.measure.ensemble import EnsembleError
+from openmm_sier.measure.forcefields import shipped_box
+from openmm_sier.measure.report import Report
+
+#: What a study says in one line; any other exception is a fault of the program and shows where.
+EXPECTED = (ValueError, OSError, ImportError, openmm.OpenMMException, EnsembleError)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all studies take.
+
+    Attributes:
+        out: directory for numbers and figures.
+        seed: of everything random.
+    """
+
+    out: Path = Path("out")
+    seed: int = 1
+
+    #: Names of numbers that need not be above 0.
+    ANY_SIGN: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, bool) or not isinstance(number, (int, float)) or name in self.ANY_SIGN:
+                    continue
+                if not (math.isfinite(number) and number > 0):
+                    raise ValueError(f"{name} must be above 0, got {number}")
+
+    def recorded(self) -> dict[str, Any]:
+        """The settings as they are written beside results: files by their names, and not where results go."""
+        values = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "out"}
+        return {name: value.name if isinstance(value, Path) else value for name, value in values.items()}
+
+
+@dataclass(frozen=True)
+class BoxSettings(Settings):
+    """What studies of a box take.
+
+    Attributes:
+        box: PDB file.
+        forcefield: files; without them that of the PDB file.
+        temperature: K.
+        platform: of OpenMM; None takes the fastest.
+    """
+
+    box: Positional[Path] = field(default_factory=shipped_box)
+    forcefield: tuple[str, ...] = ()
+    temperature: float = 297.0
+    platform: str | None = None
+
+
+Given = TypeVar("Given", bound=Settings)
+
+
+def execute(
+    kind: type[Given],
+    study: Callable[[Given, Report], object],
+    description: str | None,
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Carry out a study as a command.
+
+    Args:
+        kind: of the settings.
+        study: takes settings, and a report for tables, notes and progress.
+        description: for the help.
+        arguments: of the command line; None takes those of the process.
+
+    Returns:
+        The exit code. What is wrong is said in one line on standard error.
+    """
+    try:
+        settings = tyro.cli(kind, prog=_program(), args=arguments, description=description)
+        settings.out.mkdir(parents=True, exist_ok=True)
+        study(settings, REPORT)
+    except EXPECTED as error:
+        print(" ".join(str(error).split()), file=sys.stderr)
+        return 1
+    return 0
+
+
+def _program() -> str:
+    """The command as it was given, for the help."""
+    module = getattr(sys.modules["__main__"].__spec__, "name", "studies")
+    return f"python -m {module.removesuffix('.__main__')}"
+
+
+def chosen(names: Sequence[str], known: dict[str, Any], what: str) -> list[Any]:
+    """The values of names; all of them where none is named.
+
+    Raises:
+        ValueError: a name is unknown.
+    """
+    for name in names:
+        if name not in known:
+            raise ValueError(f"unknown {what} {name!r}; known are {', '.join(known)}")
+    return [known[name] for name in names or known]
+
+
+def claim(path: Path, settings: dict[str, Any]) -> None:
+    """Note the settings that all results of a directory share, or refuse settings that differ from those noted.
+
+    Raises:
+        ValueError: the directory has results of other settings.
+    """
+    mine = json.loads(json.dumps(settings))
+    if not path.exists():
+        path.write_text(json.dumps(mine, indent=1))
+        return
+    theirs = json.loads(path.read_text())
+    for name, value in mine.items():
+        if theirs[name] != value:
+            raise ValueError(
+                f"{path.parent} has results with {name} {theirs[name]}, got {value}: take another directory for --out"
+            )

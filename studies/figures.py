@@ -1,0 +1,81 @@
+"""The figures of the documentation, drawn again from the numbers in the repository.
+
+    python -m studies.figures [--names acceptance equipartition]
+
+After a change of the style this draws all figures whose numbers are in `studies/data` anew. A study that is run again
+writes its JSON file, which replaces the one there.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from openmm_sier.measure.report import SILENT, Report
+from studies import acceptance, equipartition, records, schemes, step_study
+from studies.bench import accuracy
+from studies.command import Settings, chosen, execute
+from studies.paper import water
+from studies.records import Record
+
+DATA = Path(__file__).parent / "data"
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+class Drawn(NamedTuple):
+    """A figure of the documentation: what draws it, from which file of `DATA`, and the command that made the file."""
+
+    figure: Callable[[Record, Path], None]
+    data: str
+    command: str
+
+
+FIGURES = {
+    "acceptance": Drawn(acceptance.figure, "acceptance.json", "python -m studies.acceptance"),
+    "cost": Drawn(accuracy.figure, "cost.json", "python -m studies.bench --parts accuracy"),
+    "energy": Drawn(
+        schemes.figure,
+        "energy.json",
+        "python -m studies.schemes --schemes verlet sier2 sier4 sier4v sier4g sier4p",
+    ),
+    "equipartition": Drawn(equipartition.figure, "equipartition.json", "python -m studies.equipartition"),
+    "paper-water": Drawn(water.figure, "paper-water.json", "python -m studies.paper water"),
+    "step-study": Drawn(step_study.figure, "step-study.json", "python -m studies.step_study step-study/* --skip 5"),
+}
+
+
+@dataclass(frozen=True)
+class FigureSettings(Settings):
+    """What is drawn.
+
+    Attributes:
+        names: of figures; all unless given.
+    """
+
+    names: tuple[str, ...] = ()
+    out: Path = DOCS
+
+
+def study(settings: FigureSettings, report: Report = SILENT) -> None:
+    """Draw figures.
+
+    Raises:
+        ValueError: there is no such figure.
+    """
+    chosen(settings.names, FIGURES, "figure")
+    for name in settings.names or FIGURES:
+        drawn = FIGURES[name]
+        path = settings.out / f"{name}.png"
+        drawn.figure(records.read(DATA / drawn.data), path)
+        report.note(f"{path}, from studies/data/{drawn.data}, which `{drawn.command}` made")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(FigureSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

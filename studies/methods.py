@@ -1,0 +1,159 @@
+"""The integrators that studies compare: those of this package by scheme and free rotation, and OpenMM's own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import openmm
+
+from openmm_sier.dynamics import rotation
+from openmm_sier.dynamics.operators import Rotation
+from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, Scheme, alternating
+from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, KICK, Stage
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.integrators.langevin import SIERLangevinIntegrator
+
+#: `Method.bias` of SIER2 at constant energy: the modified Hamiltonian of kick, drift, kick has the inverse
+#: mass (1 + (h w)^2/6)/m; and of SIER2 with the bath in its middle, where a harmonic oscillator has
+#: <p^2/m> = kT (1 - (h w)^2/4) exactly (Leimkuhler and Matthews, Appl. Math. Res. Express 2013, 34).
+BIAS_NVE, BIAS_NVT = 1 / 6, 1 / 4
+
+
+@dataclass(frozen=True)
+class Method:
+    """An integrator to compare.
+
+    Attributes:
+        name: for tables.
+        forces: evaluations per step.
+        order: of its energy error in the step.
+        make: step in ps -> integrator.
+        bias: a step h changes the temperature of a degree of freedom of frequency w by the fraction -bias (h w)^2, to
+            leading order; NaN where there is no such law. There is none for Verlet: SETTLE's free rotation, which is
+            not exact, has a bias of its own.
+    """
+
+    name: str
+    forces: int
+    order: int
+    make: Callable[[float], openmm.Integrator]
+    bias: float = math.nan
+
+
+@dataclass(frozen=True)
+class OwnMethod(Method):
+    """An integrator of this package, with its scheme and the free-rotation map in it."""
+
+    scheme: Scheme = SIER2
+    rotation: Rotation = rotation.exact
+
+
+def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "") -> OwnMethod:
+    """A scheme at constant energy.
+
+    Args:
+        scheme: what is done in a step.
+        turn: the free-rotation map in it.
+        name: for tables; that of the scheme unless given.
+    """
+    make = partial(SIERIntegrator, scheme=scheme, rotation=turn)
+    bias = BIAS_NVE if scheme is SIER2 and turn is rotation.exact else math.nan
+    return OwnMethod(name or scheme.name, scheme.force_evaluations, scheme.order, make, bias, scheme, turn)
+
+
+#: The four integrators that van Zon and Schofield (2007) compare.
+PAPER = (
+    of_scheme(SIER2, rotation.mrdl, "MRDL"),
+    of_scheme(SIER2, rotation.sej4, "SEJ4"),
+    of_scheme(SIER2),
+    of_scheme(SIER4),
+)
+
+#: The schemes of the catalogue, by lower-case name.
+SCHEMES = {name: of_scheme(scheme) for name, scheme in CATALOGUE.items()}
+
+#: OpenMM's Verlet with SETTLE and the schemes of the catalogue.
+CONSTANT_ENERGY: dict[str, Method] = {"verlet": Method("OpenMM Verlet", 1, 2, openmm.VerletIntegrator), **SCHEMES}
+
+#: Trajectories that can be reversed, for hybrid Monte Carlo: Verlet with RATTLE solved to rounding, and the schemes.
+REVERSIBLE = {"verlet": of_scheme(SIER2, rotation.rattle, "Verlet, RATTLE"), **SCHEMES}
+
+
+def with_bath(temperature: float, friction: float, seed: int) -> dict[str, Method]:
+    """OpenMM's LangevinMiddle and every scheme of the catalogue with a heat bath, by lower-case name."""
+
+    def middle(h: float) -> openmm.Integrator:
+        integrator = openmm.LangevinMiddleIntegrator(temperature, friction, h)
+        integrator.setRandomNumberSeed(seed)
+        return integrator
+
+    def langevin(h: float, scheme: Scheme) -> openmm.Integrator:
+        integrator = SIERLangevinIntegrator(temperature, friction, h, scheme=scheme)
+        integrator.setRandomNumberSeed(seed)
+        return integrator
+
+    methods = {"langevinmiddle": Method("OpenMM LangevinMiddle", 1, 2, middle)}
+    for name, scheme in CATALOGUE.items():
+        make, bias = partial(langevin, scheme=scheme), BIAS_NVT if scheme is SIER2 else math.nan
+        methods[name] = Method(f"{scheme.name} Langevin", scheme.force_evaluations, scheme.order, make, bias)
+    return methods
+
+
+# --- published schemes beside the catalogue ---
+
+_BLANES_MOAN = "Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), "
+_OMELYAN_2002 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002), "
+_OMELYAN_2003 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), "
+
+
+def _gradients_outside(share: float) -> tuple[Stage, ...]:
+    """The family drift, gradient kick, drift, kick, drift, gradient kick, drift of fourth order."""
+    outer = 0.5 - 1 / math.sqrt(24 * share)
+    bracket = (1 - math.sqrt(6 * share) * (1 - share)) / 24
+    half = (Stage(DRIFT, outer), Stage(GRADIENT_KICK, share, 2 * bracket / share), Stage(DRIFT, 0.5 - outer))
+    return (*half, Stage(KICK, 1 - 2 * share), *reversed(half))
+
+
+#: Published schemes that the catalogue leaves out, because for any number of forces it has one that does as well or
+#: better.
+OTHERS = {
+    "s6": alternating(
+        "Blanes-Moan S6",
+        DRIFT,
+        KICK,
+        (
+            0.0792036964311957,
+            0.209515106613362,
+            0.353172906049774,
+            -0.143851773179818,
+            -0.0420650803577195,
+            0.434336666566456,
+        ),
+        _BLANES_MOAN + "S6",
+    ),
+    "srkn6b": alternating(
+        "Blanes-Moan SRKN6b",
+        KICK,
+        DRIFT,
+        (
+            0.0829844064174052,
+            0.245298957184271,
+            0.396309801498368,
+            0.60487266571108,
+            -0.0390563049223486,
+            -0.350171622895351,
+        ),
+        _BLANES_MOAN + "SRKN6b",
+    ),
+    "pefrl": alternating(
+        "PEFRL",
+        DRIFT,
+        KICK,
+        (0.1786178958448091, 0.7123418310626054, -0.06626458266981849, -0.2123418310626054),
+        _OMELYAN_2002 + "position extended Forest-Ruth-like",
+    ),
+    "omf3gg": Scheme("OMF, 3 forces and 2 gradients", _gradients_outside(0.3152315246820299), _OMELYAN_2003 + "Eq. 43"),
+}

@@ -1,0 +1,1 @@
+"""The native engine beside the exact one: energies, baths, cost."""

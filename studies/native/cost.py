@@ -1,0 +1,89 @@
+"""Cost of a step by the native engine over that by the exact one, on the CPU or Reference platform.
+
+    python -m studies.native.cost [BOX.pdb] [--platform CPU] [--rounds 20]
+
+Both take turns of 12 force evaluations in one process; ratios are those within a round, shown as their median and its
+standard error. Times are processor times of the process, so other work on the machine counts little.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from time import process_time
+from typing import Any
+
+import openmm
+import pandas as pd
+
+from openmm_sier import SIERIntegrator
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.starts import make_context
+from openmm_sier.measure.statistics import median_and_error
+from studies import boxes, records
+from studies.bench.timing import interleaved
+from studies.command import BoxSettings, chosen, execute
+from studies.records import Record
+
+#: ps for each force evaluation, and force evaluations in a turn.
+STEP, EVALUATIONS = 0.002, 12
+
+VERLET = "Verlet"
+
+COLUMNS = {"scheme": "{scheme}", "": "{what}", "ratio": "{ratio:.3f} ± {ratio_error:.3f}"}
+
+
+@dataclass(frozen=True)
+class CostSettings(BoxSettings):
+    """What takes turns.
+
+    Attributes:
+        rounds: how many.
+        schemes: by name.
+    """
+
+    rounds: int = 20
+    schemes: tuple[str, ...] = ("sier2", "sier4g", "sier4p")
+    platform: str | None = "CPU"
+
+
+def study(settings: CostSettings, report: Report = SILENT) -> Record:
+    """Take turns, and write native-cost.json."""
+    schemes = chosen(settings.schemes, CATALOGUE, "scheme")
+    box = boxes.read(settings)
+    made: dict[str, tuple[int, openmm.Integrator]] = {VERLET: (1, openmm.VerletIntegrator(STEP))}
+    for scheme in schemes:
+        n = scheme.force_evaluations
+        for engine in ("exact", "native"):
+            made[f"{scheme.name} {engine}"] = n, SIERIntegrator(n * STEP, scheme, engine=engine)
+    contexts, actions = [], {}
+    for name, (n, integrator) in made.items():
+        context = make_context(box.system, integrator, settings.platform)
+        context.setPositions(box.positions)
+        context.applyConstraints(1e-6)
+        context.setVelocitiesToTemperature(settings.temperature, settings.seed)
+        contexts.append(context)
+        actions[name] = partial(integrator.step, EVALUATIONS // n)
+    seconds = interleaved(actions, settings.rounds, process_time)
+    rows: list[dict[str, Any]] = []
+    for scheme in schemes:
+        native = seconds[f"{scheme.name} native"]
+        for what, other in (("native / exact", f"{scheme.name} exact"), ("native / Verlet", VERLET)):
+            ratio, error, _ = median_and_error(native / seconds[other])
+            rows.append({"scheme": scheme.name, "what": what, "ratio": ratio, "ratio_error": error})
+    found = pd.DataFrame(rows)
+    report.table(records.table(f"{settings.box.stem} on {settings.platform}", found, COLUMNS, left=2))
+    record = Record(settings.recorded(), {"rows": found}, {})
+    record.write(settings.out / "native-cost.json")
+    return record
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(CostSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

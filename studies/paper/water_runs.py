@@ -1,0 +1,196 @@
+"""The runs of liquid water: from each phase point one with every method and step, kept on disk as they are done."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.measure.observables import energy_drift, energy_fluctuation
+from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.statistics import rms
+from studies.methods import PAPER, Method
+from studies.paper import liquids
+from studies.paper.published import FS
+from studies.records import replace_file
+
+#: Beyond this rms(H)/rms(V) a method has broken down, and longer steps are not tried.
+BROKEN = 1.0
+
+#: Prefixes of the names of phase points. PME takes longest, and comes first.
+PREFIXES = {liquids.PME: "pme", liquids.MOLECULAR: "molecular"}
+
+#: The file of a phase point.
+FILE = "runs.json"
+
+
+class PhasePoint(NamedTuple):
+    """Where runs start: the kind of the liquid, and the number of the point, from 1."""
+
+    kind: str
+    number: int
+
+    @property
+    def name(self) -> str:
+        """For example `pme-3`."""
+        return f"{PREFIXES[self.kind]}-{self.number}"
+
+
+@dataclass(frozen=True)
+class WaterSettings:
+    """Parameters of the experiment.
+
+    Attributes:
+        molecules: number of them; all 512 of the project's box, or fewer.
+        temperature: K.
+        cutoffs: of both systems.
+        kinds: which systems are run.
+        force_steps_fs: h/f, fs, for SIER2 and SIER4.
+        compared_from_fs: MRDL and SEJ4 run from this h/f on; below they cannot be told from SIER2.
+        compared_to_fs: and up to this one.
+        fine_below_fs: for h/f below this, fewer runs are averaged, since they take long, and none with PME, whose
+            single-precision forces would hide the errors.
+        span: length of a run, ps.
+        runs, fine_runs: number of runs averaged.
+        relax: time at constant temperature before the first phase point and between two, ps.
+        sample_fs: time between two evaluations of H, fs, or the step if that is longer.
+        seed: of everything random.
+    """
+
+    molecules: int = 512
+    temperature: float = 297.0
+    cutoffs: liquids.Cutoffs = field(default_factory=liquids.Cutoffs)
+    kinds: tuple[str, ...] = (liquids.MOLECULAR, liquids.PME)
+    force_steps_fs: tuple[float, ...] = (0.1, 0.25, 0.5, 1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0)
+    compared_from_fs: float = 1.0
+    compared_to_fs: float = 7.0
+    fine_below_fs: float = 0.4
+    span: float = 1.0
+    runs: int = 9
+    fine_runs: int = 3
+    relax: float = 1.0
+    sample_fs: float = 4.0
+    seed: int = 1
+
+    def steps_of(self, method: Method, point: PhasePoint) -> list[float]:
+        """h/f in fs of the runs with a method from a phase point."""
+        compared = method.name in ("MRDL", "SEJ4")
+        first = self.compared_from_fs if compared else 0.0
+        last = self.compared_to_fs if compared else np.inf
+        steps = [step for step in self.force_steps_fs if first <= step <= last]
+        fine = point.kind == liquids.MOLECULAR and point.number <= self.fine_runs
+        return [step for step in steps if fine or step >= self.fine_below_fs]
+
+
+#: Fewer molecules, so that a shorter cut-off fits in the box, and fewer and shorter runs.
+QUICK = WaterSettings(
+    molecules=216,
+    cutoffs=liquids.Cutoffs(molecular_on=0.7, molecular_off=0.9, pme=0.9, pme_switch=0.7),
+    force_steps_fs=(0.7, 1.0, 1.4, 2.0, 2.8),
+    compared_from_fs=1.4,
+    compared_to_fs=2.0,
+    fine_below_fs=0.0,
+    span=0.25,
+    runs=2,
+    relax=0.4,
+)
+
+
+def phase_points(settings: WaterSettings) -> list[PhasePoint]:
+    """All phase points of an experiment, starting with those that take longest."""
+    kinds = [kind for kind in PREFIXES if kind in settings.kinds]
+    return [PhasePoint(kind, 1 + i) for kind in kinds for i in range(settings.runs)]
+
+
+def phase_point(name: str, settings: WaterSettings) -> PhasePoint:
+    """The phase point of a name.
+
+    Raises:
+        ValueError: the experiment has no such point.
+    """
+    points = {point.name: point for point in phase_points(settings)}
+    if name not in points:
+        raise ValueError(f"the phase point must be one of {', '.join(points)}, got {name!r}")
+    return points[name]
+
+
+def make_runs(
+    water: liquids.Water, point: PhasePoint, settings: WaterSettings, directory: Path, report: Report = SILENT
+) -> list[dict[str, Any]]:
+    """Runs of all methods and steps from one phase point.
+
+    Args:
+        water: the liquid.
+        point: where they start.
+        settings: of the experiment.
+        directory: for the file of runs; runs that it already has are not repeated.
+        report: gets progress.
+
+    Returns:
+        For each run its `kind`, `number` of the phase point, `method`, `force_step_fs`, and means about the run's own
+        means: `rms_H`, `rms_V` in kJ/mol and the `drift` of H in kJ/mol/ps, None if the run did not finish.
+    """
+    plan = [(method, step) for method in PAPER for step in settings.steps_of(method, point)]
+    known = {(run["method"], run["force_step_fs"]): run for run in read_runs(directory)}
+    # From a box of its own the liquid has to settle first; the project's has.
+    whole = water.molecules == liquids.water_box(512).molecules
+    time = settings.relax * point.number if whole else None
+    phase = liquids.phase_point(
+        water, point.kind, settings.cutoffs, settings.temperature, time, settings.seed + point.number
+    )
+    system = liquids.build(point.kind, water, settings.cutoffs)
+    runs: list[dict[str, Any]] = []
+    with report.progress(point.name, sum(1 / step for _, step in plan)) as advance:
+        done, broken = 0.0, set()
+        for method, step in plan:
+            advance(done, f"{point.name}: {method.name}, h/f = {step:g} fs")
+            done += 1 / step
+            if method.name in broken:
+                continue
+            if (run := known.get((method.name, step))) is None:
+                run = {"kind": point.kind, "number": point.number, "method": method.name, "force_step_fs": step}
+                run |= _run(system, point.kind, phase, method, step, settings)
+                replace_file(directory / FILE, json.dumps([*runs, run], indent=1) + "\n")
+            runs.append(run)
+            if run["rms_H"] is None or run["rms_H"] > BROKEN * run["rms_V"]:
+                broken.add(method.name)
+    return runs
+
+
+def read_runs(directory: Path) -> list[dict[str, Any]]:
+    """The runs of a phase point that are on disk."""
+    path = directory / FILE
+    return json.loads(path.read_text()) if path.exists() else []
+
+
+def _run(
+    system: openmm.System, kind: str, phase: openmm.State, method: Method, step: float, settings: WaterSettings
+) -> dict[str, float | None]:
+    h = step * method.forces * FS
+    integrator = method.make(h)
+    context = liquids.context(system, integrator, kind)
+    context.setState(phase)
+    stride = max(1, round(settings.sample_fs * FS / h))
+    energies = []
+    try:
+        # One step before the first energy makes velocities those of rigid bodies to rounding.
+        integrator.step(1)
+        for i in range(max(3, round(settings.span / (stride * h)) + 1)):
+            if i > 0:
+                integrator.step(stride)
+            kinetic, potential = liquids.energies(context)
+            energies.append((kinetic + potential, potential))
+    except (openmm.OpenMMException, RigidityError):
+        return dict.fromkeys(("rms_H", "rms_V", "drift"))
+    H, V = np.array(energies).T
+    if not math.isfinite(H.sum()):
+        return dict.fromkeys(("rms_H", "rms_V", "drift"))
+    time = h * stride * np.arange(len(H))
+    # The paper takes H about its mean.
+    return {"rms_H": energy_fluctuation(time, H, window=None), "rms_V": rms(V), "drift": energy_drift(time, H)[0]}

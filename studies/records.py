@@ -1,0 +1,139 @@
+"""Results of studies: tables of pandas with the settings that gave them, as files and as text.
+
+A column that has a standard error has it in another one, whose name ends in `_error`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend import threads
+from openmm_sier.measure.report import Table
+from openmm_sier.measure.statistics import Estimate
+from openmm_sier.version import __version__
+
+#: Packages that results can depend on.
+PACKAGES = ("numpy", "openmm", "numba", "mpmath", "pandas")
+
+
+@dataclass(frozen=True)
+class Record:
+    """The results of a study.
+
+    Attributes:
+        settings: of the study.
+        tables: by their names.
+        notes: further numbers that can be written as JSON.
+    """
+
+    settings: Mapping[str, Any]
+    tables: Mapping[str, pd.DataFrame]
+    notes: Mapping[str, Any]
+
+    def write(self, path: Path) -> None:
+        """Write everything, and versions and machine, as JSON; numbers that are not finite become null."""
+        tables = {name: frame.to_dict("records") for name, frame in self.tables.items()}
+        content = {**provenance(), "settings": self.settings, "notes": self.notes, "tables": tables}
+        replace_file(path, json.dumps(_plain(content), indent=1, allow_nan=False, default=str) + "\n")
+
+
+def read(path: Path) -> Record:
+    """A record that was written.
+
+    Raises:
+        ValueError: the file is no such record.
+        OSError: it cannot be read.
+    """
+    content = json.loads(path.read_text())
+    if "tables" not in content:
+        raise ValueError(f"{path} is no record of a study: it has no tables")
+    tables = {name: pd.DataFrame(rows).replace({None: math.nan}) for name, rows in content["tables"].items()}
+    return Record(content["settings"], tables, content["notes"])
+
+
+def provenance() -> dict[str, Any]:
+    """Versions and machine."""
+    versions = {"openmm-sier": __version__, "python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    machine = {"processor": processor(), "cores": threads.cores(), "threads": threads.count()}
+    return {"versions": versions, "machine": machine | {"backend": backend.active().name}}
+
+
+def processor() -> str:
+    """The name of the processor."""
+    information = Path("/proc/cpuinfo")
+    for line in information.read_text().splitlines() if information.exists() else []:
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON can hold it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a file, all of it or nothing."""
+    temporary = path.with_name("new-" + path.name)
+    temporary.write_text(text)
+    temporary.replace(path)
+
+
+# --- as text ---
+
+
+def table(title: str, frame: pd.DataFrame, columns: Mapping[str, str], left: int = 1) -> Table:
+    """A table of text.
+
+    Args:
+        title: above the table.
+        frame: of which each row becomes one.
+        columns: for each heading what stands in its cells, such as "{rotation:.1f} ± {rotation_error:.1f}"; a cell of
+            which a number is not known is "-".
+        left: number of leading columns that are aligned to the left, the others being numbers.
+    """
+    rows = [[cell(form, row) for form in columns.values()] for row in frame.to_dict("records")]
+    return Table(title, list(columns), rows, left)
+
+
+def cell(form: str, row: Mapping[str, Any]) -> str:
+    """What stands in one cell, see `table`."""
+    text = form.format_map(row).replace(" ± nan", "").replace("±nan", "")
+    return "-" if "nan" in text else text
+
+
+def with_text(frame: pd.DataFrame, *names: str) -> pd.DataFrame:
+    """A table in which `NAME_text` has each of these values with its error as text."""
+
+    def text(name: str) -> list[str]:
+        pairs = zip(frame[name], frame[f"{name}_error"], strict=True)
+        return [str(Estimate(value, error)) for value, error in pairs]
+
+    return frame.assign(**{f"{name}_text": text(name) for name in names})
+
+
+def markdown(made: Table) -> str:
+    """A table for a page of documentation."""
+    lines: Sequence[Sequence[str]] = [made.columns, ["---"] * len(made.columns), *made.rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)

@@ -1,0 +1,251 @@
+"""Time series of the runs of integrators that are compared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.starts import equilibrated, make_context
+from openmm_sier.observe import stock
+from openmm_sier.system import find_bodies
+from studies import boxes
+from studies.command import BoxSettings
+from studies.methods import Method
+
+#: Tolerance of constraints for OpenMM's own integrators.
+CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE
+
+#: K, beyond which a run counts as broken.
+HIGHEST_TEMPERATURE = 3000.0
+
+#: Time in fs between two samples: a fifth to a half of the periods of librations in water, 35 to 80 fs. Angular
+#: velocities decorrelate in some 20 fs.
+INTERVAL = 12.0
+
+#: Steps of a run before the one that is measured.
+WARM_UP = 10
+
+
+class Unstable(RuntimeError):
+    """The simulation has left the range of sensible energies."""
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Energies at whole steps of one run, one-dimensional arrays of equal length.
+
+    Attributes:
+        time: ps.
+        potential, kinetic: kJ/mol.
+    """
+
+    time: np.ndarray
+    potential: np.ndarray
+    kinetic: np.ndarray
+
+    @property
+    def total(self) -> np.ndarray:
+        return self.potential + self.kinetic
+
+
+@dataclass(frozen=True)
+class Series(Energies):
+    """Samples of one run.
+
+    Attributes:
+        translation, rotation: temperatures in K.
+        volume: nm^3.
+    """
+
+    translation: np.ndarray
+    rotation: np.ndarray
+    volume: np.ndarray
+
+
+@dataclass(frozen=True)
+class Liquid:
+    """A System with its rigid bodies and a phase point from which runs start.
+
+    Attributes:
+        platform: of OpenMM; None takes the fastest.
+    """
+
+    system: openmm.System
+    bodies: RigidBodies
+    start: openmm.State
+    platform: str | None = None
+
+
+def equilibrated_liquid(settings: BoxSettings, time: float, report: Report = SILENT) -> Liquid:
+    """A box at its temperature.
+
+    Args:
+        settings: of the box.
+        time: of the equilibration, ps.
+        report: gets notes and progress.
+    """
+    box = boxes.read(settings)
+    start = equilibrated(box, settings.temperature, settings.seed, time, settings.platform, report)
+    return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)
+
+
+class Followed(NamedTuple):
+    """A run: its samples, and the simulated time in fs per second of wall time."""
+
+    series: Series
+    fs_per_second: float
+
+
+def follow(
+    liquid: Liquid, method: Method, dt: float, time: float, settle: float = 0.0, report: Report = SILENT
+) -> Followed:
+    """Run a method from the start of a liquid, with a sample every `INTERVAL`.
+
+    Args:
+        liquid: what is run.
+        method: that runs it.
+        dt: simulated time per force evaluation, fs.
+        time: of the run, ps.
+        settle: ps before it.
+        report: gets progress.
+
+    Raises:
+        Unstable: the run broke down.
+    """
+    step = dt * method.forces
+    integrator = method.make(1e-3 * step)
+    integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
+    context = make_context(liquid.system, integrator, liquid.platform)
+    steps = max(1, round(1e3 * time / step))
+    every = min(steps, max(1, round(INTERVAL / step)))
+    try:
+        # Lists and meshes are set up before the time is taken.
+        context.setState(liquid.start)
+        integrator.step(WARM_UP)
+        context.setState(liquid.start)
+        with report.progress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
+            integrator.step(round(1e3 * settle / step))
+            begun = perf_counter()
+            series = sample(context, liquid.bodies, steps, every, show)
+            return Followed(series, len(series.time) * every * step / (perf_counter() - begun))
+    except openmm.OpenMMException as error:
+        raise Unstable(" ".join(str(error).split())) from error
+
+
+def sample(
+    context: openmm.Context, bodies: RigidBodies, steps: int, every: int, progress: Callable[[int], None] | None = None
+) -> Series:
+    """Run a Context and record energies and temperatures at whole steps.
+
+    OpenMM's leapfrog keeps velocities half a step behind. Its temperatures are taken at the whole step, from velocities
+    that the forces have advanced by half a step, as OpenMM's own kinetic energy is.
+
+    Args:
+        context: with positions and velocities.
+        bodies: its rigid bodies.
+        steps: number of steps.
+        every: steps between two samples.
+        progress: called with the number of steps done.
+
+    Raises:
+        Unstable: an energy is not finite, a temperature is above `HIGHEST_TEMPERATURE`, or molecules are torn apart.
+    """
+    integrator = context.getIntegrator()
+    conserved = MomentumConservation.of_system(context.getSystem(), bodies).holds(integrator)
+    rows = []
+    for done in range(every, steps + 1, every):
+        integrator.step(every)
+        try:
+            rows.append(observe(context, bodies, conserved))
+        except (RigidityError, NotFiniteError) as error:
+            raise Unstable(f"after {done} steps {error}") from error
+        if not rows[-1].sane:
+            raise Unstable(f"{rows[-1]} after {done} steps")
+        if progress is not None:
+            progress(done)
+    return Series(*np.array(rows).T)
+
+
+class Sample(NamedTuple):
+    """The values of `Series` at one step."""
+
+    time: float
+    potential: float
+    kinetic: float
+    translation: float
+    rotation: float
+    volume: float
+
+    @property
+    def sane(self) -> bool:
+        # A temperature is NaN where there is no such motion.
+        hot = self.translation > HIGHEST_TEMPERATURE or self.rotation > HIGHEST_TEMPERATURE
+        return math.isfinite(self.potential) and math.isfinite(self.kinetic) and not hot
+
+    def __str__(self) -> str:
+        return f"temperatures of {self.translation:.0f} K and {self.rotation:.0f} K, V = {self.potential:.4g} kJ/mol"
+
+
+def observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> Sample:
+    """Energies and temperatures of a Context at a whole step.
+
+    Args:
+        context: with positions and velocities.
+        bodies: its rigid bodies.
+        conserved: whether the total momentum is conserved, see `MomentumConservation`.
+    """
+    state = context.getState(energy=True)
+    found = temperatures(bodies, body_state(context, bodies), conserved)
+    return Sample(
+        state.getTime().value_in_unit(unit.picosecond),
+        state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
+        state.getKineticEnergy().value_in_unit(unit.kilojoule_per_mole),
+        found.translation,
+        found.rotation,
+        state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3),
+    )
+
+
+def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
+    """The state of the bodies at a whole step, for any integrator; see `sample`."""
+    integrator = context.getIntegrator()
+    if isinstance(integrator, SIERIntegrator):
+        return integrator.getBodyState()
+    return stock.body_state(context, bodies)
+
+
+def steepness(context: openmm.Context, bodies: RigidBodies, samples: int, every: int) -> tuple[float, float]:
+    """Temperature times the mean squared frequency of translation and of rotation, K/ps^2.
+
+    In equilibrium <F M^-1 F> = kT <tr M^-1 V''>, and likewise with torques and moments, so it follows from forces.
+
+    Args:
+        context: of a SIERIntegrator, with positions and velocities in equilibrium.
+        bodies: its rigid bodies.
+        samples: how many are taken.
+        every: steps before each.
+    """
+    sums = np.zeros(2)
+    for _ in range(samples):
+        context.getIntegrator().step(every)
+        forces = context.getState(forces=True).getForces(asNumpy=True)
+        A = context.getIntegrator().getBodyState().A
+        F, tau = bodies.forces_and_torques(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer), A)
+        sums += (F * F / bodies.masses).sum(), (body_frame(A, tau) ** 2 * bodies.inverse_moments).sum()
+    # Forces do not know whether the total momentum is conserved.
+    dof = np.array(degrees_of_freedom(bodies, conserved=False)[:2])
+    translation, rotation = np.divide(sums / (samples * GAS_CONSTANT), dof, out=np.zeros(2), where=dof > 0)
+    return float(translation), float(rotation)

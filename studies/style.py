@@ -1,0 +1,119 @@
+"""The look of all figures: one colour and marker for each method, and lines with standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from openmm_sier.measure.figures import context, panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+GREY = "0.35"
+
+#: Colour and marker of every method. Methods of this package have saturated colours; one with a heat bath looks as
+#: without it.
+METHODS = {
+    "SIER2": ("#0072b2", "o"),
+    "SIER4": ("#d55e00", "D"),
+    "SIER4V": ("#7b3294", "v"),
+    "SIER4G": ("#d6338a", "^"),
+    "SIER4P": ("#007f5f", "P"),
+    "MRDL": ("#e69f00", "s"),
+    "SEJ4": ("#56b4e9", "<"),
+    "OpenMM Verlet": ("#4d4d4d", "s"),
+    "Verlet, RATTLE": ("#7f7f7f", "s"),
+    "OpenMM LangevinMiddle": ("#4d4d4d", "X"),
+    "LAMMPS rigid/nve/small": ("#8c6d31", "d"),
+    "GROMACS md-vv, mixed": ("#9c9ede", ">"),
+    "GROMACS md-vv, double": ("#5254a3", "p"),
+    "Blanes-Moan S6": ("#bcbd22", "h"),
+    "Blanes-Moan SRKN6b": ("#8ca252", "8"),
+    "PEFRL": ("#c49c94", "*"),
+    "OMF, 3 forces and 2 gradients": ("#17becf", "H"),
+}
+
+UNKNOWN = ("#000000", "x")
+
+#: Methods of this package, drawn with full lines and markers; others have broken lines and open markers.
+OWN = ("SIER", "MRDL", "SEJ4")
+
+
+def of_method(name: str) -> dict[str, Any]:
+    """Keyword arguments of `Axes.plot` for a method; one that is not in the table is black.
+
+    Hybrid Monte Carlo has the colour of its scheme.
+    """
+    if name.endswith(" HMC"):
+        return of_method(name.removesuffix(" HMC")) | {"marker": "*", "ms": 9, "ls": ":"}
+    colour, marker = METHODS.get(name.removesuffix(" Langevin"), UNKNOWN)
+    style: dict[str, Any] = {"color": colour, "marker": marker, "ls": "-"}
+    return style if name.startswith(OWN) else style | {"ls": "--", "mfc": "white"}
+
+
+@contextmanager
+def figure(path: Path, columns: int, title: str = "", **options: Any) -> Iterator[tuple[Figure, list[Axes]]]:
+    """A figure of panels side by side, which is written to a file after they were drawn.
+
+    Args:
+        path: PNG file to write.
+        columns: number of panels.
+        title: above all of them.
+        options: of `Figure.subplots`.
+    """
+    with context():
+        made, axes = panels(columns, title, **options)
+        yield made, axes
+        made.savefig(path)
+
+
+def curves(axes: Axes, frame: pd.DataFrame, x: str, y: str, apart: float = 0.0, **look: Any) -> None:
+    """One line for each method, with standard errors where they are known.
+
+    Args:
+        axes: to draw on.
+        frame: with a column `method`; rows without a value of `y` are left out.
+        x, y: columns.
+        apart: by which the points of each method are shifted along x from those of the one before.
+        look: keyword arguments of `Axes.errorbar` in place of those of the method.
+    """
+    groups = frame.groupby("method", sort=False)
+    for i, (method, mine) in enumerate(groups):
+        mine = mine.dropna(subset=[y]).sort_values(x)
+        if mine.empty:
+            continue
+        error = mine[f"{y}_error"].fillna(0) if f"{y}_error" in mine else None
+        drawn = {"capsize": 3, "label": method} | of_method(method) | look
+        shift = apart * (i - (len(groups) - 1) / 2)
+        axes.errorbar(mine[x] + shift, mine[y], error, **drawn)
+
+
+def shared_legend(made: Figure, axes: Axes) -> None:
+    """One legend for all panels, beside them, with the labels of one."""
+    made.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
+
+
+def logarithmic(axes: Axes) -> None:
+    """Logarithmic axes with their numbers written out."""
+    from matplotlib.ticker import LogLocator
+
+    axes.set(xscale="log", yscale="log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
+
+
+def plain_ticks(axis: Any, values: Sequence[float]) -> None:
+    """Ticks of a logarithmic axis at given values, written out."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+    axis.set_major_locator(FixedLocator(list(values)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,84 @@
+"""Tables of studies as files and as text, and settings as options."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import pandas as pd
+import pytest
+
+from studies import command, records
+from studies.command import Settings
+from studies.records import Record
+
+ROWS = pd.DataFrame(
+    [("SIER2", 296.83, 0.14, 512), ("SIER4", math.nan, math.nan, 64)], columns=["method", "T", "T_error", "molecules"]
+)
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path):
+    Record({"box": Path("box.pdb"), "dt": (1.0, 2.0)}, {"rows": ROWS}, {"edge": 1.5}).write(tmp_path / "a.json")
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert content["versions"]["openmm-sier"]
+    assert content["tables"]["rows"][1]["T"] is None
+    found = records.read(tmp_path / "a.json")
+    pd.testing.assert_frame_equal(found.tables["rows"], ROWS)
+    assert found.settings == {"box": "box.pdb", "dt": [1.0, 2.0]}
+    assert found.notes == {"edge": 1.5}
+    (tmp_path / "b.json").write_text("{}")
+    with pytest.raises(ValueError, match="is no record of a study"):
+        records.read(tmp_path / "b.json")
+
+
+def test_cells_say_what_is_known():
+    made = records.table("T", ROWS, {"": "{method}", "T/K": "{T:.1f} ± {T_error:.1f}", "n": "{molecules}"})
+    assert made.rows == [["SIER2", "296.8 ± 0.1", "512"], ["SIER4", "-", "64"]]
+    assert records.cell("{x:.1f} ± {e:.1f}", {"x": 1.0, "e": math.nan}) == "1.0"
+    assert records.markdown(made).splitlines()[1:3] == ["| --- | --- | --- |", "| SIER2 | 296.8 ± 0.1 | 512 |"]
+    assert list(records.with_text(ROWS[:1], "T")["T_text"]) == ["296.83 ± 0.14"]
+
+
+@dataclass(frozen=True)
+class Numbers(Settings):
+    """Of a study.
+
+    Attributes:
+        dt: fs.
+        pressure: bar.
+    """
+
+    dt: tuple[float, ...] = (1.0,)
+    pressure: float = 1.0
+
+    ANY_SIGN: ClassVar[tuple[str, ...]] = ("pressure",)
+
+
+def test_fields_are_options(tmp_path):
+    found = []
+    arguments = ["--dt", "2", "3", "--pressure", "-5", "--out", str(tmp_path / "new" / "out")]
+    assert command.execute(Numbers, lambda settings, report: found.append(settings), "what", arguments) == 0
+    assert found == [Numbers(tmp_path / "new" / "out", 1, (2.0, 3.0), -5.0)]
+    assert (tmp_path / "new" / "out").is_dir()
+
+
+def test_errors_are_one_line(tmp_path, capsys):
+    def study(settings, report):
+        raise ValueError("too\nlittle")
+
+    assert command.execute(Numbers, study, "", ["--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == "too little\n"
+    with pytest.raises(SystemExit) as stop:
+        command.execute(Numbers, study, "", ["--dt", "-1"])
+    assert stop.value.code == 2
+    assert "dt must be above 0, got -1.0" in capsys.readouterr().err
+
+
+def test_a_directory_has_results_of_one_kind(tmp_path):
+    command.claim(tmp_path / "settings.json", {"time": 0.1, "dt": (1, 2)})
+    command.claim(tmp_path / "settings.json", {"time": 0.1, "dt": (1, 2)})
+    with pytest.raises(ValueError, match=r"has results with time 0\.1, got 0\.2: take another directory"):
+        command.claim(tmp_path / "settings.json", {"time": 0.2, "dt": (1, 2)})

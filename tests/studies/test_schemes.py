@@ -1,0 +1,111 @@
+"""The comparison of schemes: published candidates, what it reports, and its files."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from openmm import app, unit
+
+from openmm_sier.dynamics.schemes import DRIFT, KICK, SIER4P, SIER4V, alternating
+from studies import records, schemes
+from studies.methods import OTHERS
+from studies.schemes import SchemesSettings
+from tests.support.convergence import slope
+from tests.support.molecules import WATER, SoftCluster
+from tests.support.reports import Told
+from tests.support.waters import water_box
+
+CANDIDATES = {**OTHERS, "sier4v": SIER4V, "sier4p": SIER4P}
+FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "sier4p": 4, "omf3gg": 5}
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_candidates_are_symmetric_and_of_fourth_order(name):
+    scheme = CANDIDATES[name]
+    assert scheme.order == 4
+    assert scheme.is_palindrome
+    assert scheme.force_evaluations == FORCES[name]
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_candidates_are_of_fourth_order_in_the_dynamics(rng, name):
+    cluster = SoftCluster([WATER] * 3)
+    # SRKN6b has so small a h^4 that h^6 shows unless the steps are short.
+    assert slope(cluster, CANDIDATES[name], cluster.start(rng), steps=(24, 48, 96)) == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_nystroem_scheme_of_sixth_order_needs_kicks_and_drifts():
+    """Blanes and Moan's SRKN11b rests on [B, [B, [B, A]]] = 0: of operators without that rule it is of fourth order."""
+    b = (0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879)
+    a = (0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928)
+    fractions = [x for pair in zip(b, a, strict=True) for x in pair]
+    fractions.append(0.5 - math.fsum(b))
+    assert alternating("SRKN11b", KICK, DRIFT, tuple(fractions)).order == 6
+    assert alternating("free", "B", "A", tuple(fractions)).order == 4
+    # The rule does not hold with the operators exchanged.
+    assert alternating("exchanged", DRIFT, KICK, tuple(fractions)).order == 4
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory):
+    topology, positions, _ = water_box("tip3p", 64)
+    path = tmp_path_factory.mktemp("survey") / "box.pdb"
+    app.PDBFile.writeFile(topology, positions * unit.nanometer, str(path))
+    return SchemesSettings(
+        out=path.parent,
+        box=path,
+        forcefield=("tip3p.xml",),
+        dt=(2.0, 12.0),
+        schemes=("verlet", "sier2", "sier4g"),
+        time=0.3,
+        equilibrate=0.2,
+        platform="CPU",
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(settings):
+    told = Told()
+    return schemes.study(settings, told).tables["rows"], told
+
+
+def test_rows(finished):
+    rows, _ = finished
+    assert list(zip(rows["method"], rows["fs_per_force"], rows["forces"], strict=True)) == [
+        (name, dt, forces) for dt in (2.0, 12.0) for name, forces in (("OpenMM Verlet", 1), ("SIER2", 1), ("SIER4G", 3))
+    ]
+    assert list(rows["step"]) == [2.0, 2.0, 6.0, 12.0, 12.0, 36.0]
+    verlet, sier2, sier4g = rows["percent"][:3]
+    # Second order is second order, and the fourth is several times better, cut-off and all.
+    assert 0.3 < sier2 / verlet < 3
+    assert sier4g < 0.5 * sier2
+    # A step of a whole period of libration breaks the run, and says so.
+    assert rows["broken"].iloc[-1]
+    assert math.isnan(rows["percent"].iloc[-1])
+
+
+def test_files(finished, settings):
+    record = records.read(settings.out / "schemes.json")
+    assert list(record.tables["rows"]["method"]) == list(finished[0]["method"])
+    assert record.settings["box"] == "box.pdb"
+    assert (settings.out / "schemes.png").read_bytes().startswith(b"\x89PNG")
+    assert (settings.out / "schemes.png").stat().st_size > 20000
+
+
+def test_what_is_reported(finished):
+    rows, told = finished
+    (table,) = told.tables
+    assert len(table.rows) == len(rows)
+    assert table.rows[-1][-2:] == ["-", "-"]
+    assert any("broke down" in note for note in told.notes)
+    assert any(note.startswith("least energy error at 2 fs per force: SIER4G") for note in told.notes)
+
+
+def test_unknown_schemes_are_refused(settings):
+    with pytest.raises(ValueError, match="unknown scheme 'sier5'; known are verlet, sier2"):
+        schemes.compare(dataclasses.replace(settings, schemes=("sier5",)))
