@@ -10,8 +10,8 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 PAGES = ["README.md", "docs/getting-started.md", *sorted(f"docs/howto/{p.name}" for p in ROOT.glob("docs/howto/*.md"))]
 
-#: Steps that are made instead of more: one trial of hybrid Monte Carlo.
-FEWER = 10
+#: Steps that are made instead of more. With hybrid Monte Carlo each is a trial of several.
+FEWER = 5
 
 
 def code(page):
