@@ -1,0 +1,60 @@
+"""Files, modules and studies that pages name are there. Sphinx sees links, but no names in backquotes."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent.parent
+#: A changelog names what is gone.
+PAGES = sorted({*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("systems/*.md")} - {ROOT / "CHANGELOG.md"})
+
+FOLDERS = "docs|examples|openmm_sier|openmm_sier_command|studies|systems|tests"
+
+
+def missing_files(text: str) -> list[str]:
+    """Paths in backquotes; NEW stands for what a reader may add."""
+    named = re.findall(rf"`((?:{FOLDERS})/[\w/.\-]+)`", text)
+    return [path for path in named if "NEW" not in path and not (ROOT / path).exists()]
+
+
+def missing_modules(text: str) -> list[str]:
+    """Modules in backquotes or after `python -m`, with attributes of theirs."""
+    named = re.findall(r"`(openmm_sier(?:\.\w+)+)", text) + re.findall(r"python -m (studies(?:\.\w+)*)", text)
+    return [name for name in named if not is_there(name)]
+
+
+def is_there(name: str) -> bool:
+    parts = name.split(".")
+    for n in range(len(parts), 0, -1):
+        if (ROOT.joinpath(*parts[:n]).with_suffix(".py")).exists() or ROOT.joinpath(*parts[:n]).is_dir():
+            found = None if n == len(parts) else importlib.import_module(".".join(parts[:n]))
+            for part in parts[n:]:
+                found = getattr(found, part, None)
+                if found is None:
+                    return False
+            return True
+    return False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_a_page_names_is_there(page):
+    text = page.read_text()
+    assert missing_files(text) + missing_modules(text) == []
+
+
+def test_links_of_pages_that_sphinx_does_not_build():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)\s#]+)[^)\s]*\)", page.read_text()):
+            assert re.match("https?:", target) or (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_names_that_are_wrong_are_found():
+    assert missing_files("`tests/engines/test_native_trials.py` and `tests/conftest.py`") == [
+        "tests/engines/test_native_trials.py"
+    ]
+    wrong = "`openmm_sier.context.reporters`, `openmm_sier.hooks.install` and python -m studies.hmc.solid"
+    assert missing_modules(wrong) == ["openmm_sier.context.reporters", "studies.hmc.solid"]
