@@ -199,7 +199,7 @@ class Outputs:
         out, every = Path(plan.out), plan.interval(plan.every)
         topology = _subset(box.topology, box.listed)
         make = trajectories.trajectory_format(out)
-        self.trajectory = make(out, topology, plan.dt / 1000, every, run, noted.get("trajectory"))
+        self.trajectory = make(out, topology, plan.step_time, every, run, noted.get("trajectory"))
         self.log = records.Log(Path(plan.report), columns, noted.get("log"))
         self._growing: dict[str, records.GrowingFile] = {"trajectory": self.trajectory, "log": self.log}
         self._intervals = {"frame": every, "row": plan.interval(plan.report_every)}

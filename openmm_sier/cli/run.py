@@ -157,9 +157,8 @@ def _context(
 
 def _integrator(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERIntegrator:
     step, scheme = plan.dt / 1000, plan.method.scheme or SIER4G
-    # The exact engine, which runs on GPUs too, has what the native one lacks: bodies that no constraints hold, and a
-    # constant pressure whose work is counted and whose restarts are exact, unlike those of OpenMM's barostats.
-    engine = "exact" if plan.rigid or plan.ensemble == "npt" else "auto"
+    # The exact engine, which runs on GPUs too, has what the native one lacks: bodies that no constraints hold.
+    engine = "exact" if plan.rigid else "auto"
     if plan.ensemble == "nve":
         return SIERIntegrator(step, scheme, bodies, engine=engine, fastForceGroups=fast)
     if plan.ensemble == "hmc":
@@ -189,7 +188,7 @@ def _sampler(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERInte
 
 
 def _length(plan: Plan, steps: int) -> str:
-    return f"{steps} ({steps * plan.dt / 1000:g} ps)"
+    return f"{steps} ({steps * plan.step_time:g} ps)"
 
 
 def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
@@ -199,7 +198,7 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
     rows += summary.density_rows(log) if plan.moves_volume else []
     rows += summary.acceptance_rows(log)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
-    table(f"{plan.title}, {plan.steps * plan.dt / 1000:g} ps", ("", ""), rows + cost.rows())
+    table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost.rows())
 
 
 # --- the beginning ---
@@ -330,7 +329,7 @@ def _advance(
     begun = step = context.getStepCount()
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
     evaluations, longest = integrator.forceEvaluations, 1
-    progress = ProgressBar(plan.method.name, plan.steps, plan.dt / 1000, begun)
+    progress = ProgressBar(plan.method.name, plan.steps, plan.step_time, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if not outputs.log.count:
             _write(["row", "checkpoint"], context, plan, outputs, guard)
@@ -352,7 +351,7 @@ def _advance(
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
         raise Stopped(requests.received, message)
     evaluations = integrator.forceEvaluations - evaluations
-    return summary.Cost(step - begun, seconds, force_seconds, evaluations, watch.calls, plan.dt / 1000)
+    return summary.Cost(step - begun, seconds, force_seconds, evaluations, watch.calls, plan.step_time)
 
 
 @contextmanager
