@@ -38,7 +38,7 @@ from openmm_sier.measure.forcefields import Box, describe, first_line, locate, r
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.observe import conservation, stock
 from openmm_sier.prepare.preparation import prepare_system
-from openmm_sier_command.options import RECOMMENDED
+from openmm_sier_command.options import RECOMMENDED, USUAL_STEPS
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
@@ -73,7 +73,7 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     if options.restart and options.restart.is_file():
         # Before it is read, so that nobody replaces it from here on.
         locks.hold([options.restart])
-    state, notes = records.read_checkpoint(source) if source else (None, {})
+    state, notes = records.read_checkpoint(source, files=bool(options.restart)) if source else (None, {})
     origin: Plan | None = None
     if options.restart:
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
@@ -224,7 +224,7 @@ def _begin(
         RunError: the checkpoint that it starts from belongs to another system.
         Runaway: the equilibration broke down.
     """
-    stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED)
+    stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED, dt=USUAL_STEPS[RECOMMENDED])
     begun = make_context(box.system, _integrator(stand_in, bodies, fast), options.platform)
     positions = box.positions
     if state is not None:

@@ -33,6 +33,10 @@ def load_program(path):
     return module
 
 
+#: The program that makes the boxes of the project.
+make = load_program("systems/make.py")
+
+
 def notes_of(plan, checkpoint):
     """The notes in a checkpoint of a run that has not begun."""
     empty = {"size": 0, "count": 0, "fingerprint": "none"}
