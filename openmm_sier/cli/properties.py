@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from openmm_sier.cli.console import REPORT, table
+from openmm_sier.cli.files.records import RecordError
 from openmm_sier.cli.finished_runs import FinishedRun, check_alike, open_runs
 from openmm_sier.cli.plan import Plan, RunError
-from openmm_sier.cli.records import RecordError
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.measure import properties
 from openmm_sier.measure.figures import can_draw, property_figure

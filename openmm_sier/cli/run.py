@@ -11,11 +11,11 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.cli import records, runaway, summary
+from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
-from openmm_sier.cli.info import rigid_bodies
-from openmm_sier.cli.locks import FileLocks
-from openmm_sier.cli.outputs import (
+from openmm_sier.cli.files import records
+from openmm_sier.cli.files.locks import FileLocks
+from openmm_sier.cli.files.outputs import (
     Outputs,
     check_belonging,
     check_existing,
@@ -25,6 +25,7 @@ from openmm_sier.cli.outputs import (
     output_paths,
     run_identity,
 )
+from openmm_sier.cli.info import rigid_bodies
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan, noted_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError

@@ -9,8 +9,9 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import RigidBodies
-from openmm_sier.cli import console, main, records
+from openmm_sier.cli import console, main
 from openmm_sier.cli import run as command
+from openmm_sier.cli.files import records
 from openmm_sier.measure import forcefields
 from tests.support.commands import SMALL, SYSTEMS, complaint, datasets, frames, log, run
 

@@ -15,7 +15,8 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2Integrator
-from openmm_sier.cli import main, records, trajectories
+from openmm_sier.cli import main
+from openmm_sier.cli.files import records, trajectories
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__
@@ -194,7 +195,7 @@ def test_time_of_forces_and_energies_is_that_of_openmm(box):
 KILLER = """
 import os, signal, sys
 from openmm_sier.cli import main
-from openmm_sier.cli import records
+from openmm_sier.cli.files import records
 
 place, after, *arguments = sys.argv[1:]
 append, replace = records.GrowingFile.append, os.replace

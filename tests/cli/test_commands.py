@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER4G, SIERIntegrator
-from openmm_sier.cli import records
+from openmm_sier.cli.files import records
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.commands import SMALL, complaint, log, run
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from openmm_sier.cli.files.records import RecordError
 from openmm_sier.cli.finished_runs import FREE, FinishedRun, open_runs
 from openmm_sier.cli.plan import Options, Plan, RunError, new_plan
-from openmm_sier.cli.records import RecordError
 from openmm_sier.observe import pressure
 from tests.support.canonical import log
 from tests.support.commands import complaint

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.cli import locks, main
-from openmm_sier.cli.locks import FileLocks
+from openmm_sier.cli import main
+from openmm_sier.cli.files import locks
+from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError
 from tests.support.commands import SMALL, SYSTEMS, complaint, run, wait_for
 
@@ -22,7 +23,7 @@ LIMIT = 120
 HOLDER = """
 import sys
 from pathlib import Path
-from openmm_sier.cli.locks import FileLocks
+from openmm_sier.cli.files.locks import FileLocks
 with FileLocks() as locks:
     locks.hold(map(Path, sys.argv[1:]))
     print("held", flush=True)

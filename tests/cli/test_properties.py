@@ -11,9 +11,9 @@ import pytest
 from openmm import unit
 
 from openmm_sier.cli import properties
+from openmm_sier.cli.files.records import read_checkpoint, read_log
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import Options, new_plan
-from openmm_sier.cli.records import read_checkpoint, read_log
 from openmm_sier.measure import liquid_samples
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, read_samples, unwrapped

@@ -199,3 +199,34 @@ def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remove
     assert 0.2 * 3 * friction * 8.314e-3 * 300 > 29
     for each in (context, other):
         assert conserved(each) == pytest.approx(before, abs=3.0)
+
+
+def test_noise_that_a_state_does_not_hold_is_spoken_of():
+    """With the native engine a State goes on in the same ensemble, a checkpoint on the same trajectory."""
+    _, positions, system = cluster_system(3)
+    point = positions, np.zeros_like(positions)
+
+    def made(engine):
+        integrator = SIERLangevinIntegrator(300, 5.0, 0.002, engine=engine)
+        integrator.setRandomNumberSeed(4)
+        return integrator, context_at(system, integrator, point)
+
+    for engine in ("exact", "native"):
+        integrator, context = made(engine)
+        integrator.step(3)
+        state = context.getState(positions=True, velocities=True, integratorParameters=True)
+        checkpoint = context.createCheckpoint()
+        integrator.step(3)
+        end = phase_point(context)[0]
+        other, later = made(engine)
+        later.loadCheckpoint(checkpoint)
+        other.step(3)
+        assert np.array_equal(phase_point(later)[0], end)
+        other, later = made(engine)
+        if engine == "exact":
+            later.setState(state)
+        else:
+            with pytest.warns(UserWarning, match="noise of Langevin dynamics is OpenMM's, which no State holds"):
+                later.setState(state)
+        other.step(3)
+        assert np.array_equal(phase_point(later)[0], end) is (engine == "exact")

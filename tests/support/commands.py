@@ -13,7 +13,8 @@ from pathlib import Path
 import mdtraj
 import pytest
 
-from openmm_sier.cli import main, records
+from openmm_sier.cli import main
+from openmm_sier.cli.files import records
 from studies.boxes import write_lattice as write_lattice
 
 SYSTEMS = Path(__file__).parents[2] / "systems"

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import openmm
 
-from openmm_sier.cli.notes import check_files, check_notes
+from openmm_sier.cli.files.notes import check_files, check_notes
 from openmm_sier.observe.conservation import csv_line
 
 #: Version of what a checkpoint holds.

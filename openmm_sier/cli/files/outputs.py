@@ -16,8 +16,8 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.cli import records, trajectories
-from openmm_sier.cli.body_states import BodyStates
+from openmm_sier.cli.files import records, trajectories
+from openmm_sier.cli.files.body_states import BodyStates
 from openmm_sier.cli.plan import FILES, Plan, RunError
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure.forcefields import Box
