@@ -8,8 +8,8 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `Context.setState` accepts a State of any other integrator, and does not let a State bring back noise that was used.
 - `Context.setPositions`, `setVelocities`, `setVelocitiesToTemperature` and `loadCheckpoint` tell the integrator that
   atoms were moved, which the native engine would not notice by itself.
-- `Context.createCheckpoint` and `Context.getState` with the integrator's parameters make the run continue exactly as a
-  restart from their result would.
+- `Context.createCheckpoint`, and `XmlSerializer.serialize` of a State with the integrator's parameters, make the run
+  continue exactly as a restart from their result would. `Context.getState` marks such a State and changes nothing.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
 - `System.removeForce`, `Force.setForceGroup` and `NonbondedForce.setPMEParameters` are counted, so that an integrator
   looks for changes of its System only after one of them.
@@ -21,13 +21,13 @@ from __future__ import annotations
 
 import functools
 import inspect
+import weakref
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import openmm
 
 from openmm_sier.dynamics.stages import BATH
-from openmm_sier.engines import interrupts
 from openmm_sier.engines.variables import DRAWS, SEED
 from openmm_sier.integrators.copies import revived
 from openmm_sier.integrators.integrator import SIERIntegrator
@@ -56,7 +56,8 @@ def install() -> None:
         _replace(openmm.Context, name, _telling_of_moved_atoms)
     _replace(openmm.Context, "loadCheckpoint", _loading)
     _replace(openmm.Context, "createCheckpoint", _going_on_as_a_restart)
-    _replace(openmm.Context, "getState", _going_on_as_a_restart)
+    _replace(openmm.Context, "getState", _marking_states)
+    _replace(openmm.XmlSerializer, "serialize", _writing_restart_points)
     for owner, name in _CHANGES_OF_SYSTEMS:
         _replace(owner, name, _counting_changes)
     _replace(openmm.LocalEnergyMinimizer, "minimize", _keeping_bodies)
@@ -114,22 +115,46 @@ def _binding_again(method: Method) -> Method:
 
 
 def _going_on_as_a_restart(method: Method) -> Method:
-    """Methods that write a restart point. Afterwards the run goes on from the same values as a restart would."""
+    """`Context.createCheckpoint`: afterwards the run goes on from the same values as a restart would."""
 
     @functools.wraps(method)
-    def wrapper(self: Any, *args: Any, **kwargs: Any) -> Any:
-        found = method(self, *args, **kwargs)
+    def wrapper(self: Any) -> bytes:
+        found = method(self)
         integrator = _integrator_of(self)
-        # A checkpoint is bytes, and complete; a State is complete if it has the integrator's parameters.
-        if integrator is not None and integrator._engine is not None and _is_complete(found):
+        if integrator is not None and integrator._engine is not None:
             integrator._engine.start_anew()
         return found
 
     return wrapper
 
 
-def _is_complete(found: openmm.State) -> bool:
-    return not isinstance(found, openmm.State) or bool(found.getDataTypes() & openmm.State.IntegratorParameters)
+def _marking_states(method: Method) -> Method:
+    """`Context.getState` changes nothing; but a State that is written as XML later is a restart point."""
+
+    @functools.wraps(method)
+    def wrapper(self: Any, *args: Any, **kwargs: Any) -> openmm.State:
+        state = method(self, *args, **kwargs)
+        integrator = _integrator_of(self)
+        if integrator is not None and state.getDataTypes() & openmm.State.IntegratorParameters:
+            state._sier_origin = weakref.ref(self)
+        return state
+
+    return wrapper
+
+
+def _writing_restart_points(method: Method) -> Method:
+    """`XmlSerializer.serialize` of a State with the integrator's parameters, such as `Simulation.saveState` writes."""
+
+    @functools.wraps(method)
+    def wrapper(thing: Any) -> str:
+        context = getattr(thing, "_sier_origin", lambda: None)()
+        if context is not None and context.getStepCount() == thing.getStepCount():
+            integrator = _integrator_of(context)
+            if integrator is not None and integrator._engine is not None:
+                integrator._engine.start_anew()
+        return method(thing)
+
+    return wrapper
 
 
 def _telling_of_new_forces(method: Method) -> Method:
@@ -165,9 +190,8 @@ def _keeping_bodies(method: Method) -> Method:
         integrator = _integrator_of(context)
         if integrator is None:
             return method(context, tolerance, maxIterations, reporter)
-        with interrupts.deferred():
-            by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
-            return integrator._bound().minimize(by_openmm, tolerance, maxIterations, reporter)
+        by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
+        return integrator._bound().minimize(by_openmm, tolerance, maxIterations, reporter)
 
     return wrapper
 

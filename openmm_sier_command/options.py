@@ -197,7 +197,11 @@ class Options:
         empty=True,
     )
     steps_per_trial: int = _option(
-        Whole(most=10**6), "with hmc, after which files are written", otherwise="10", restart="keeps", empty=True
+        Whole(most=10**6),
+        "of the scheme in a trial of hmc, which is then a step of the run",
+        otherwise="10",
+        restart="keeps",
+        empty=True,
     )
     steps: int = _option(
         Whole(most=MOST_STEPS),

@@ -170,7 +170,7 @@ def measure(
     try:
         with report.progress(what, trials) as show:
             for done in range(1, trials + 1):
-                integrator.step(steps)
+                integrator.step(1)
                 error = integrator.lastEnergyError
                 made["errors"].append(error if math.isfinite(error) else None)
                 show(done)

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from openmm_sier.cli.console import REPORT, note, table
-from openmm_sier.cli.locks import FileLocks
+from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError, new_plan
 from openmm_sier.measure.ensemble import (
     COMPLETE,

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_sier.cli import records
+from openmm_sier.cli.files import records
+from openmm_sier.cli.files.records import RecordError
 from openmm_sier.cli.plan import Plan, RunError, noted_plan
-from openmm_sier.cli.records import RecordError
 from openmm_sier.measure.statistics import FEWEST
 from openmm_sier.observe import conservation, pressure
 

@@ -19,7 +19,7 @@ from typing import NoReturn
 
 from filelock import FileLock
 
-from openmm_sier.cli import records
+from openmm_sier.cli.files import records
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.cli.stopping import SIGNALS

@@ -83,10 +83,14 @@ class Plan(Options):
         piston = f", {self.pressure:g} bar" if self.moves_volume else ""
         return f"{self.method.name}, {self.ensemble.upper()}{bath}{piston}, {self.dt:g} fs"
 
+    @property
+    def step_time(self) -> float:
+        """Time of a step, ps; a step of hybrid Monte Carlo is a trial."""
+        return self.dt / 1000 * (self.steps_per_trial or 1)
+
     def interval(self, time: float) -> int:
-        """Number of steps nearest to a time, at least 1; whole trials in hybrid Monte Carlo."""
-        unit = self.steps_per_trial or 1
-        return unit * max(1, round(time * 1000 / self.dt / unit))
+        """Number of steps nearest to a time, at least 1."""
+        return max(1, round(time / self.step_time))
 
     def noted(self, checkpoint: Path) -> dict[str, Any]:
         """The plan as the checkpoint holds it, with files relative to the checkpoint."""
@@ -121,7 +125,9 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
         values.setdefault("pressure", 1.0)
     if ensemble == "hmc":
         values.setdefault("steps_per_trial", TRIAL)
-    values.setdefault("steps", _steps(values.get("time", DEFAULT_TIME), values["dt"]))
+    values.setdefault(
+        "steps", _steps(values.get("time", DEFAULT_TIME), values["dt"] * values.get("steps_per_trial", 1))
+    )
     values.setdefault("out", Path(f"{options.box.stem}.dcd"))
     values.setdefault("report", values["out"].with_suffix(".csv") if values["out"].name else values["out"])
     values.setdefault("bodies_every", values["every"])
@@ -230,7 +236,7 @@ def continued_plan(options: Options, checkpoint: Path, saved: object) -> Plan:
                 f"{checkpoint}: plan: {name}: {path} does not lie beside the checkpoint; if the run writes there, say "
                 f"so by {OPTIONS[name].flag} {path}"
             )
-    steps = _steps(options.time, plan.dt) if options.time is not None else options.steps or plan.steps
+    steps = _steps(options.time, 1000 * plan.step_time) if options.time is not None else options.steps or plan.steps
     return replace(plan, steps=steps, box=options.box)
 
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from openmm_sier.cli.console import REPORT, table
+from openmm_sier.cli.files.records import RecordError
 from openmm_sier.cli.finished_runs import FinishedRun, check_alike, open_runs
 from openmm_sier.cli.plan import Plan, RunError
-from openmm_sier.cli.records import RecordError
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.measure import properties
 from openmm_sier.measure.figures import can_draw, property_figure
@@ -73,7 +73,7 @@ class Run(NamedTuple):
         """The arguments of `measure.properties.shear_viscosity`."""
         columns = self.tensors or {}
         tensors = np.stack([columns[name] for name in pressure.COLUMNS[2:-1]], axis=1)
-        interval = self.plan.interval(self.plan.pressure_tensor_every) * self.plan.dt / 1000
+        interval = self.plan.interval(self.plan.pressure_tensor_every) * self.plan.step_time
         return tensors, interval, float(columns["Box Volume (nm^3)"].mean()), self.temperature
 
     @property
@@ -274,7 +274,7 @@ def read_runs(runs: Sequence[FinishedRun], given: Path | None, skip: float) -> l
 def _read(run: FinishedRun, box: Box, skip: float) -> Run:
     # Logs come first: they are quickly read, and tell whether a run still goes on.
     log, tensors = run.log(skip), run.tensors(skip)
-    interval = run.plan.interval(run.plan.every) * run.plan.dt / 1000
+    interval = run.plan.interval(run.plan.every) * run.plan.step_time
     samples = read_samples(Path(run.plan.out), box, interval, skip)
     if (frames := len(samples.volumes) + round(skip / interval)) != run.frames:
         raise RecordError(f"{run.plan.out} has {frames} frames, {run.checkpoint} notes {run.frames}")

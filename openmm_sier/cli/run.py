@@ -11,11 +11,11 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.cli import records, runaway, summary
+from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.console import REPORT, ProgressBar, clock, note, table
-from openmm_sier.cli.info import rigid_bodies
-from openmm_sier.cli.locks import FileLocks
-from openmm_sier.cli.outputs import (
+from openmm_sier.cli.files import records
+from openmm_sier.cli.files.locks import FileLocks
+from openmm_sier.cli.files.outputs import (
     Outputs,
     check_belonging,
     check_existing,
@@ -25,6 +25,7 @@ from openmm_sier.cli.outputs import (
     output_paths,
     run_identity,
 )
+from openmm_sier.cli.info import rigid_bodies
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan, noted_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
@@ -38,7 +39,7 @@ from openmm_sier.measure.forcefields import Box, describe, first_line, locate, r
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.observe import conservation, stock
 from openmm_sier.prepare.preparation import prepare_system
-from openmm_sier_command.options import RECOMMENDED
+from openmm_sier_command.options import RECOMMENDED, USUAL_STEPS
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
@@ -73,7 +74,7 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     if options.restart and options.restart.is_file():
         # Before it is read, so that nobody replaces it from here on.
         locks.hold([options.restart])
-    state, notes = records.read_checkpoint(source) if source else (None, {})
+    state, notes = records.read_checkpoint(source, files=bool(options.restart)) if source else (None, {})
     origin: Plan | None = None
     if options.restart:
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
@@ -157,9 +158,8 @@ def _context(
 
 def _integrator(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERIntegrator:
     step, scheme = plan.dt / 1000, plan.method.scheme or SIER4G
-    # The exact engine, which runs on GPUs too, has what the native one lacks: bodies that no constraints hold, and a
-    # constant pressure whose work is counted and whose restarts are exact, unlike those of OpenMM's barostats.
-    engine = "exact" if plan.rigid or plan.ensemble == "npt" else "auto"
+    # The exact engine, which runs on GPUs too, has what the native one lacks: bodies that no constraints hold.
+    engine = "exact" if plan.rigid else "auto"
     if plan.ensemble == "nve":
         return SIERIntegrator(step, scheme, bodies, engine=engine, fastForceGroups=fast)
     if plan.ensemble == "hmc":
@@ -189,7 +189,7 @@ def _sampler(plan: Plan, bodies: RigidBodies, fast: Collection[int]) -> SIERInte
 
 
 def _length(plan: Plan, steps: int) -> str:
-    return f"{steps} ({steps * plan.dt / 1000:g} ps)"
+    return f"{steps} ({steps * plan.step_time:g} ps)"
 
 
 def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
@@ -199,7 +199,7 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
     rows += summary.density_rows(log) if plan.moves_volume else []
     rows += summary.acceptance_rows(log)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
-    table(f"{plan.title}, {plan.steps * plan.dt / 1000:g} ps", ("", ""), rows + cost.rows())
+    table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost.rows())
 
 
 # --- the beginning ---
@@ -225,7 +225,7 @@ def _begin(
         RunError: the checkpoint that it starts from belongs to another system.
         Runaway: the equilibration broke down.
     """
-    stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED)
+    stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED, dt=USUAL_STEPS[RECOMMENDED])
     begun = make_context(box.system, _integrator(stand_in, bodies, fast), options.platform)
     positions = box.positions
     if state is not None:
@@ -330,7 +330,7 @@ def _advance(
     begun = step = context.getStepCount()
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
     evaluations, longest = integrator.forceEvaluations, 1
-    progress = ProgressBar(plan.method.name, plan.steps, plan.dt / 1000, begun)
+    progress = ProgressBar(plan.method.name, plan.steps, plan.step_time, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if not outputs.log.count:
             _write(["row", "checkpoint"], context, plan, outputs, guard)
@@ -352,7 +352,7 @@ def _advance(
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
         raise Stopped(requests.received, message)
     evaluations = integrator.forceEvaluations - evaluations
-    return summary.Cost(step - begun, seconds, force_seconds, evaluations, watch.calls, plan.dt / 1000)
+    return summary.Cost(step - begun, seconds, force_seconds, evaluations, watch.calls, plan.step_time)
 
 
 @contextmanager

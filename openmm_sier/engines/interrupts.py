@@ -34,11 +34,10 @@ def deferred() -> Iterator[None]:
                 signal.signal(number, _wait)
         yield
     finally:
+        # A handler that is back may raise at once. That of Ctrl-C comes last, and has no entry any more: what is left
+        # of an entry would make the next block take itself for a nested one.
         while _handlers:
-            number, handler = next(iter(_handlers.items()))
-            # In this order, so that no signal finds `_wait` without the handler behind it.
-            signal.signal(number, handler)
-            del _handlers[number]
+            signal.signal(*_handlers.popitem())
         _call_handlers(found)
 
 

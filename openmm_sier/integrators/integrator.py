@@ -147,7 +147,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return len(self._program.parts) if isinstance(self._program, Program) else 1
 
     def _flow(self) -> Flow:
-        """What an engine is to follow now."""
+        """What an engine is to follow now; a loaded checkpoint brings the seed of its run."""
         given, ensemble = self._settings, self._settings.ensemble
         return Flow(
             scheme=ensemble.executed(given.scheme),
@@ -155,7 +155,6 @@ class SIERIntegrator(openmm.CustomIntegrator):
             rotation=given.rotation,
             substeps=given.substeps,
             fast_groups=given.fast_groups,
-            # A loaded checkpoint brings the seed of its run.
             bath=ensemble.bath(int(self.getGlobalVariableByName(SEED))),
             updates_context=ensemble.updates_context,
         )

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from pathlib import Path
 
-_PACKAGE = str(Path(__file__).parent.parent)
+import openmm
+
+#: Calls from these are not the user's own: OpenMM's Simulation creates Contexts.
+_PACKAGES = tuple(f"{folder}{os.sep}" for folder in (Path(__file__).parent.parent, Path(openmm.__file__).parent))
 
 
 def tell(message: str) -> None:
     """Warn of behaviour that a user may not expect; the warning names the line that called the package."""
     level, frame = 1, sys._getframe()
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGES):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, stacklevel=level)

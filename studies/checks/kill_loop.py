@@ -25,7 +25,7 @@ import h5py
 import mdtraj
 import numpy as np
 
-from openmm_sier.cli import records
+from openmm_sier.cli.files import records
 from openmm_sier.measure.report import SILENT, Report
 from studies.boxes import write_lattice
 from studies.command import Settings, execute

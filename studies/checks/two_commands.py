@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """Two commands on one output, started at random distances: one must be refused in one line, and disturb nothing.
 
     python -m studies.checks.two_commands [--times 100] [--pairs run,restart ensemble,run] [--seed 1]
@@ -11,8 +10,6 @@ anything differs.
 
 from __future__ import annotations
 
-import argparse
-import importlib.util
 import os
 import random
 import shutil
@@ -21,16 +18,21 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+
+import pandas as pd
 
 from openmm_sier.cli import main as command_line
 from openmm_sier.cli import run as _imported_before_the_fork  # noqa: F401
 from openmm_sier.cli.member import CHECKPOINT
-
-_KILL_LOOP = importlib.util.spec_from_file_location("kill_loop", Path(__file__).parent / "kill_loop.py")
-kill_loop = importlib.util.module_from_spec(_KILL_LOOP)
-_KILL_LOOP.loader.exec_module(kill_loop)
+from openmm_sier.measure.report import SILENT, Report
+from studies import records
+from studies.boxes import write_lattice
+from studies.command import Settings, chosen, execute
+from studies.records import Record
 
 COMMANDS = ("run", "restart", "ensemble")
 
@@ -57,7 +59,16 @@ MEMBER = "members-of/seed1"
 PATIENCE = 120.0
 
 
-class Disturbed(Exception):
+#: Pairs by the names that users give.
+PAIRS = {f"{first},{second}": (first, second) for first, second in product(COMMANDS, COMMANDS)}
+
+#: How the two commands of a collision met.
+MEETINGS = ("second refused", "first refused", "second came after the first", "first killed")
+
+COLUMNS = {"pair": "{pair}", "started": "{times}", **{name: f"{{{name}}}" for name in MEETINGS}}
+
+
+class Disturbed(ValueError):
     """Two commands wrote into one file, or both were refused."""
 
 
@@ -75,6 +86,8 @@ class Command:
                 with open(os.devnull, "w") as null:
                     os.dup2(null.fileno(), 1)
                 os.dup2(self._said.fileno(), 2)
+                # Whoever calls this may have put something else there.
+                sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
                 sys.argv = ["openmm-sier", *arguments(kind, steps)]
                 code = command_line.main(sys.argv[1:])
             finally:
@@ -87,7 +100,7 @@ class Command:
             self.code = os.waitstatus_to_exitcode(status) if found else None
         return self.code is not None
 
-    def wait(self) -> int:
+    def wait(self) -> int | None:
         end = time.monotonic() + PATIENCE
         while not self.ended():
             if time.monotonic() > end:
@@ -128,7 +141,7 @@ def alone(kind: str, place: Path, steps: int = STEPS) -> None:
 def prepare(directory: Path, restart: bool) -> None:
     """Write what commands start from: the box, the plan and, for a restart, the files of half a run."""
     directory.mkdir()
-    kill_loop.write_box(directory / "box.pdb", 8)
+    write_lattice(directory / "box.pdb", 8)
     lines = [f"{key} = {value!r}".replace("'", '"') for key, value in OPTIONS.items()]
     plan = ["[options]", *lines, 'box = "box.pdb"', "[members]", "seed = [1]", ""]
     (directory / "members-of.toml").write_text("\n".join(plan))
@@ -143,7 +156,7 @@ def results(directory: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(place.glob("run.*")) if path.name != CHECKPOINT}
 
 
-def collide(directory: Path, first: str, second: str, times: int, seed: int) -> Counter:
+def collide(directory: Path, first: str, second: str, times: int, seed: int) -> Counter[str]:
     """Start two commands again and again.
 
     Args:
@@ -153,7 +166,7 @@ def collide(directory: Path, first: str, second: str, times: int, seed: int) -> 
         seed: of the distances.
 
     Returns:
-        How often the second was refused, and how often it came after the first.
+        How often they met in each of the ways of `MEETINGS`.
 
     Raises:
         Disturbed: something differs from an undisturbed run.
@@ -166,7 +179,8 @@ def collide(directory: Path, first: str, second: str, times: int, seed: int) -> 
     alone("restart" if restart else first, undisturbed)
     # The second command comes while the first is running, or shortly after it.
     latest = 1.2 * (time.monotonic() - begun)
-    expected, chance, met = results(undisturbed), random.Random(seed), Counter()
+    expected, chance = results(undisturbed), random.Random(seed)
+    met: Counter[str] = Counter()
     for number in range(times):
         shutil.copytree(start, here)
         one = Command(first, here)
@@ -204,22 +218,44 @@ def _compare(place: Path, expected: dict[str, bytes]) -> None:
         raise Disturbed(f"{', '.join(left)} stayed behind in {place}")
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--times", type=int, default=100, help="of each pair (default: %(default)s)")
-    every = [",".join(pair) for pair in product(COMMANDS, COMMANDS)]
-    parser.add_argument("--pairs", nargs="+", choices=every, default=every, metavar="FIRST,SECOND", help="default: all")
-    parser.add_argument("--seed", type=int, default=1, help="of the distances (default: %(default)s)")
-    options = parser.parse_args(arguments)
-    for pair in options.pairs:
-        with tempfile.TemporaryDirectory() as directory:
-            try:
-                met = collide(Path(directory), *pair.split(","), options.times, options.seed)
-            except Disturbed as error:
-                print(f"two_commands.py: {pair}: {error}", file=sys.stderr)
-                return 1
-        print(f"{pair}: {', '.join(f'{count} {what}' for what, count in met.items())}", flush=True)
-    return 0
+@dataclass(frozen=True)
+class TwoSettings(Settings):
+    """What is started, and how often.
+
+    Attributes:
+        times: how often each pair is started.
+        pairs: of commands; all nine unless given.
+    """
+
+    times: int = 100
+    pairs: tuple[str, ...] = ()
+
+
+def study(settings: TwoSettings, report: Report = SILENT) -> Record:
+    """Start all pairs in directories that are removed, and write two-commands.json.
+
+    Raises:
+        Disturbed: something differs from an undisturbed run.
+        ValueError: there is no such pair.
+    """
+    rows = []
+    for first, second in chosen(settings.pairs, PAIRS, "pair"):
+        try:
+            with tempfile.TemporaryDirectory() as directory:
+                met = collide(Path(directory), first, second, settings.times, settings.seed)
+        except Disturbed as error:
+            raise Disturbed(f"{first}, {second}: {error}") from error
+        rows.append({"pair": f"{first}, {second}", "times": settings.times, **{name: met[name] for name in MEETINGS}})
+        report.note(f"{first}, {second}: {', '.join(f'{count} {what}' for what, count in met.items())}")
+    found = pd.DataFrame(rows)
+    report.table(records.table("Two commands on one output", found, COLUMNS))
+    record = Record(settings.recorded(), {"rows": found}, {})
+    record.write(settings.out / "two-commands.json")
+    return record
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(TwoSettings, study, __doc__, arguments)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from openmm_sier.measure.statistics import mean_and_error
 from studies import records
 from studies.command import Settings, execute
 from studies.records import Record
-from tests.support.trials import KT, Chain, Dipoles, Wells, whole_trial
+from tests.support.trials import KT, Chain, Dipoles, Wells
 
 COLUMNS = {
     "": "{name}",
@@ -62,13 +62,13 @@ def wells(trials: int, h: float, steps: tuple[int, ...], kept: float) -> list[di
     chain = Chain(Wells(), SIER2, h, steps, friction=-math.log(kept) / h if kept else math.inf)
     squares, fourths, kinetic, products = [], [], [], []
     roots = np.sqrt(chain.model.springs)
-    for state in chain.samples(trials):
-        energies = chain.model.observed(state)
+    for sample in chain.samples(trials):
+        q, p, energies = sample.state.q, sample.state.p, chain.model.observed(sample.state)
         squares.append(energies.mean())
         fourths.append((energies**2).mean())
-        kinetic.append((state.p**2).mean() / KT)
-        products.append((roots * state.q * state.p).mean() / KT)
-    model = f"Wells, SIER2, momenta keep {kept:g}, acceptance {state.accepted / trials:.3f}"
+        kinetic.append((p**2).mean() / KT)
+        products.append((roots * q * p).mean() / KT)
+    model = f"Wells, SIER2, momenta keep {kept:g}, acceptance {sample.accepted / trials:.3f}"
     return [
         _row(model, "k q^2 / kT", squares, 1),
         _row(model, "its square", fourths, 3),
@@ -81,21 +81,18 @@ def dipoles(trials: int, field: float, h: float) -> list[dict[str, Any]]:
     """Rigid dipoles in a field in kT, at constant pressure."""
     model, n = Dipoles(12), 12
     model.FIELD = field
+    molecules = [list(range(3 * i, 3 * i + 3)) for i in range(n)]
+    move = MonteCarloVolumeMove(KT, 1)
     # Drifts are so long that the exact map takes eight times as long; MRDL is also reversible and keeps the volume.
-    chain = Chain(model, SIER4G, h, (1,), rotation=mrdl, seed=round(field))
-    move = MonteCarloVolumeMove(KT, 1, chain.bath).operator(model.bodies, [range(3 * i, 3 * i + 3) for i in range(n)])
-    step, state, volume = chain.step, model.start(), float(n)
+    chain = Chain(model, SIER4G, h, (1,), rotation=mrdl, seed=round(field), volume_move=move, molecules=molecules)
     cosines, squares, volumes = [], [], []
     mean = 1 / math.tanh(field) - 1 / field
-    for _ in range(trials):
-        state = whole_trial(step, state)
-        observed = model.observed(state)
+    for sample in chain.samples(trials):
+        observed = model.observed(sample.state)
         cosines.append(observed.mean())
         squares.append(((observed - mean) ** 2).mean())
-        state, factor = move(state, volume, lambda q, factor: 0.0)
-        volume *= factor**3
-        volumes.append(volume)
-    title = f"Dipoles in a field of {field:g} kT, SIER4G, acceptance {state.accepted / trials:.3f}"
+        volumes.append(sample.volume)
+    title = f"Dipoles in a field of {field:g} kT, SIER4G, acceptance {sample.accepted / trials:.3f}"
     return [
         _row(title, "cosine", cosines, mean),
         _row(title, "its variance", squares, 1 / field**2 - 1 / math.sinh(field) ** 2),

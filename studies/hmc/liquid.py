@@ -120,7 +120,7 @@ def integrator_of(settings: LiquidSettings, system: openmm.System) -> tuple[open
     step = settings.step / 1000 * scheme.force_evaluations
     steps = round(EVERY / step)
     if settings.method == "hmc":
-        return SIERHMCIntegrator(temperature, step, scheme, steps, pressure=1), steps
+        return SIERHMCIntegrator(temperature, step, scheme, steps, pressure=1), 1
     return SIERLangevinIntegrator(temperature, friction, step, scheme, pressure=1, barostatInterval=steps), steps
 
 

@@ -9,8 +9,9 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import RigidBodies
-from openmm_sier.cli import console, main, records
+from openmm_sier.cli import console, main
 from openmm_sier.cli import run as command
+from openmm_sier.cli.files import records
 from openmm_sier.measure import forcefields
 from tests.support.commands import SMALL, SYSTEMS, complaint, datasets, frames, log, run
 
@@ -208,7 +209,8 @@ def test_body_states_place_the_atoms(box):
         assert file["p"].attrs["unit"] == "dalton nm/ps"
     rows = log("box.csv")
     translation = rows["Translational Temperature (K)"] * 8.31446261815324e-3 * (3 * 27 - 3) / 2
-    np.testing.assert_allclose(kinetic, translation[1:3], rtol=1e-9)
+    # The log leaves out the motion of the centre of mass, of which the mesh of PME makes some 1e-7.
+    np.testing.assert_allclose(kinetic, translation[1:3], rtol=1e-6)
 
 
 @pytest.mark.slow

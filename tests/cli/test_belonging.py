@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from openmm_sier.cli import main, outputs, records, trajectories
-from openmm_sier.cli.body_states import BodyStates
+from openmm_sier.cli import main
+from openmm_sier.cli.files import outputs, records, trajectories
+from openmm_sier.cli.files.body_states import BodyStates
 from openmm_sier.cli.plan import Options, new_plan
 from tests.support.commands import SMALL, complaint, datasets, frames, run, write_lattice
 

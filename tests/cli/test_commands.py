@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER4G, SIERIntegrator
-from openmm_sier.cli import records
+from openmm_sier.cli.files import records
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.commands import SMALL, complaint, log, run
 
@@ -28,14 +28,15 @@ def test_heat_bath_and_piston_are_restarted_bit_for_bit(box, ensemble):
 
 
 @pytest.mark.slow
-def test_hybrid_monte_carlo_is_restarted_in_mid_trial(box):
+def test_hybrid_monte_carlo_is_restarted(box):
     options = [*SMALL, "--ensemble", "hmc", "--steps-per-trial", "4", "--pressure", "1", "--seed", "3"]
-    run("run", box, *options, "--steps", "24", "--out", "whole.dcd")
-    run("run", box, *options, "--steps", "10", "--out", "parts.dcd")
-    run("run", box, "--restart", "parts.chk", "--steps", "24", "--platform", "Reference")
+    run("run", box, *options, "--steps", "6", "--out", "whole.dcd")
+    run("run", box, *options, "--steps", "3", "--out", "parts.dcd")
+    run("run", box, "--restart", "parts.chk", "--steps", "6", "--platform", "Reference")
     whole, parts = log("whole.csv"), log("parts.csv")
-    # Every 0.04 ps of the default are ten steps, of which two trials are the nearest.
-    assert whole["Step"].tolist() == [0, 8, 16, 24]
+    # A step is a trial of 16 fs, and every 0.04 ps of the default are the nearest to two.
+    assert whole["Step"].tolist() == [0, 2, 4, 6]
+    assert whole["Time (ps)"] == pytest.approx(0.016 * whole["Step"], rel=1e-12)
     assert whole["Acceptance"][-1] in np.arange(7) / 6
     for name in whole:
         assert np.array_equal(whole[name], parts[name], equal_nan=True), name

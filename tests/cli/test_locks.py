@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.cli import locks, main
-from openmm_sier.cli.locks import FileLocks
+from openmm_sier.cli import main
+from openmm_sier.cli.files import locks
+from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError
 from tests.support.commands import SMALL, SYSTEMS, complaint, run, wait_for
 
@@ -22,7 +23,7 @@ LIMIT = 120
 HOLDER = """
 import sys
 from pathlib import Path
-from openmm_sier.cli.locks import FileLocks
+from openmm_sier.cli.files.locks import FileLocks
 with FileLocks() as locks:
     locks.hold(map(Path, sys.argv[1:]))
     print("held", flush=True)
@@ -180,11 +181,17 @@ def test_killed_run_does_not_keep_its_files(box):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("first", "second"), [("run", "restart"), ("restart", "run"), ("run", "ensemble")])
-def test_two_commands_started_one_after_the_other(first, second):
-    """What benchmarks/two_commands.py does a hundred times for each pair, in a process that it may fork."""
-    program = [sys.executable, SYSTEMS.parent / "benchmarks" / "two_commands.py", "--times", "2"]
+def test_two_commands_started_one_after_the_other(first, second, tmp_path):
+    """What `python -m studies.checks.two_commands` does a hundred times for each pair."""
+    program = [sys.executable, "-m", "studies.checks.two_commands", "--times", "2", "--out", str(tmp_path)]
+    # A process that it may fork.
     done = subprocess.run(
-        [*program, "--pairs", f"{first},{second}"], capture_output=True, text=True, timeout=LIMIT, check=False
+        [*program, "--pairs", f"{first},{second}"],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        check=False,
+        cwd=SYSTEMS.parent,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(f"{first},{second}: ")
+    assert f"{first}, {second}" in done.stdout + done.stderr

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from openmm_sier.cli import body_states, main, records, trajectories
+from openmm_sier.cli import main
+from openmm_sier.cli.files import body_states, records, trajectories
 from openmm_sier.measure import starts
 from tests.support.commands import SMALL, complaint, frames, write_lattice
 

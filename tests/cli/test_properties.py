@@ -11,9 +11,9 @@ import pytest
 from openmm import unit
 
 from openmm_sier.cli import properties
+from openmm_sier.cli.files.records import read_checkpoint, read_log
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import Options, new_plan
-from openmm_sier.cli.records import read_checkpoint, read_log
 from openmm_sier.measure import liquid_samples
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, read_samples, unwrapped
@@ -184,7 +184,7 @@ def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
     assert "0.890" in out
     assert "relaxes more slowly" not in out
     assert Path("out/properties.png").stat().st_size > 10_000
-    monkeypatch.setattr(properties.style, "can_draw", lambda report: False)
+    monkeypatch.setattr(properties, "can_draw", lambda report: False)
     # Where the correlation lasts, the integral has not come to its end.
     write_tensors("p.csv", 20000, 0.995)
     assert main(["properties", "box.chk"]) == 0
@@ -192,7 +192,7 @@ def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
 
 
 def test_runs_without_a_bath_have_a_mean_temperature(box, capsys, monkeypatch):
-    monkeypatch.setattr(properties.style, "can_draw", lambda report: False)
+    monkeypatch.setattr(properties, "can_draw", lambda report: False)
     often = ["--every", 0.004, "--report-every", 0.004]
     for ensemble, steps in (("nve", 40), ("nvt", 25)):
         run("run", box, *SMALL, "--steps", steps, "--ensemble", ensemble, *often, "--overwrite")

@@ -7,7 +7,8 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.cli import main, records, runaway
+from openmm_sier.cli import main, runaway
+from openmm_sier.cli.files import records
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.runaway import Guard, Runaway
 from openmm_sier.engines.temperature import DegreesOfFreedom

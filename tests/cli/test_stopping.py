@@ -13,7 +13,8 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.cli import info, main, outputs, records, run
+from openmm_sier.cli import info, main, run
+from openmm_sier.cli.files import outputs, records
 from tests.support.commands import SMALL, datasets, frames, log, wait_for
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
@@ -25,7 +26,8 @@ import signal, sys
 for name in ("SIGINT", "SIGTERM", "SIGHUP"):
     number = getattr(signal, name)
     signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
-from openmm_sier.cli import main, outputs, run, stopping
+from openmm_sier.cli import main, run, stopping
+from openmm_sier.cli.files import outputs
 {patch}
 sys.exit(main.main(sys.argv[1:]))
 """

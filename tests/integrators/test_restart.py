@@ -12,7 +12,15 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERLangevinIntegrator
+from openmm_sier import (
+    SIER2,
+    SIER4,
+    SIER2Integrator,
+    SIER4GIntegrator,
+    SIER4Integrator,
+    SIERLangevinIntegrator,
+    prepare_system,
+)
 from tests.support.integrators import constrained_velocity_verlet
 from tests.support.restarts import WAYS, assert_same, clock_and_box, everything, simulation_of
 from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
@@ -560,3 +568,26 @@ def test_stored_geometry_is_not_believed_for_other_masses():
     _reference = context_at(system, fresh, (positions, 0 * positions))
     assert np.allclose(np.sort(integrator.bodies.moments, axis=None), np.sort(fresh.bodies.moments, axis=None))
     assert np.abs(integrator.getBodyState().q - fresh.getBodyState().q).max() < 1e-14
+
+
+def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point():
+    """On the CPU platform with one thread, where the rounding of forces depends on when the neighbour list was made."""
+    topology, positions, system = periodic_system()
+    prepare_system(system)
+    point = relaxed(topology, positions, system, steps=100)
+
+    def run(look, write):
+        simulation = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU", point)
+        simulation.step(8)
+        wanted = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
+        state = simulation.context.getState(**wanted) if look else None
+        xml = openmm.XmlSerializer.serialize(state) if write else None
+        simulation.step(8)
+        return everything(simulation.context), xml
+
+    assert_same(run(False, False)[0], run(True, False)[0])
+    end, xml = run(True, True)
+    again = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU")
+    again.context.setState(openmm.XmlSerializer.deserialize(xml))
+    again.step(8)
+    assert_same(everything(again.context), end)

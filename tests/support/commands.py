@@ -13,7 +13,8 @@ from pathlib import Path
 import mdtraj
 import pytest
 
-from openmm_sier.cli import main, records
+from openmm_sier.cli import main
+from openmm_sier.cli.files import records
 from studies.boxes import write_lattice as write_lattice
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -31,6 +32,10 @@ def load_program(path):
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)
     return module
+
+
+#: The program that makes the boxes of the project.
+make = load_program("systems/make.py")
 
 
 def notes_of(plan, checkpoint):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.cli import records
+from openmm_sier.cli.files import records
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.observe import conservation
 

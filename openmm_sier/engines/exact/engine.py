@@ -33,7 +33,6 @@ from openmm_sier.engines.variables import DRAWS, HEAT, SITES, STATE_VARIABLES
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.find_bodies import plan_bodies
-from openmm_sier.system.stiffness import stiffest_force
 from openmm_sier.system.vibrations import Vibrations
 
 
@@ -83,7 +82,7 @@ class ExactEngine(Binding):
         self.forces = BodyForces(self._atoms, weakly(self._next_step))
         self._bodies: RigidBodies | None = None
         self._momentum: MomentumConservation | None = None
-        self._centres: MoleculeCentres | None = None
+        self._centres: MoleculeCentres
         self._moves_volume = False
         self._motion: Motion
         self._vibrations: Vibrations
@@ -209,9 +208,10 @@ class ExactEngine(Binding):
         try:
             state = step(state)
         except ConstraintError as error:
+            stiffest = self.forces.stiffest_on(error.bodies, self.positions())
             raise TrajectoryError(
-                f"In step {steps + 1} {error}. Is the step size too long{self._stiffest_force_on(error.bodies)}? The "
-                "Context is left at the last completed step."
+                f"In step {steps + 1} {error}. Is the step size too long{stiffest}? The Context is left at the last "
+                "completed step."
             ) from error
         # In one assignment, so that an error finds the clock and the bodies in agreement.
         self._state, self.clock = state, Clock(time + self._flow.step, steps + 1)
@@ -267,17 +267,10 @@ class ExactEngine(Binding):
         if self._bodies is not None:
             self._motion = self._new_motion(self._bodies)
 
-    def groups_changed(self) -> None:
-        self.forces_changed()
+    groups_changed = forces_changed
 
     def _next_step(self) -> int:
         return self._context.getStepCount() if self._state is None else self.clock.steps + 1
-
-    def _stiffest_force_on(self, bodies: np.ndarray) -> str:
-        """What a message says of the stiffest force on some bodies at the last completed step."""
-        atoms = [int(i) for body in bodies.tolist() for i in self.bodies.atoms_of(body)]
-        found = stiffest_force(self._context, self.positions(), atoms)
-        return "" if found is None else f", or a force too stiff for it ({found})"
 
     # --- between flows ---
 
@@ -326,14 +319,12 @@ class ExactEngine(Binding):
 
     @property
     def molecules(self) -> int:
-        assert self._centres is not None
         return self._centres.count
 
     def volume(self) -> float:
         return float(np.linalg.det(self._atoms.box()))
 
     def scale(self, factor: float) -> None:
-        assert self._centres is not None
         state = self._reached
         self._set_box(factor * self._atoms.box())
         self._state = replace(state, q=state.q + (factor - 1) * self._centres(state.q))

@@ -12,6 +12,7 @@ from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.operators import CachedForces
 from openmm_sier.engines.exact.atoms import Atoms
 from openmm_sier.engines.protocol import TrajectoryError
+from openmm_sier.system.stiffness import stiffest_force
 
 
 class BodyForces:
@@ -71,6 +72,12 @@ class BodyForces:
             self._atoms.place(self._present, q, A)
         except NotFiniteError as error:
             raise self._blown_up("position of", error) from None
+
+    def stiffest_on(self, bodies: np.ndarray, positions: np.ndarray) -> str:
+        """What a message says of the stiffest force on some bodies, at positions (N, 3), nm."""
+        atoms = [int(i) for body in bodies.tolist() for i in self._present.atoms_of(body)]
+        found = stiffest_force(self._atoms.context, positions, atoms)
+        return "" if found is None else f", or a force too stiff for it ({found})"
 
     @property
     def _present(self) -> RigidBodies:

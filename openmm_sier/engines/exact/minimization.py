@@ -15,6 +15,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.minimizer import descent
+from openmm_sier.engines import interrupts
 from openmm_sier.system import tables
 
 if TYPE_CHECKING:
@@ -56,12 +57,18 @@ def minimize_bodies(
     """
     if unit.is_quantity(tolerance):
         tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+    with interrupts.deferred():
+        _descend(context, engine, tolerance, iterations, reporter)
+
+
+def _descend(context: openmm.Context, engine: ExactEngine, tolerance: float, iterations: int, reporter: Any) -> None:
     state = engine.state()
     points = descent(engine.bodies, engine.forces.of_all_groups, state.q, state.A)
     try:
         for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
             if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):
                 break
+            interrupts.act_on_pending()
     except BaseException:
         engine.recover()
         raise

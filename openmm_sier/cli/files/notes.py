@@ -34,6 +34,16 @@ def check_notes(path: Path, notes: Mapping[str, Any]) -> None:
     for name, (kind, needed) in ENTRIES.items():
         if needed or notes.get(name) is not None:
             _check(path, name, kind, notes.get(name))
+    if "plan" not in notes:
+        raise OptionError(f"{path}: plan is missing")
+
+
+def check_files(path: Path, notes: Mapping[str, Any]) -> None:
+    """Check what a checkpoint notes of the files of its run.
+
+    Raises:
+        OptionError: naming the checkpoint and the entry.
+    """
     for name, needed in FILES.items():
         if not needed and name not in notes:
             continue
@@ -42,8 +52,6 @@ def check_notes(path: Path, notes: Mapping[str, Any]) -> None:
             raise OptionError(f"{path}: {name}: expected {', '.join(FILE)}, got {noted!r}")
         for part, kind in FILE.items():
             _check(path, f"{name}.{part}", kind, noted[part])
-    if "plan" not in notes:
-        raise OptionError(f"{path}: plan is missing")
 
 
 def _check(path: Path, name: str, kind: Kind, value: object) -> None:

@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import zipfile
 import zlib
 from abc import abstractmethod
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 import openmm
 
-from openmm_sier.cli.notes import check_notes
+from openmm_sier.cli.files.notes import check_files, check_notes
 from openmm_sier.observe.conservation import csv_line
 
 #: Version of what a checkpoint holds.
@@ -346,8 +347,12 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
             raise
 
 
-def read_checkpoint(path: Path) -> tuple[Any, dict[str, Any]]:
+def read_checkpoint(path: Path, files: bool = True) -> tuple[Any, dict[str, Any]]:
     """State and notes of a checkpoint.
+
+    Args:
+        path: of the checkpoint.
+        files: whether what it notes of the run's files matters.
 
     Raises:
         RecordError: the file is no checkpoint of this command.
@@ -356,7 +361,7 @@ def read_checkpoint(path: Path) -> tuple[Any, dict[str, Any]]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
+            state = _state(archive.read("state.xml").decode())
             notes = json.loads(archive.read("notes.json"))
             if not isinstance(notes, dict):
                 raise ValueError("the notes have no names")
@@ -365,4 +370,13 @@ def read_checkpoint(path: Path) -> tuple[Any, dict[str, Any]]:
     if notes.get("format") != FORMAT:
         raise RecordError(f"{path} was written by another version of openmm-sier, in format {notes.get('format')}")
     check_notes(path, notes)
+    if files:
+        check_files(path, notes)
     return state, notes
+
+
+def _state(text: str) -> openmm.State:
+    """A State from XML; what is anything else is not even read."""
+    if not re.match(r"(<\?xml[^>]*\?>)?\s*<State\b", text):
+        raise ValueError("expected the XML of a State")
+    return openmm.XmlSerializer.deserialize(text)

@@ -12,7 +12,7 @@ import numpy as np
 from openmm import app
 from openmm.unit import Quantity
 
-from openmm_sier.cli.records import GrowingFile, MadeAtTheEnd, Noted, RecordError, title
+from openmm_sier.cli.files.records import GrowingFile, MadeAtTheEnd, Noted, RecordError, title
 
 #: The largest step number that XTC files hold. In longer runs they count frames instead, so that times stay right.
 LARGEST_STEP = 2**31 - 1

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.cli import records
+from openmm_sier.cli.files import records
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.observe.body_states import (
     BodyStateFile,

@@ -16,12 +16,13 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.cli import records, trajectories
-from openmm_sier.cli.body_states import BodyStates
+from openmm_sier.cli.files import records, trajectories
+from openmm_sier.cli.files.body_states import BodyStates
 from openmm_sier.cli.plan import FILES, Plan, RunError
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure.forcefields import Box
 from openmm_sier.observe import pressure
+from openmm_sier_command.options import CONTINUED
 
 #: Names of outputs that grow in the notes of a checkpoint, by kind.
 NOTED_AS = {"trajectory": "trajectory", "log": "log", "body states": "bodies", "pressure tensor": "tensors"}
@@ -90,7 +91,7 @@ def run_identity(plan: Plan, context: openmm.Context) -> str:
     It is not drawn at random, so that the same run gives the same bytes again. Runs with one identity are one run, and
     differ in their length alone.
     """
-    settings = {name: value for name, value in asdict(plan).items() if name not in (*FILES, "steps")}
+    settings = {name: getattr(plan, name) for name in CONTINUED if name not in FILES}
     state = context.getState(positions=True, velocities=True)
     digest = hashlib.blake2b(json.dumps(settings, default=str).encode(), digest_size=16)
     for values in (
@@ -199,7 +200,7 @@ class Outputs:
         out, every = Path(plan.out), plan.interval(plan.every)
         topology = _subset(box.topology, box.listed)
         make = trajectories.trajectory_format(out)
-        self.trajectory = make(out, topology, plan.dt / 1000, every, run, noted.get("trajectory"))
+        self.trajectory = make(out, topology, plan.step_time, every, run, noted.get("trajectory"))
         self.log = records.Log(Path(plan.report), columns, noted.get("log"))
         self._growing: dict[str, records.GrowingFile] = {"trajectory": self.trajectory, "log": self.log}
         self._intervals = {"frame": every, "row": plan.interval(plan.report_every)}

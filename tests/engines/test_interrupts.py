@@ -1,0 +1,57 @@
+"""Signals wait for the end of a step, in whatever moment they come."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+
+from openmm_sier.engines import interrupts
+
+
+@pytest.fixture
+def handled():
+    """Handlers in Python for all signals that can be deferred, and those of before at the end."""
+    before = {number: signal.signal(number, signal.default_int_handler) for number in interrupts.DEFERRED}
+    yield before
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    interrupts._handlers.clear()
+    interrupts._pending.clear()
+
+
+def deferring():
+    """Whether a signal waits for the end of a block, and comes then."""
+    reached = False
+    try:
+        with interrupts.deferred():
+            signal.raise_signal(signal.SIGINT)
+            reached = True
+    except KeyboardInterrupt:
+        return reached
+    return False
+
+
+CHANGES = 2 * len(interrupts.DEFERRED)
+
+
+@pytest.mark.parametrize("number", range(1, CHANGES + 1))
+def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatch, number):
+    """All are replaced at the beginning of a block and put back at its end; SIGINT comes right after one change."""
+    assert deferring()
+    calls, change = 0, signal.signal
+
+    def interrupted(which, handler):
+        nonlocal calls
+        found, calls = change(which, handler), calls + 1
+        if calls == number:
+            signal.raise_signal(signal.SIGINT)
+        return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr(signal, "signal", interrupted)
+        with pytest.raises(KeyboardInterrupt), interrupts.deferred():
+            pass
+    assert calls == CHANGES
+    assert {signal.getsignal(each) for each in interrupts.DEFERRED} == {signal.default_int_handler}
+    assert deferring()

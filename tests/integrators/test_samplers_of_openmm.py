@@ -1,0 +1,100 @@
+"""OpenMM's own samplers over several temperatures, with the integrators of this package."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import SIER2, SIERHMCIntegrator, SIERLangevinIntegrator
+from tests.support.waters import platform
+
+N, SPRING = 10, 1000.0
+TEMPERATURES = (300.0, 450.0)
+
+MAKERS = {
+    "langevin": lambda engine: SIERLangevinIntegrator(300, 20, 0.01, SIER2, engine=engine),
+    "hybrid Monte Carlo": lambda engine: SIERHMCIntegrator(300, 0.03, SIER2, stepsPerTrial=4, engine=engine),
+}
+
+
+@pytest.fixture
+def simulation(request):
+    """Particles in harmonic wells, whose mean energy is 3 N kT/2."""
+    kind, engine = request.param
+    system, wells = openmm.System(), openmm.CustomExternalForce(f"{0.5 * SPRING}*(x^2+y^2+z^2)")
+    topology = app.Topology()
+    residue = topology.addResidue("X", topology.addChain())
+    for i in range(N):
+        system.addParticle(10.0)
+        wells.addParticle(i)
+        topology.addAtom("X", None, residue)
+    system.addForce(wells)
+    integrator = MAKERS[kind](engine)
+    integrator.setRandomNumberSeed(5)
+    made = app.Simulation(topology, system, integrator, platform())
+    made.context.setPositions(np.zeros((N, 3)))
+    made.context.setVelocitiesToTemperature(300, 1)
+    return made
+
+
+KINDS = pytest.mark.parametrize(
+    "simulation", [(kind, engine) for kind in MAKERS for engine in ("exact", "native")], indirect=True, ids=str
+)
+
+
+def energy_of(state):
+    x = state.getPositions(asNumpy=True)._value
+    return 0.5 * SPRING * float((x * x).sum())
+
+
+def means_are_right(found):
+    """Energies by temperature: means of blocks, within four of their errors of 3 N kT/2."""
+    for temperature, energies in found.items():
+        blocks = np.array(energies[: len(energies) // 20 * 20]).reshape(20, -1).mean(axis=1)
+        expected = 1.5 * N * unit.MOLAR_GAS_CONSTANT_R.value_in_unit_system(unit.md_unit_system) * temperature
+        error = blocks.std(ddof=1) / np.sqrt(20)
+        # Temperatures that were mixed up would be off by a quarter.
+        assert error < 0.05 * expected
+        assert abs(blocks.mean() - expected) < 4 * error
+
+
+@pytest.mark.slow
+@KINDS
+def test_replica_exchange(simulation):
+    random.seed(3)
+    states = [{"temperature": T * unit.kelvin} for T in TEMPERATURES]
+    sampler = app.ReplicaExchangeSampler(states, simulation, 5)
+    found, places = {T: [] for T in TEMPERATURES}, []
+
+    def report(sampler):
+        places.append(tuple(sampler.replicaStateIndex))
+        for replica, state in enumerate(sampler.replicaStateIndex):
+            found[TEMPERATURES[state]].append(energy_of(sampler.replicaConformation[replica]))
+
+    sampler.reporters.append(report)
+    sampler.simulate(400)
+    assert len(set(places)) == 2
+    means_are_right({T: energies[20:] for T, energies in found.items()})
+
+
+@pytest.mark.slow
+@KINDS
+def test_expanded_ensemble(simulation):
+    random.seed(4)
+    states = [{"temperature": T * unit.kelvin} for T in TEMPERATURES]
+    # Free energies of harmonic wells: weights that make both temperatures equally likely.
+    weights = [0.0, -1.5 * N * float(np.log(TEMPERATURES[1] / TEMPERATURES[0]))]
+    sampler = app.ExpandedEnsembleSampler(states, simulation, 5, weights=weights)
+    found = {T: [] for T in TEMPERATURES}
+    for _ in range(1200):
+        sampler.step(5)
+        T = TEMPERATURES[sampler.currentStateIndex]
+        assert simulation.integrator.getTemperature()._value == T
+        # The state was changed after the step, by a rule for which this energy is a sample of the new state too.
+        found[T].append(energy_of(simulation.context.getState(positions=True)))
+    assert min(map(len, found.values())) > 200
+    means_are_right(found)
