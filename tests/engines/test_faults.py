@@ -358,7 +358,7 @@ def test_positions_and_velocities_that_are_not_finite(cluster, what, error, valu
 
 
 @pytest.mark.slow
-def test_position_that_is_not_finite_is_not_written(cluster):
+def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
     """In a scheme that ends with a drift no force would show it."""
     _, system, point = cluster
     drifting = Scheme("position Verlet", (("drift", 0.5), ("kick", 1.0), ("drift", 0.5)))
@@ -370,6 +370,8 @@ def test_position_that_is_not_finite_is_not_written(cluster):
     velocities[8:12] = [1e306, 0, 0]
     context.setVelocities(velocities)
     integrator.setStepSize(1000.0)
+    # Such a step is refused where molecules can make each other swing.
+    monkeypatch.setattr("openmm_sier.system.vibrations.Vibrations.check", lambda *_: None)
     with (
         np.errstate(over="ignore", invalid="ignore"),
         pytest.raises(openmm.OpenMMException, match="position of the body of atoms 8, 9, 10 is not finite in step 3"),
@@ -381,12 +383,13 @@ def test_position_that_is_not_finite_is_not_written(cluster):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["Reference", "CPU"])
-@pytest.mark.parametrize("scheme", [SIER2, SIER4], ids=lambda s: s.name)
-def test_step_that_is_much_too_long(name, scheme):
-    """The run breaks: at a number that is none, which is named, and never with the Context broken too."""
+@pytest.mark.parametrize(("scheme", "step"), [(SIER2, 0.019), (SIER4, 0.029)], ids=["SIER2", "SIER4"])
+@pytest.mark.filterwarnings("ignore:A step of")
+def test_step_that_is_much_too_long(name, scheme, step):
+    """The longest that is not refused. The run breaks: at a number that is none, and never with the Context broken."""
     topology, positions, system = periodic_system()
     point = relaxed(topology, positions, system)
-    integrator = SIERIntegrator(0.05, scheme)
+    integrator = SIERIntegrator(step, scheme)
     context = context_at(system, integrator, point, name)
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(200):
