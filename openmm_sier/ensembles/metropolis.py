@@ -157,6 +157,8 @@ def reversal_error(engine: Engine, steps: int) -> float:
     try:
         for _ in range(2):
             engine.follow(steps)
+            if not np.isfinite(engine.positions()).all():
+                return math.inf
             engine.go_back(engine.remember(), reverse=True)
         return float(np.linalg.norm(engine.positions() - before, axis=1).max(initial=0.0))
     except TrajectoryError:

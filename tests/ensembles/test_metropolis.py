@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -174,3 +175,19 @@ def test_reversal_error():
     with pytest.raises(openmm.OpenMMException, match=r"10 steps .* missed its start by"):
         next(crooked.samples(1))
     assert crooked.engine.reached.draws == 0
+
+
+def test_positions_that_are_no_numbers_are_no_reversal():
+    """OpenMM's program does not stop at them, and what asks constraints to hold them there fails with another error."""
+    chain = Chain(Wells(), SIER2, 0.02, (3,))
+    engine, follow = chain.engine, chain.engine.follow
+
+    def lost(steps):
+        assert np.isfinite(engine.reached.q).all()
+        follow(steps)
+        engine.reached = replace(engine.reached, q=engine.reached.q * math.nan)
+
+    engine.follow, engine.positions = lost, lambda: engine.reached.q.T
+    with pytest.raises(openmm.OpenMMException, match=r"3 steps .* missed its start by inf"):
+        next(chain.samples(1))
+    assert np.isfinite(engine.reached.q).all()
