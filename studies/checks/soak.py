@@ -20,7 +20,8 @@ import openmm
 import pandas as pd
 from openmm import app, unit
 
-from openmm_sier import RigidBodies, SIERIntegrator
+from openmm_sier import SIERIntegrator
+from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.observables import energy_error

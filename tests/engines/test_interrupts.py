@@ -7,6 +7,7 @@ import signal
 import pytest
 
 from openmm_sier.engines import interrupts
+from studies.checks import interrupts as study
 
 
 @pytest.fixture
@@ -55,3 +56,12 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
     assert calls == CHANGES
     assert {signal.getsignal(each) for each in interrupts.DEFERRED} == {signal.default_int_handler}
     assert deferring()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run", study.RUNS)
+def test_interrupts_at_random_moments_leave_no_trace(run, tmp_path):
+    """What the study does two thousand times: each leaves a completed step, of the run that nothing disturbed."""
+    rows = study.study(study.InterruptSettings(interrupts=20, runs=(run,), out=tmp_path)).tables["rows"]
+    assert rows["engine"].tolist() == ["exact", "native"]
+    assert (rows["steps"] > 20).all()
