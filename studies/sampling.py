@@ -128,7 +128,12 @@ def follow(
     step = dt * method.forces
     integrator = method.make(1e-3 * step)
     integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
-    context = make_context(liquid.system, integrator, liquid.platform)
+    try:
+        context = make_context(liquid.system, integrator, liquid.platform)
+    except openmm.OpenMMException as error:
+        if "is too long" not in str(error):
+            raise
+        raise Unstable(f"a step of {step:g} fs is refused") from error
     steps = max(1, round(1e3 * time / step))
     every = min(steps, max(1, round(INTERVAL / step)))
     try:

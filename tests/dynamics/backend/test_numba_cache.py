@@ -22,7 +22,7 @@ for leaves in map(int, sys.argv[1:]):
     q, p = np.random.default_rng(leaves).normal(size=(2, 3, leaves + 1))
     pairs = [(0, leaf) for leaf in range(1, leaves + 1)]
     lengths = [np.linalg.norm(q[:, 0] - q[:, leaf]) for _, leaf in pairs]
-    constraints = Constraints(pairs, lengths, [12.0, *[1.0] * leaves], compiled=True)
+    constraints = Constraints(pairs, lengths, [12.0, *[1.0] * leaves])
     moved = constraints.drift(q, constraints.project(q, p), 0.01, (1.0,))
     print(*(array.tolist() for array in moved))
 """
