@@ -99,8 +99,8 @@ class StopRequests:
             return
         self._leaving = True
         for signum, handler in self._previous.items():
-            # The process is about to end by a signal. The same one once more, as `timeout` sends it to a process and its
-            # group, must not end it sooner.
+            # The process is about to end by a signal. The same one once more must not end it sooner: `timeout` sends
+            # it to a process and to its group.
             is_ending = self.received is not None and handler == signal.SIG_DFL
             signal.signal(signum, signal.SIG_IGN if is_ending else handler)
         signal.set_wakeup_fd(self._old_descriptor)
