@@ -288,11 +288,10 @@ class ExactEngine(Binding):
         return _Memory(self._reached, self.clock, self._atoms.box())
 
     def go_back(self, memory: _Memory, reverse: bool = False) -> None:
-        state = memory.state
+        state, self.clock = memory.state, memory.clock
         if not np.array_equal(memory.box, self._atoms.box()):
             self._set_box(memory.box)
         self._state = replace(state, p=-state.p, L=-state.L) if reverse else state
-        self.clock = memory.clock
 
     @property
     def mass(self) -> float:
