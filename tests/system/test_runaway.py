@@ -29,7 +29,8 @@ def test_a_runaway_is_said_at_the_users_line(liquid, engine, monkeypatch):
     system, point = liquid
     integrator = SIER2Integrator(0.012, engine=engine)
     with pytest.warns(UserWarning, match="is long"):
-        context = context_at(system, integrator, point)
+        # OpenMM's PME on the Reference platform writes past its mesh where positions are not finite.
+        context = context_at(system, integrator, point, "CPU")
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         # SIER2 is unstable from 10 fs on.
