@@ -23,11 +23,11 @@ def liquid():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_runaway_is_said_at_the_users_line(liquid, engine, monkeypatch):
+def test_a_runaway_is_said_at_the_users_line(liquid, monkeypatch):
+    """With the exact engine: in the native one OpenMM's constraints fail first, and positions are no numbers then."""
     monkeypatch.setattr(runaway, "INTERVAL", 10)
     system, point = liquid
-    integrator = SIER2Integrator(0.012, engine=engine)
+    integrator = SIER2Integrator(0.012, engine="exact")
     with pytest.warns(UserWarning, match="is long"):
         # OpenMM's PME on the Reference platform writes past its mesh where positions are not finite.
         context = context_at(system, integrator, point, "CPU")
