@@ -32,8 +32,9 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
     size and again when trials become longer. The integrator refuses to go on if it does not come back; `reversalError`
     tells how close it came.
 
-    Random numbers are as with `SIERLangevinIntegrator`, with either engine. The total energy less the heat changes only
-    by the energy errors of accepted trials.
+    With either engine, random numbers are a function of the seed and of the number of draws so far. Both travel in
+    checkpoints, and a State brings the number alone. The total energy less the heat changes only by the energy errors
+    of accepted trials.
 
     With a CMMotionRemover in the System the motion of the centre of mass is removed after each trial. Barostats and
     AndersenThermostats in the System are refused.

@@ -34,7 +34,7 @@ PASSIVE_FORCES = (
     openmm.CustomGBForce,
     openmm.CustomHbondForce,
     openmm.CustomManyParticleForce,
-    # It has an effect, which `Actors.swept` takes over: a sum over bodies is cheaper than reading atoms back.
+    # It has an effect, which the exact engine takes over: a sum over bodies is cheaper than reading atoms back.
     openmm.CMMotionRemover,
 )
 
