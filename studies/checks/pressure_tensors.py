@@ -25,7 +25,9 @@ class GeometricCentres(pressure.MolecularPressure):
 
     def __init__(self, context: openmm.Context) -> None:
         super().__init__(context)
-        self._strains = [(_shear(axes, pressure.STRAIN), _shear(axes, -pressure.STRAIN)) for axes in pressure.COMPONENTS]
+        self._strains = [
+            (_shear(axes, pressure.STRAIN), _shear(axes, -pressure.STRAIN)) for axes in pressure.COMPONENTS
+        ]
 
     def _slopes(self, positions: np.ndarray, box: np.ndarray) -> np.ndarray:
         masses, totals = self._masses, self._molecule_masses
