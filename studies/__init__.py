@@ -25,6 +25,7 @@ STUDIES = {
     "studies.checks.validate_water": "",
     "studies.checks.andersen_oscillators": "",
     "studies.checks.net_force": "half a minute",
+    "studies.checks.repeatability": "seconds",
     "studies.checks.pressure_tensors": "half a minute",
     "studies.figures": "seconds",
 }

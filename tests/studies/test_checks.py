@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from studies.checks import net_force, pressure_tensors, two_commands
+from studies.checks import net_force, pressure_tensors, repeatability, two_commands
 from studies.checks.kill_loop import kill_loop
 from studies.checks.two_commands import TwoSettings
 
@@ -39,3 +39,11 @@ def test_openmms_stress_tensor_differs_by_two_choices(capsys):
     )
     assert changed == pytest.approx(openmms, abs=1)
     assert max(abs(a - b) for a, b in zip(ours, openmms, strict=True)) > 10
+
+
+@pytest.mark.slow
+def test_forces_remember_the_neighbour_list_of_other_positions():
+    """A list that is renewed, after 0.2 nm, leaves what threads differ by; one that is kept changes sums of 590."""
+    found = repeatability.differences()
+    assert found["after positions 0.05 nm away"] > 2e-4
+    assert all(value < 0.05 for value in found.values())
