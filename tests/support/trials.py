@@ -180,7 +180,7 @@ class Chain:
     scheme: Scheme
     h: float
     steps: tuple[int, ...] = (2, 3, 4)
-    friction: float = math.inf
+    friction: float | None = None
     at_rest: bool = False
     rotation: operators.Rotation = exact
     seed: int = 17
