@@ -12,6 +12,10 @@ PREFIX = "sier_"
 #: Global variables: heat, kJ/mol; number of draws of random numbers so far; seed, 0 if none was chosen.
 HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 
+#: Global variable: the next native step of the program. If it is negative, OpenMM updates the Context's state and does
+#: nothing else.
+PART = PREFIX + "part"
+
 #: Per-atom variables in which the exact engine stores the bodies' state, see `exact.packing`, and their geometry.
 STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
 SITES = PREFIX + "sites"

@@ -20,12 +20,12 @@ from openmm_sier.engines.choice import engine_for
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.engine import TOLERANCE
-from openmm_sier.engines.native.program import PART, VECTORS, WORK, Program
+from openmm_sier.engines.native.program import VECTORS, WORK, Program
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.rewriting import rewrite
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.temperature import Temperatures
-from openmm_sier.engines.variables import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Record
+from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_VARIABLES, Record
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators import copies, settings
 from openmm_sier.integrators.settings import Settings

@@ -486,7 +486,7 @@ def test_contexts_are_freed(cluster):
     try:
         engine = integrator._engine
         del context
-        assert engine._atoms._context_ref() is None
+        assert engine._context_ref() is None
     finally:
         gc.enable()
 

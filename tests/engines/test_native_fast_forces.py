@@ -10,7 +10,7 @@ from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator
 from openmm_sier.dynamics.schemes import BATH, CATALOGUE
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
-from openmm_sier.engines.native.fast_forces import refuse
+from openmm_sier.engines.native.refusals import refuse_fast_forces as refuse
 from tests.support.ethane import ethane
 from tests.support.flexible import Points, chains
 from tests.support.waters import context_at, energies, phase_point, water_box
