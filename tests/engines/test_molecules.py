@@ -11,7 +11,6 @@ import weakref
 import numpy as np
 import openmm
 import pytest
-from openmm import unit
 
 from openmm_sier import (
     SIER4G,
@@ -162,21 +161,6 @@ def test_runs_conserves_and_restarts(case, bath):
     assert_restart_is_the_same(system, context, integrator(), 7)
 
 
-def test_the_native_engine_agrees():
-    system, positions = system_of(rotor(3), waters=1)
-    ends = []
-    for engine in ("exact", "native"):
-        integrator = SIERIntegrator(0.0005, SIER4G, engine=engine, substeps=5)
-        # The Context must live until the state is read.
-        context = started(system, integrator, positions)
-        integrator.step(40)
-        state = integrator.getBodyState()
-        ends.append((state.q, context.getState().getTime()._value, integrator.bodies.dof))
-    # Five steps of RATTLE, of fourth order, at 0.5 fs; constraints to 1e-9.
-    assert np.abs(ends[0][0] - ends[1][0]).max() < 2e-8
-    assert ends[0][1:] == ends[1][1:]
-
-
 # --- temperatures and degrees of freedom ---
 
 
@@ -263,17 +247,6 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
     fresh.step(2)
     # The new Context takes positions over from atoms, to rounding.
     assert farthest(integrator.getBodyState(), fresh.getBodyState()) < 1e-9
-
-
-def test_fast_forces_travel_in_copies():
-    made = SIERLangevinIntegrator(300, 1, 0.004, fastForceGroups={1, 5}, substeps=2)
-    xml = openmm.XmlSerializer.serialize(made)
-    for other in (copy.copy(made), openmm.XmlSerializer.deserialize(xml), openmm.XmlSerializer.clone(made)):
-        assert other.fastForceGroups == {1, 5}
-        assert other.substeps == 2
-    assert openmm.XmlSerializer.serialize(SIER4GIntegrator(0.004)) != openmm.XmlSerializer.serialize(
-        SIER4GIntegrator(0.004, fastForceGroups={1})
-    )
 
 
 @pytest.mark.parametrize(
@@ -429,20 +402,6 @@ def test_constant_pressure(own):
 def peptide():
     """ACE-ALA-NME in four waters, with bonds of hydrogen constrained: System and positions."""
     return capped_alanine(waters=4)
-
-
-def test_peptide_in_water_runs_on_the_cpu_platform(peptide):
-    """As a user would: Simulation, reporter, 6 fs with fast forces."""
-    system, positions = copy.deepcopy(peptide[0]), peptide[1]
-    prepare_system(system)
-    integrator = SIERLangevinIntegrator(300 * unit.kelvin, 1 / unit.picosecond, 0.004)
-    context = started(system, integrator, positions, name="CPU")
-    assert integrator.fastForceGroups == {FAST}
-    openmm.LocalEnergyMinimizer.minimize(context, 10, 50)
-    context.setVelocitiesToTemperature(300, 1)
-    integrator.step(20)
-    assert 100 < integrator.computeTemperatures().flexible < 900
-    assert integrator.forceEvaluations < 20 * 3 + 10
 
 
 @pytest.mark.parametrize("threads", ["1", "2"])
