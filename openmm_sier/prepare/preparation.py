@@ -14,7 +14,7 @@ from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, whole_number
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
-from openmm_sier.system.find_bodies import BodyPlan, constraint_lengths, tied
+from openmm_sier.system.find_bodies import BodyPlan, tied
 from openmm_sier.system.links import Links
 
 
@@ -115,8 +115,8 @@ def _balanced(system: openmm.System) -> str:
 
 
 def _add_close_pairs(system: openmm.System, point: np.ndarray, group: int, periodic: bool) -> int:
-    links = Links(system, constraint_lengths(system))
-    edges = np.concatenate([links.pairs, links.bonds, links.custom])
+    links = Links(system)
+    edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
     return close_pairs.add_close_pairs(system, edges[point[edges].all(axis=1)], point, group, periodic)
 
 

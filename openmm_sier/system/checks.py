@@ -135,7 +135,7 @@ def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None
     lines = [s for s in bodies.species if s.atoms.shape[1] > 2 and s.moments[0] == 0]
     if not lines:
         return
-    pairs = tables.constraints(system).pair_set()
+    pairs = tables.constraints(system).by_pair()
     for species in lines:
         for row in species.atoms.tolist():
             if all(pair in pairs for pair in combinations(sorted(row), 2)):

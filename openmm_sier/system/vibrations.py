@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +67,7 @@ class Vibrations:
         self._bonds: list[Bond] = []
         mobility = mobilities(bodies)
         if forces:
-            held = tables.constraints(system).pair_set()
+            held = tables.constraints(system).by_pair()
             found = [_fastest(force, bodies.owners, mobility, held) for force in forces]
             self._bonds = sorted(bond for bond in found if bond is not None)
         self._librations = fastest_librations(system, bodies, mobility)
@@ -191,7 +191,7 @@ def _fs(time: float) -> str:
 
 
 def _fastest(
-    force: openmm.HarmonicBondForce, owner: np.ndarray, mobility: np.ndarray, held: set[tuple[int, int]]
+    force: openmm.HarmonicBondForce, owner: np.ndarray, mobility: np.ndarray, held: Collection[tuple[int, int]]
 ) -> Bond | None:
     """The bond of shortest period between two bodies whose ends are not a pair in `held`; None if there is none."""
     ends, strength = harmonic_bonds(force)
