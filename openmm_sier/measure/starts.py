@@ -142,7 +142,7 @@ def _strongest_force(context: openmm.Context) -> float:
 
 
 class Means(NamedTuple):
-    """Means over some time: temperatures in K, NaN where there is no such motion, and the potential energy in kJ/mol."""
+    """Means over some time: temperatures in K, NaN where nothing moves so, and the potential energy in kJ/mol."""
 
     translation: float
     rotation: float
