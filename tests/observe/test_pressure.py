@@ -163,26 +163,6 @@ def _with(integrator, made):
     return system, integrator, point
 
 
-def test_trace_is_the_slope_of_the_energy_by_the_volume():
-    """Water with PME, molecules moved whole with the box."""
-    topology, positions, system = periodic_system("tip4pew", 64)
-    context = context_at(system, SIER2Integrator(0.001), (positions, 0 * positions))
-    found = np.trace(tensor_of(context)) / 3
-    box = array(context.getState().getPeriodicBoxVectors())
-    masses = np.array([system.getParticleMass(i)._value for i in range(len(positions))])
-    owners = np.array([atom.residue.index for atom in topology.atoms()])
-    centres = np.stack([np.bincount(owners, masses * x) for x in positions.T], axis=1)[owners]
-    centres /= np.bincount(owners, masses)[owners][:, None]
-    energies = []
-    for factor in (1.001, 0.999):
-        context.setPeriodicBoxVectors(*(factor * box))
-        context.setPositions(positions + (factor - 1) * centres)
-        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
-    slope = (energies[0] - energies[1]) / (np.linalg.det(box) * (1.001**3 - 0.999**3))
-    # Pairs that pass the cut-off, which is not switched, do so in one of the two only.
-    assert found == pytest.approx(-slope, rel=0.02)
-
-
 # --- the ideal gas ---
 
 

@@ -319,33 +319,11 @@ def test_integrators_find_fast_forces(peptide, prepared, kind, engine):
         assert other.getNumComputations() == INTEGRATORS[kind](engine=engine).getNumComputations()
 
 
-def test_an_integrator_stays_with_its_context(peptide, prepared):
-    """OpenMM refuses a second Context, and the first one goes on."""
-    integrator = SIER4GIntegrator(0.002, engine="native")
-    context = context_of(copy.deepcopy(peptide[0]), peptide[1], integrator)
-    with pytest.raises(openmm.OpenMMException, match="already bound"):
-        context_of(copy.deepcopy(prepared), peptide[1], integrator)
-    integrator.step(2)
-    assert context.getStepCount() == 2
-    assert integrator.fastForceGroups == set()
-
-
 def test_an_argument_wins(peptide, prepared):
     made = SIER4GIntegrator(0.002, fastForceGroups=set())
     for integrator in (openmm.XmlSerializer.clone(made), made):
         context_of(copy.deepcopy(prepared), peptide[1], integrator)
         assert integrator.fastForceGroups == set()
-
-
-def test_copies_and_xml_of_a_system_are_prepared(peptide, prepared):
-    xml = openmm.XmlSerializer.serialize(prepared)
-    for system in (
-        openmm.XmlSerializer.deserialize(xml),
-        copy.deepcopy(prepared),
-        openmm.XmlSerializer.clone(prepared),
-    ):
-        assert fast_force_groups(system) == 1 << FAST
-    assert fast_force_groups(peptide[0]) == 0
 
 
 def test_what_an_integrator_holds_survives_the_new_program(peptide, prepared):
