@@ -10,23 +10,17 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import BAROSTATS, TERMS
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.notices import tell
 
 #: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
 PASSIVE_FORCES = (
+    *TERMS,
     openmm.NonbondedForce,
-    openmm.HarmonicBondForce,
-    openmm.HarmonicAngleForce,
-    openmm.PeriodicTorsionForce,
-    openmm.RBTorsionForce,
-    openmm.CMAPTorsionForce,
     openmm.GBSAOBCForce,
     openmm.GayBerneForce,
     openmm.RMSDForce,
-    openmm.CustomBondForce,
-    openmm.CustomAngleForce,
-    openmm.CustomTorsionForce,
     openmm.CustomExternalForce,
     openmm.CustomCompoundBondForce,
     openmm.CustomCentroidBondForce,
@@ -36,14 +30,6 @@ PASSIVE_FORCES = (
     openmm.CustomManyParticleForce,
     # It has an effect, which the exact engine takes over: a sum over bodies is cheaper than reading atoms back.
     openmm.CMMotionRemover,
-)
-
-#: These change the box and positions together, and neither read nor change velocities.
-BAROSTATS = (
-    openmm.MonteCarloBarostat,
-    openmm.MonteCarloAnisotropicBarostat,
-    openmm.MonteCarloMembraneBarostat,
-    openmm.MonteCarloFlexibleBarostat,
 )
 
 
