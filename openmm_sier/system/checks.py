@@ -53,10 +53,7 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
             raise openmm.OpenMMException(
                 f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
             )
-    alone = np.ones(bodies.n_particles, dtype=bool)
-    for species in bodies.species:
-        alone[species.atoms] = False
-    for i in np.flatnonzero(alone).tolist():
+    for i in np.flatnonzero(bodies.owners < 0).tolist():
         if not system.isVirtualSite(i):
             raise openmm.OpenMMException(
                 f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
