@@ -113,16 +113,6 @@ def test_body_states(tmp_path, box):
             assert np.array_equal(file[name][-1], values.T)
         assert np.array_equal(file["moments"][:], integrator.bodies.moments.T)
         assert file["L"].attrs["unit"] == "dalton nm^2/ps"
-        w, x, y, z = file["quaternion"][-1].T
-    # The rotation A^T written out from its quaternion; rounding of products of numbers below 1.
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    assert np.abs(turn - motion.A.transpose(1, 0, 2)).max() < 1e-14
     simulation.reporters[0].close()
 
 

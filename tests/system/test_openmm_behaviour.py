@@ -10,7 +10,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import SIER2, SIER4, SIER2Integrator, SIER4Integrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER2Integrator, SIER4Integrator, SIERLangevinIntegrator
 from openmm_sier.engines.snapshot import read_vectors
 from tests.support.waters import array, cluster_system, context_at, periodic_system, phase_point, platform, relaxed
 
@@ -150,28 +150,6 @@ def test_the_state_is_that_of_its_positions(cluster, make):
         for name in ("Parameters", "EnergyParameterDerivatives"):
             one, two = (dict(getattr(state, f"get{name}")()) for state in states)
             assert one == two
-
-
-@every_integrator
-def test_molecules_are_wrapped_as_a_whole(box, make):
-    simulation = simulation_of(box, make())
-    edges = np.array(simulation.context.getState().getPeriodicBoxVectors(asNumpy=True)._value)
-    simulation.context.setPositions(box[2][0] + edges[0] + 2 * edges[2])
-    simulation.step(3)
-    context = simulation.context
-    free = context.getState(positions=True).getPositions(asNumpy=True)._value
-    wrapped = context.getState(positions=True, enforcePeriodicBox=True).getPositions(asNumpy=True)._value
-    shifts = ((wrapped - free) / edges[0, 0]).reshape(-1, 3, 3)
-    assert np.abs(shifts - np.round(shifts)).max() < 1e-9
-    assert (np.ptp(shifts, axis=1) < 1e-9).all()
-    centres = wrapped.reshape(-1, 3, 3).mean(axis=1)
-    assert ((centres >= 0) & (centres <= edges[0, 0])).all()
-    # A run goes on from wrapped positions: they are the same molecules elsewhere.
-    energy = context.getState(energy=True).getPotentialEnergy()._value
-    context.setPositions(wrapped)
-    simulation.step(2)
-    # The CPU platform computes in single precision, and 2 fs change the energy.
-    assert context.getState(energy=True).getPotentialEnergy()._value == pytest.approx(energy, rel=0.01)
 
 
 @every_integrator
@@ -340,16 +318,3 @@ def test_simulated_tempering(box, make):
     assert simulation.currentStep == 40
     assert len(visited) > 1
     assert len(log.getvalue().splitlines()) == 21
-
-
-@pytest.mark.parametrize("scheme", [SIER2, SIER4], ids=lambda s: s.name)
-def test_temperature_of_the_bath_can_be_changed_in_a_run(cluster, scheme):
-    topology, system, point = cluster
-    integrator = SIERLangevinIntegrator(297.0, 500.0, 0.001, scheme=scheme)
-    integrator.setRandomNumberSeed(1)
-    simulation = simulation_of((topology, system, point), integrator, "Reference")
-    simulation.step(5)
-    integrator.setTemperature(0 * unit.kelvin)
-    simulation.step(100)
-    # Friction of 500/ps takes all but exp(-100) of the energy, and what the forces give in 2 fs.
-    assert integrator.computeSystemTemperature()._value < 10
