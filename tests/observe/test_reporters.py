@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator
 from openmm_sier.observe import body_states
-from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter
+from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter, PressureReporter
 from tests.support.restarts import simulation_of
 from tests.support.waters import cluster_system, periodic_system, relaxed
 
@@ -87,11 +87,12 @@ def test_a_log_with_other_columns_is_not_continued(tmp_path):
         ConservationReporter(tmp_path / "old.csv", 1, append=True)
 
 
-def test_conservation_report_is_continued(tmp_path, box):
+@pytest.mark.parametrize("make", [ConservationReporter, PressureReporter])
+def test_tables_are_continued(tmp_path, box, make):
     path = tmp_path / "log.csv"
     for append in (False, True):
         simulation = simulation_at(box, SIER2Integrator(0.001))
-        simulation.reporters.append(ConservationReporter(path, 2, append=append))
+        simulation.reporters.append(make(path, 2, append=append))
         simulation.step(4)
         simulation.reporters.pop().close()
     lines = path.read_text().splitlines()
