@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from openmm_sier_command.options import add_options
+from openmm_sier_command.options import OF_TUNING, add_options
 from openmm_sier_command.parser import MISUSED, Parser, reading
-from openmm_sier_command.values import COUNT, Number
+from openmm_sier_command.values import COUNT, Number, Whole
 
 if TYPE_CHECKING:
     from openmm_sier_command.parser import Commands
@@ -55,7 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog=PROGRAM, description="Symplectic integration of rigid molecules with OpenMM.")
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
-    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_info):
+    for add in (_add_run, _add_ensemble, _add_properties, _add_validate, _add_tune, _add_info):
         added = add(commands)
         added.add_argument("--debug", action="store_true", help="show the traceback of an error (default: one line)")
     return parser
@@ -167,6 +167,35 @@ def _add_validate(commands: Commands) -> Parser:
         type=reading(Number("", 0, 1e9, beyond=True)),
         default=4.0,
         help="standard errors beyond which a check fails (default: 4)",
+    )
+    return parser
+
+
+def _add_tune(commands: Commands) -> Parser:
+    parser = commands.add_parser(
+        "tune",
+        help="find step and trial length of hybrid Monte Carlo for a PDB file",
+        description="Equilibrate a PDB file as `run --ensemble hmc` does, then find the step that has the wanted "
+        "acceptance, beginning with --dt, and the number of steps in a trial that gives an independent potential "
+        "energy for the fewest force evaluations. Writes no files: it prints the command line of a run.",
+    )
+    add_options(parser, OF_TUNING)
+    parser.add_argument(
+        "--acceptance",
+        metavar="FRACTION",
+        type=reading(Number("", 0.01, 0.99)),
+        default=0.9,
+        help="wanted fraction of accepted trials (default: 0.9)",
+    )
+    parser.add_argument(
+        "--trials", metavar="N", type=reading(Whole(10)), default=40, help="at each step that is tried (default: 40)"
+    )
+    parser.add_argument(
+        "--samples",
+        metavar="N",
+        type=reading(Whole(10)),
+        default=200,
+        help="trials of the first length, and for as many steps those of the other lengths (default: 200)",
     )
     return parser
 

@@ -94,6 +94,12 @@ class Option:
         default = self.otherwise or (f"{self.default:g}" if isinstance(self.default, float) else str(self.default))
         return f"{self.help} (default: {default})"
 
+    def words(self, value: Any) -> list[str]:
+        """The words of a command line that give it this value."""
+        if isinstance(value, bool):
+            return [self.flag] if value else [f"--no-{self.flag[2:]}"] if self.default is None else []
+        return [self.flag, *map(str, value if isinstance(value, list) else [value])]
+
     def checked(self, source: str, value: object) -> Any:
         """The value that a file has.
 
@@ -285,6 +291,12 @@ NOTED = tuple(name for name, option in OPTIONS.items() if option.restart)
 #: Options that make the System. A run with `--start` takes them from the other run unless they are given.
 OF_THE_SYSTEM = ("forcefield", "rigid", "constraints", "cutoff", "switch", "tolerance", "hydrogen_mass")
 
+#: Options of `openmm-sier tune`: those that make the System and its start, and those with which the search begins.
+OF_TUNING = (
+    *("box", *OF_THE_SYSTEM, "scheme", "dt", "steps_per_trial", "friction", "pressure"),
+    *("temperature", "equilibrate", "minimize", "seed", "platform", "start"),
+)
+
 #: Options of which only one may be given.
 EXCLUSIVE = ("steps", "time")
 
@@ -311,8 +323,9 @@ def _add_option(parser: argparse._ActionsContainer, option: Option) -> None:
 
 
 def given_options(namespace: argparse.Namespace) -> Options:
-    """The options that a command line gave."""
-    return Options(**{name: getattr(namespace, name) for name in OPTIONS})
+    """The options that a command line gave; a command need not have them all."""
+    given: dict[str, Any] = {name: getattr(namespace, name, None) for name in OPTIONS}
+    return Options(**given)
 
 
 def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:

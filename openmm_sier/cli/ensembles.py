@@ -202,10 +202,7 @@ def _check_output(path: Path, key: str, name: Path) -> None:
 
 
 def _arguments(path: Path, key: str, value: Any) -> list[str]:
-    flag = OPTIONS[key].flag
-    if isinstance(value, bool):
-        return [flag] if value else [f"--no-{flag[2:]}"] if OPTIONS[key].default is None else []
-    return [flag, *_texts(path, key, value)]
+    return OPTIONS[key].words(value if isinstance(value, bool) else _texts(path, key, value))
 
 
 def _texts(path: Path, key: str, value: Any) -> list[str]:

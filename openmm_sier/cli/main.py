@@ -86,6 +86,12 @@ def _validate(options: argparse.Namespace) -> None:
     validate.validate(options.runs, options.skip, options.limit)
 
 
+def _tune(options: argparse.Namespace) -> None:
+    from openmm_sier.cli import tune
+
+    tune.run(given_options(options), options.acceptance, options.trials, options.samples)
+
+
 def _info(options: argparse.Namespace) -> None:
     from openmm_sier.cli import info
 
@@ -97,6 +103,7 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], None]] = {
     "ensemble": _ensemble,
     "properties": _properties,
     "validate": _validate,
+    "tune": _tune,
     "info": _info,
 }
 

@@ -13,7 +13,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.cli import info, main, run
+from openmm_sier.cli import beginning, info, main
 from openmm_sier.cli.files import outputs, records
 from tests.support.commands import SMALL, datasets, frames, log, wait_for
 
@@ -26,7 +26,7 @@ import signal, sys
 for name in ("SIGINT", "SIGTERM", "SIGHUP"):
     number = getattr(signal, name)
     signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
-from openmm_sier.cli import main, run, stopping
+from openmm_sier.cli import beginning, main, stopping
 from openmm_sier.cli.files import outputs
 {patch}
 sys.exit(main.main(sys.argv[1:]))
@@ -136,7 +136,7 @@ def test_signal_before_the_first_step_ends_at_once(box, signum, monkeypatch, cap
         os.kill(os.getpid(), signum)
         time.sleep(LIMIT)
 
-    monkeypatch.setattr(run, "prepare", prepare)
+    monkeypatch.setattr(beginning, "prepare", prepare)
     began = time.monotonic()
     assert main.main(["run", str(box), *SMALL]) == 128 + signum
     assert time.monotonic() - began < LIMIT / 2
@@ -147,7 +147,7 @@ def test_signal_before_the_first_step_ends_at_once(box, signum, monkeypatch, cap
 
 def test_signal_in_a_minimization_that_takes_long(box):
     """OpenMM returns to Python when it is done; the program does not wait for that."""
-    process = started(box, patch=f"{BUSY}\nrun.prepare, stopping.PATIENCE = busy, 0.1")
+    process = started(box, patch=f"{BUSY}\nbeginning.prepare, stopping.PATIENCE = busy, 0.1")
     wait_for(Path("busy").exists, process)
     process.send_signal(signal.SIGTERM)
     code, err = ended(process)
@@ -239,7 +239,7 @@ def test_signal_that_arrives_as_another_error(box, signum, monkeypatch, capsys, 
         except BaseException as error:
             raise made("<built-in function Context_getState> returned a result with an exception set") from error
 
-    monkeypatch.setattr(run, "prepare", prepare)
+    monkeypatch.setattr(beginning, "prepare", prepare)
     assert main.main(["run", str(box), *SMALL]) == 128 + signum
     name = signal.Signals(signum).name
     assert capsys.readouterr().err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"
@@ -291,7 +291,7 @@ def within(context, positions, *_):
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_signal_within_a_minimization(box, name):
     """The interrupt really passes through OpenMM's own code."""
-    process = started(box, patch=f"{WITHIN}\nrun.prepare, stopping.PATIENCE = within, 60")
+    process = started(box, patch=f"{WITHIN}\nbeginning.prepare, stopping.PATIENCE = within, 60")
     wait_for(Path("busy").exists, process)
     process.send_signal(getattr(signal, name))
     code, err = ended(process)
