@@ -10,7 +10,7 @@ import openmm
 
 from openmm_sier.cli import runaway
 from openmm_sier.cli.console import REPORT, note
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.info import rigid_bodies
 from openmm_sier.cli.plan import Options, Plan, RunError, noted_plan
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
@@ -44,7 +44,7 @@ def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | Non
     """
     if checkpoint is None:
         return None, None
-    state, notes = records.read_checkpoint(checkpoint, files=False)
+    state, notes = checkpoints.read_checkpoint(checkpoint, files=False)
     return state, noted_plan(checkpoint, notes["plan"])
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.records import RecordError
 from openmm_sier.cli.plan import Plan, RunError, noted_plan
 from openmm_sier.measure.statistics import FEWEST
@@ -93,7 +93,7 @@ def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
     seen: dict[tuple, Path] = {}
     for path in paths:
         checkpoint = path / "run.chk" if path.is_dir() else path
-        _, notes = records.read_checkpoint(checkpoint)
+        _, notes = checkpoints.read_checkpoint(checkpoint)
         run = FinishedRun(checkpoint, noted_plan(checkpoint, notes["plan"]), notes)
         # No two runs arrive at one energy to all digits.
         end = (run.plan.seed, notes["step"], notes.get("potential_energy"), *run.settings().values())

@@ -13,18 +13,9 @@ from openmm import unit
 from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.beginning import Simulated, check_platform, read_start
 from openmm_sier.cli.console import ProgressBar, clock, note, table
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
-from openmm_sier.cli.files.outputs import (
-    Outputs,
-    check_belonging,
-    check_existing,
-    check_outputs,
-    files_of,
-    is_finished,
-    output_paths,
-    run_identity,
-)
+from openmm_sier.cli.files.outputs import OutputFiles, Outputs, run_identity
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.engines.temperature import degrees_of_freedom
@@ -40,8 +31,11 @@ LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
 ENERGY_TOLERANCE = 1e-4
 
 
-def run(options: Options) -> None:
+def run(**given: Any) -> None:
     """Run `openmm-sier run`.
+
+    Args:
+        given: options by name, as for `Options`.
 
     Raises:
         RunError: options contradict each other or the checkpoint, or a file is in the way or cannot be written.
@@ -49,6 +43,7 @@ def run(options: Options) -> None:
         Stopped: a signal ended the run; the message says how to go on.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
+    options = Options(**given)
     with FileLocks() as locks, StopRequests(locks.remove) as requests:
         try:
             _run(options, requests, locks)
@@ -66,42 +61,38 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
         if options.restart.is_file():
             # Before it is read, so that nobody replaces it from here on.
             locks.hold([options.restart])
-        state, notes = records.read_checkpoint(options.restart)
+        state, notes = checkpoints.read_checkpoint(options.restart)
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
     else:
         state, origin = read_start(options.start)
         plan = new_plan(options, origin)
         checkpoint = plan.out.with_suffix(".chk")
-    paths = output_paths(plan, checkpoint)
-    check_outputs(paths, _inputs(options))
-    locks.hold(files_of(paths).values())
-    check_existing(paths, "continue" if options.restart else "replace" if options.overwrite else "refuse")
-    noted = check_belonging(paths, notes) if options.restart else {}
+    files = OutputFiles(plan, checkpoint)
+    files.check(_inputs(options))
+    locks.hold(files.everything.values())
+    files.check_existing("continue" if options.restart else "replace" if options.overwrite else "refuse")
+    noted = files.noted(notes) if options.restart else {}
     simulated = Simulated.read(options, plan)
-    check_outputs(paths, _inputs(options, simulated.box))
+    files.check(_inputs(options, simulated.box))
     if options.restart:
-        _check_unfinished(plan, options.restart, notes["step"], is_finished(paths))
+        _check_unfinished(plan, options.restart, notes["step"], files.are_finished)
         context = _restored(simulated, state, notes)
     else:
         context = simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
     if not options.restart:
-        # The checkpoint is removed first, so that it is never left with files that are not its own.
-        for path in paths.values():
-            path.unlink(missing_ok=True)
+        files.remove()
         notes = {"run": run_identity(plan, context)}
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
     columns = conservation.columns(context.getIntegrator())
-    outputs = Outputs(
-        plan, simulated.box, simulated.bodies, checkpoint, notes["run"], columns, noted, notes.get("step")
-    )
+    outputs = Outputs(files, plan, simulated.box, simulated.bodies, notes["run"], columns, noted, notes.get("step"))
     dof = degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum)
     guard = runaway.Guard(plan, dof, notes.get("start_energy"))
     cost = _advance(context, plan, outputs, guard, requests)
     outputs.finish()
     _report(plan, outputs, cost)
-    note(f"wrote {', '.join(str(path) for path in paths.values())}")
+    note(f"wrote {files}")
 
 
 def _inputs(options: Options, box: Box | None = None) -> list[Path]:
@@ -187,7 +178,7 @@ def _advance(
     progress = ProgressBar(plan.method.name, plan.steps, plan.step_time, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if not outputs.log.count:
-            _write(["row", "checkpoint"], context, plan, outputs, guard)
+            _write(["log", "checkpoint"], context, plan, outputs, guard)
         while step < plan.steps and requests.received is None:
             chunk = min(outputs.next_due(step), plan.steps, step + longest) - step
             start, before = clock(), watch.seconds
@@ -231,8 +222,8 @@ def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) 
 
 def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, guard: runaway.Guard) -> None:
     """Check the bounds, then write the files that are due."""
-    values = None
-    if "row" in due or "checkpoint" in due:
+    values = {}
+    if "log" in due or "checkpoint" in due:
         values = dict(zip(outputs.log.columns, conservation.row(context), strict=True))
         guard.look(values)
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
+from typing import Any
 
 from openmm_sier.cli.beginning import Simulated, check_platform, read_start
 from openmm_sier.cli.console import note, table
@@ -13,19 +13,19 @@ from openmm_sier.integrators.tuning import Tuning, tune
 from openmm_sier_command.options import OF_TUNING, OPTIONS
 
 
-def run(options: Options, acceptance: float, trials: int, samples: int) -> None:
+def run(acceptance: float, trials: int, samples: int, **given: Any) -> None:
     """Run `openmm-sier tune`.
 
     Args:
-        options: of the command, as for a run.
         acceptance, trials, samples: see `openmm_sier.integrators.tuning.tune`.
+        given: options of a run by name, as for `Options`.
 
     Raises:
         RunError: options contradict each other.
         Runaway: the equilibration broke down.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
-    options = replace(options, ensemble="hmc")
+    options = Options(ensemble="hmc", **given)
     check_platform(options.platform)
     state, origin = read_start(options.start)
     plan = new_plan(options, origin)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from openmm_sier import RigidBodies
 from openmm_sier.cli import console, main
 from openmm_sier.cli import run as command
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.measure import forcefields
 from tests.support.commands import SMALL, SYSTEMS, complaint, datasets, frames, log, run
 
@@ -82,14 +82,14 @@ def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, 
 def test_start_tells_the_system_and_the_temperature(box, npt_run):
     start = ["run", box, "--platform", "Reference", "--start", npt_run / "npt.chk", "--steps", "1", "--overwrite"]
     run(*start, "--ensemble", "nvt")
-    plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
     assert (plan["temperature"], plan["scheme"], plan["dt"]) == (310.0, "sier4g", 6.0)
     # No equilibration is none, and not new velocities.
     kinetic = log("box.csv")["Kinetic Energy (kJ/mole)"][0]
     run(*start, "--ensemble", "nvt", "--equilibrate", "0")
     assert log("box.csv")["Kinetic Energy (kJ/mole)"][0] == kinetic
     run(*start, "--ensemble", "nvt", "--temperature", "290")
-    assert records.read_checkpoint(Path("box.chk"))[1]["plan"]["temperature"] == 290.0
+    assert checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]["temperature"] == 290.0
 
 
 def test_start_equilibrates_if_asked(box, npt_run, capsys):

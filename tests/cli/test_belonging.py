@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import outputs, records, trajectories
+from openmm_sier.cli.files import checkpoints, outputs, records, trajectories
 from openmm_sier.cli.files.body_states import BodyStates
 from openmm_sier.cli.plan import Options, new_plan
 from tests.support.commands import SMALL, complaint, datasets, frames, run, write_lattice
@@ -152,7 +152,7 @@ def test_identity_is_that_of_settings_and_start(two_runs):
     assert outputs.run_identity(replace(plan, seed=7), context) != identity
     context.setPositions(np.array(box.positions._value) + 1e-9)
     assert outputs.run_identity(plan, context) != identity
-    notes = [records.read_checkpoint(two_runs / name / "box.chk")[1] for name in ("one", "two")]
+    notes = [checkpoints.read_checkpoint(two_runs / name / "box.chk")[1] for name in ("one", "two")]
     assert notes[0]["run"] != notes[1]["run"]
     title = (two_runs / "one" / "box.dcd").read_bytes()[180:260].rstrip(b"\0").decode()
     with h5py.File(two_runs / "one" / "states.h5") as file:

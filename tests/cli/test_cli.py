@@ -16,7 +16,7 @@ from openmm import app, unit
 
 from openmm_sier import SIER2Integrator
 from openmm_sier.cli import main
-from openmm_sier.cli.files import records, trajectories
+from openmm_sier.cli.files import checkpoints, records, trajectories
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__
@@ -195,7 +195,7 @@ def test_time_of_forces_and_energies_is_that_of_openmm(box):
 KILLER = """
 import os, signal, sys
 from openmm_sier.cli import main
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints, records
 
 place, after, *arguments = sys.argv[1:]
 append, replace = records.GrowingFile.append, os.replace
@@ -251,7 +251,7 @@ def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
         [sys.executable, "-c", KILLER, place, str(after), *command], capture_output=True, check=False
     )
     assert killed.returncode == -signal.SIGKILL
-    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == checkpoint
+    assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == checkpoint
     if suffix != ".xtc":
         # MDTraj refuses an XTC file that ends in half a frame.
         kept = frames(Path("cut.h5.dcd") if suffix == ".h5" else out, box)
@@ -288,7 +288,7 @@ def test_killed_when_nothing_but_the_hdf5_file_is_missing(box, whole_run):
     command = ["run", str(box), *SMALL, "--time", "0.4", "--out", "cut.h5"]
     killed = subprocess.run([sys.executable, "-c", KILLER, "end", "0", *command], capture_output=True, check=False)
     assert killed.returncode == -signal.SIGKILL
-    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == STEPS
+    assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == STEPS
     assert not Path("cut.h5").exists()
     assert main.main([*command, "--restart", "cut.chk"]) == 0
     np.testing.assert_allclose(frames(Path("cut.h5"), box).xyz, frames(whole_run / "whole.dcd", box).xyz, atol=1e-5)
@@ -302,7 +302,7 @@ def test_killed_from_outside_and_continued(box):
     wait_for(lambda: Path("cut.chk").exists() and Path("cut.csv").read_text().count("\n") > 8, process)
     process.kill()
     process.wait()
-    step = records.read_checkpoint(Path("cut.chk"))[1]["step"]
+    step = checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"]
     assert (
         main.main(["run", str(box), "--restart", "cut.chk", "--steps", str(step + 25), "--platform", "Reference"]) == 0
     )

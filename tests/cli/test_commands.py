@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER4G, SIERIntegrator
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.commands import SMALL, complaint, log, run
 
@@ -71,7 +71,7 @@ def test_restart_keeps_the_ensemble(capsys, box):
 
 def test_default_scheme_is_that_of_the_integrators(box):
     run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1")
-    plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
     assert CATALOGUE[plan["scheme"]] == SIERIntegrator(0.001).scheme == SIER4G
     # The README's recommendation.
     assert plan["dt"] == 6.0
@@ -81,5 +81,5 @@ def test_runs_begun_with_another_default_scheme_are_continued(box):
     """Until 0.1.0 the default was SIER4 with 4 fs; checkpoints hold scheme and step."""
     run("run", box, "--scheme", "sier4", "--platform", "Reference", "--equilibrate", "0", "--steps", "2")
     run("run", box, "--platform", "Reference", "--restart", "box.chk", "--steps", "3")
-    plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
     assert (plan["scheme"], plan["dt"], plan["steps"]) == ("sier4", 4.0, 3)

@@ -135,7 +135,7 @@ OUTPUTS = ["--out", "a.h5", "--bodies", "b.h5", "--pressure-tensor", "p.csv"]
 
 
 @pytest.mark.parametrize(
-    "taken", ["a.chk", "a.chk.tmp", "a.h5", "a.h5.dcd", "a.csv", "b.h5", "b.h5.frames", "unfinished-b.h5", "p.csv"]
+    "taken", ["a.chk", "a.chk.tmp", "a.h5", "a.h5.dcd", "a.csv", "b.h5", "b.h5.frames", "b.h5.tmp", "p.csv"]
 )
 def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
     pytest.importorskip("h5py")

@@ -70,7 +70,7 @@ def test_help_says_every_default(command):
     ("option", "value", "expected"),
     [
         ("--pressure", "101325", "from -5000 to 50000 bar (1 bar is 100000 Pa), got '101325'"),
-        ("--seed", "99999999999", "from 1 to 2147483647, got 99999999999"),
+        ("--seed", "99999999999", "from 1 to 2147483647, got '99999999999'"),
         ("--seed", "1" * 5000, "from 1 to 2147483647, got '111"),
         ("--time", "1e300", "above 0 and up to 1e+09 ps, got '1e300'"),
         ("--dt", "nan", "from 0.001 to 1000 fs, got 'nan'"),

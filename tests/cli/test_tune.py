@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.tune import run_line
 from openmm_sier.integrators.tuning import Tuning
 from openmm_sier_command.arguments import parse
-from openmm_sier_command.options import given_options
+from openmm_sier_command.options import OPTIONS, Options
 from tests.support.commands import complaint, log, run
 
 FOUND = Tuning(0.0080234, 4, 0.9, (), (), 100)
@@ -30,7 +30,7 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box):
     program, *arguments = shlex.split(said[-1])
     assert program == "openmm-sier"
     run(*arguments, "--steps", "3", "--report-every", "0.001")
-    plan = records.read_checkpoint(Path("box.chk"))[1]["plan"]
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
     assert plan["ensemble"] == "hmc"
     assert plan["pressure"] == 1
     assert plan["seed"] == 3
@@ -44,7 +44,8 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box):
 
 def test_line_keeps_what_was_given():
     words = "tune a/b.pdb --forcefield x.xml y.xml --dt 6 --no-minimize --hydrogen-mass 3 --start s.chk"
-    assert run_line(given_options(parse(words.split())), FOUND) == (
+    given = {name: value for name, value in vars(parse(words.split())).items() if name in OPTIONS}
+    assert run_line(Options(**given), FOUND) == (
         "openmm-sier run a/b.pdb --ensemble hmc --forcefield x.xml y.xml --hydrogen-mass 3.0 --dt 8.023 --no-minimize "
         "--start s.chk --steps-per-trial 4"
     )
