@@ -156,21 +156,16 @@ def read_rows(path: Path, columns: Sequence[str], count: int, interval: int, fir
 
 
 def _numbers(path: Path, lines: Sequence[str], width: int) -> np.ndarray:
-    try:
-        rows = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2) if lines else np.empty((0, width))
-        # Empty lines are left out.
-        if rows.shape == (len(lines), width):
-            return rows
-    except ValueError:
-        pass
+    rows = []
     for number, line in enumerate(lines, 2):
         try:
-            if len([float(word) for word in line.split(",")]) == width:
-                continue
+            row = [float(word) for word in line.split(",")]
         except ValueError:
-            pass
-        raise RecordError(f"{path}, line {number}: expected {width} numbers, got {line[:60]!r}")
-    raise RecordError(f"{path} is no file of numbers")
+            row = []
+        if len(row) != width:
+            raise RecordError(f"{path}, line {number}: expected {width} numbers, got {line[:60]!r}")
+        rows.append(row)
+    return np.array(rows).reshape(-1, width)
 
 
 def _after(skip: float, path: Path, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

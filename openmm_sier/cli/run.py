@@ -110,9 +110,7 @@ def _length(plan: Plan, steps: int) -> str:
 def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
     log = outputs.log.read()
     warning = runaway.fluctuation_warning(plan, log)
-    rows = summary.conservation_rows(log)
-    rows += summary.density_rows(log) if plan.moves_volume else []
-    rows += summary.acceptance_rows(log)
+    rows = summary.rows(log, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
     table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost.rows())
 
