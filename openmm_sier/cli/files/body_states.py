@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -94,14 +93,15 @@ class BodyStates(records.MadeAtTheEnd):
         import h5py
 
         frames = self.growing(self.target)
-        made = records.temporary(frames)
-        with h5py.File(self.target, "r") as file, records.naming(frames), open(made, "wb") as out:
+        with (
+            h5py.File(self.target, "r") as file,
+            records.replacing(frames) as made,
+            open(made, "wb") as out,
+        ):
             check_same(file, self.target, self._bodies, self._periodic)
             out.write(_header(self._title))
             for first in range(0, len(file["step"]), self._chunk):
                 out.write(read_frames(file, first, first + self._chunk).tobytes())
-            os.fsync(out.fileno())
-        os.replace(made, frames)
 
     @classmethod
     def companions(cls, path: Path) -> list[Path]:
