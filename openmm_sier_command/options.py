@@ -22,6 +22,8 @@ from openmm_sier_command.values import TIME, Choice, File, Kind, Number, Several
 USUAL_STEPS = {
     "sier4g": 6.0,
     "sier2": 2.0,
+    "sier2v2": 6.0,
+    "sier2p3": 12.0,
     "sier4": 4.0,
     "sier4v": 5.0,
     "sier4p": 6.0,

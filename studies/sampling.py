@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from openmm_sier.system import find_bodies
 from studies import boxes
 from studies.command import BoxSettings
 from studies.methods import Method
+from studies.records import replace_file
 
 #: Tolerance of constraints for OpenMM's own integrators.
 CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE
@@ -89,16 +91,29 @@ class Liquid:
     platform: str | None = None
 
 
-def equilibrated_liquid(settings: BoxSettings, time: float, report: Report = SILENT) -> Liquid:
+def equilibrated_liquid(
+    settings: BoxSettings,
+    time: float,
+    report: Report = SILENT,
+    tolerance: float = boxes.TOLERANCE,
+    kept: Path | None = None,
+) -> Liquid:
     """A box at its temperature.
 
     Args:
         settings: of the box.
         time: of the equilibration, ps.
         report: gets notes and progress.
+        tolerance: of PME.
+        kept: XML file of the State of an earlier equilibration, which is made if it does not exist; None keeps none.
     """
-    box = boxes.read(settings)
-    start = equilibrated(box, settings.temperature, settings.seed, time, settings.platform, report)
+    box = boxes.read(settings, tolerance=tolerance)
+    if kept is not None and kept.exists():
+        start = openmm.XmlSerializer.deserialize(kept.read_text())
+    else:
+        start = equilibrated(box, settings.temperature, settings.seed, time, settings.platform, report)
+        if kept is not None:
+            replace_file(kept, openmm.XmlSerializer.serialize(start))
     return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)
 
 
