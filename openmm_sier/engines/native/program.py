@@ -28,8 +28,8 @@ CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context
 MOVED, V0, KEPT, WORK = (PREFIX + name for name in ("moved", "v0", "kept", "work"))
 VECTORS = (MOVED, V0, KEPT, WORK)
 
-#: Global variables for the next native step, and for the bath's friction (1/ps) and thermal energy (kJ/mol).
-PART, FRICTION, THERMAL = (PREFIX + name for name in ("part", "friction", "kT"))
+#: Global variables for the bath's friction (1/ps) and thermal energy (kJ/mol).
+FRICTION, THERMAL = (PREFIX + name for name in ("friction", "kT"))
 
 #: OpenMM looks at every path through the if-blocks of a program, of which there are 2^parts.
 MOST_PARTS = 12
@@ -189,7 +189,7 @@ def write(
     follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md).
 
     Within a drift virtual sites stay where they are, so fast forces are right only if they act on atoms alone:
-    `native_fast_forces.refuse` checks this.
+    `refusals.refuse_fast_forces` checks this.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
