@@ -1,10 +1,10 @@
 """What an independent sample of a solvated dipeptide costs with hybrid Monte Carlo and with Langevin dynamics.
 
-    python -m studies.hmc.samples systems/dipeptide.pdb --method hmc --step 2 --length 120 --time 150 --out samples/hmc
-    python -m studies.hmc.samples systems/dipeptide.pdb --method hmc --length 30 --friction 2 --out samples/partial
-    python -m studies.hmc.samples systems/dipeptide.pdb --method langevin --step 0.5 --out samples/langevin-0.5
-    python -m studies.hmc.samples systems/dipeptide.pdb --method wrong --step 2 --out samples/wrong
-    python -m studies.hmc.samples --table samples/*/samples.json       runs with several seeds are pooled
+    python -m studies.hmc.samples systems/dipeptide.pdb --method hmc --step 2 --length 120 --time 150 --out samples
+    python -m studies.hmc.samples systems/dipeptide.pdb --method hmc --length 30 --friction 2 --out samples
+    python -m studies.hmc.samples systems/dipeptide.pdb --method langevin --step 0.5 --out samples
+    python -m studies.hmc.samples systems/dipeptide.pdb --method wrong --step 2 --out samples
+    python -m studies.hmc.samples --table samples/*.json       runs with several seeds are pooled
 
 Constant pressure of 1 bar; steps are in fs for each force evaluation, trials of SIER4G `--length` fs long. `langevin` is
 OpenMM's LangevinMiddleIntegrator with its MonteCarloBarostat, and a friction of 2/ps unless another is given. `wrong` is
@@ -104,6 +104,12 @@ class SampleSettings(SoluteSettings):
     settling: float = 5.0
 
     @property
+    def name(self) -> str:
+        """Of its file."""
+        length = f"-{self.length:g}" if self.method == "hmc" else ""
+        return f"{self.method}-{self.step:g}{length}-{self.friction or 0:g}-{self.seed}"
+
+    @property
     def label(self) -> str:
         """The run in a few words."""
         if self.method != "hmc":
@@ -163,7 +169,7 @@ def integrator_of(settings: SampleSettings, system: openmm.System) -> tuple[open
 
 
 def run(settings: SampleSettings, report: Report = SILENT) -> Record:
-    """One run, in samples.json, which is written as it goes on."""
+    """One run, in a file of its own, which is written as it goes on."""
     solution = solutes.read(settings)
     integrator, every = integrator_of(settings, solution.system)
     integrator.setRandomNumberSeed(settings.seed)
@@ -188,11 +194,11 @@ def run(settings: SampleSettings, report: Report = SILENT) -> Record:
                     "label": settings.label,
                     "interval": interval,
                     "forces": (steps + energies) / done,
-                    "accepted": integrator.acceptanceRate if is_hmc else math.nan,
+                    "accepted": integrator.acceptanceRate if is_hmc else None,
                     "milliseconds": 1e3 * (process_time() - begun) / (steps + energies),
                 }
                 record = Record(settings.recorded(), {"samples": pd.DataFrame(rows)}, notes)
-                record.write(settings.out / "samples.json")
+                record.write(settings.out / f"{settings.name}.json")
                 show(done)
     return record
 
@@ -236,8 +242,9 @@ def table(files: Sequence[Path]) -> pd.DataFrame:
         lengths = np.array([len(samples) for samples in tables])
         first = several[0].notes
         row: dict[str, Any] = {"label": label, "time": 1e-3 * first["interval"] * lengths.sum()}
-        row |= {name: np.average([r.notes[name] for r in several], weights=lengths) for name in ("milliseconds",)}
-        row["accepted"] = np.average([record.notes["accepted"] for record in several], weights=lengths)
+        row["milliseconds"] = np.average([record.notes["milliseconds"] for record in several], weights=lengths)
+        accepted = [record.notes["accepted"] for record in several]
+        row["accepted"] = math.nan if None in accepted else np.average(accepted, weights=lengths)
         for name in OBSERVED:
             row[name], row[f"{name}_error"] = pooled([mean_and_error(samples[name].to_numpy()) for samples in tables])[:2]
         costs = {name: [cost(samples[[name]], first["forces"]) for samples in tables] for name in OBSERVED}

@@ -20,6 +20,9 @@ from studies.command import Settings
 #: The name that stands for DHFR in water, the benchmark of Amber and CHARMM, whose files openmmtools has.
 DHFR = "dhfr"
 
+#: Masses of hydrogen and of water, dalton.
+HYDROGEN, WATER = 1.008, 18.0154
+
 #: Which atoms move: all of them, or water or the solute alone while the others are frozen.
 Moving = Literal["all", "water", "solute"]
 
@@ -34,6 +37,7 @@ class SoluteSettings(Settings):
         cutoff: of PME, nm; interactions are switched off over the last sixth.
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
         hydrogen_mass: of hydrogens outside water, dalton.
+        heavy_water: whether those of water have it too; averages of positions depend on no mass.
         moving: atoms that are not frozen.
         platform: of OpenMM; None takes the fastest.
         equilibrate: ps with LangevinMiddle before the first run of a box, whose end `--out` keeps.
@@ -44,6 +48,7 @@ class SoluteSettings(Settings):
     cutoff: float = 0.9
     tolerance: float = 1e-4
     hydrogen_mass: float = 3.0
+    heavy_water: bool = False
     moving: Moving = "all"
     platform: str | None = None
     equilibrate: float = 1.0
@@ -72,8 +77,9 @@ class Solution(NamedTuple):
 def read(settings: SoluteSettings) -> Solution:
     """The box of a study."""
     system, topology, positions = _dhfr(settings) if settings.box == Path(DHFR) else _of_pdb(settings)
-    dry = np.array([atom.residue.name not in ("HOH", "WAT") for atom in topology.atoms()])
-    waters = sum(residue.name in ("HOH", "WAT") for residue in topology.residues())
+    dry = np.array([atom.residue.name != "HOH" for atom in topology.atoms()])
+    waters = sum(residue.name == "HOH" for residue in topology.residues())
+    _weigh_water(system, topology, settings.hydrogen_mass if settings.heavy_water else HYDROGEN)
     if settings.moving != "all":
         freeze(system, np.flatnonzero(dry == (settings.moving == "water")))
     prepare_system(system)
@@ -103,6 +109,15 @@ def _dhfr(settings: SoluteSettings) -> tuple[openmm.System, app.Topology, np.nda
         if isinstance(made.system.getForce(index), openmm.CMMotionRemover):
             made.system.removeForce(index)
     return made.system, made.topology, np.array(made.positions.value_in_unit(unit.nanometer))
+
+
+def _weigh_water(system: openmm.System, topology: app.Topology, hydrogen: float) -> None:
+    """Set the masses of water; hydrogens have 3.024 dalton in the file of DHFR."""
+    for residue in topology.residues():
+        if residue.name == "HOH":
+            for atom in residue.atoms():
+                light = atom.element is app.element.hydrogen
+                system.setParticleMass(atom.index, hydrogen if light else WATER - 2 * hydrogen)
 
 
 def freeze(system: openmm.System, atoms: np.ndarray) -> None:

@@ -41,6 +41,7 @@ COLUMNS = {
     "scheme": "{scheme}",
     "atoms": "{atoms}",
     "of the solute": "{solute}",
+    "hydrogens": "{masses}",
     "fs per force": "{per_force:g}",
     "trial/fs": "{length:g}",
     "trials": "{trials}",
@@ -98,7 +99,8 @@ def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
     solution = solutes.read(settings)
     integrator = integrator_of(settings)
     context = solutes.context(solution, integrator, settings)
-    name = f"{solution.name}-{settings.moving}-{settings.scheme}-{settings.step:g}-{settings.length:g}"
+    masses = f"{settings.hydrogen_mass:g}{'-heavy' if settings.heavy_water else ''}"
+    name = f"{solution.name}-{settings.moving}-{masses}-{settings.scheme}-{settings.step:g}-{settings.length:g}"
     integrator.step(settings.discarded)
     integrator.resetStatistics()
     forces, begun, errors = integrator.forceEvaluations, process_time(), []
@@ -135,6 +137,7 @@ def row_of(record: Record) -> dict[str, Any]:
     return {
         **record.notes,
         "moving": record.settings["moving"],
+        "masses": f"{record.settings['hydrogen_mass']:g}{', water too' if record.settings['heavy_water'] else ''}",
         "scheme": record.settings["scheme"],
         "per_force": record.settings["step"],
         "trials": n,
