@@ -52,7 +52,7 @@ EDGE, CUTOFF = 2.0, 0.7
 LATTICE = (2, 2, 3)
 
 #: ps between two samples, and between two records of a run that goes on.
-EVERY, SAVED = 0.12, 4.0
+EVERY, SAVED = 0.06, 4.0
 
 COLUMNS = {
     "run": "{label}",
@@ -90,7 +90,7 @@ class MixtureSettings(Settings):
     method: Literal["hmc", "langevin"] = "hmc"
     step: float = 2.0
     hydrogen_mass: float = 1.0
-    friction: float = 2.0
+    friction: float = 20.0
     temperature: float = 298.15
     time: float = 60.0
     settling: float = 5.0

@@ -1,12 +1,13 @@
 """What an independent sample of a solvated dipeptide costs with hybrid Monte Carlo and with Langevin dynamics.
 
-    python -m studies.hmc.samples systems/dipeptide.pdb --method hmc --step 2 --length 120 --time 150 --out samples
-    python -m studies.hmc.samples systems/dipeptide.pdb --method hmc --length 30 --friction 2 --out samples
-    python -m studies.hmc.samples systems/dipeptide.pdb --method langevin --step 0.5 --out samples
-    python -m studies.hmc.samples systems/dipeptide.pdb --method wrong --step 2 --out samples
+    python -m studies.hmc.samples --method hmc --step 2 --length 120 --time 150 --out samples
+    python -m studies.hmc.samples --method hmc --length 30 --friction 2 --out samples
+    python -m studies.hmc.samples --method langevin --step 0.5 --out samples
+    python -m studies.hmc.samples --method wrong --step 2 --out samples
+    python -m studies.hmc.samples --method hmc --temperature 500 --constant-volume --out samples      psi turns often
     python -m studies.hmc.samples --table samples/*.json       runs with several seeds are pooled
 
-Constant pressure of 1 bar; steps are in fs for each force evaluation, trials of SIER4G `--length` fs long. `langevin` is
+Constant pressure of 1 bar, unless `--constant-volume` is given; steps are in fs for each force evaluation, trials of SIER4G `--length` fs long. `langevin` is
 OpenMM's LangevinMiddleIntegrator with its MonteCarloBarostat, and a friction of 2/ps unless another is given. `wrong` is
 the same with forces that are too weak by 0.4, which shows whether the dihedrals would tell. An energy counts as a force.
 """
@@ -89,6 +90,7 @@ class SampleSettings(SoluteSettings):
         step: fs for each force evaluation.
         length: of a trial, fs, rounded to a whole number of steps.
         friction: 1/ps; hybrid Monte Carlo draws momenta anew without it.
+        constant_volume: instead of 1 bar.
         time: of the run, ps.
         settling: ps before it.
     """
@@ -100,6 +102,7 @@ class SampleSettings(SoluteSettings):
     step: float = 2.0
     length: float = 120.0
     friction: float | None = None
+    constant_volume: bool = False
     time: float = 100.0
     settling: float = 5.0
 
@@ -107,15 +110,17 @@ class SampleSettings(SoluteSettings):
     def name(self) -> str:
         """Of its file."""
         length = f"-{self.length:g}" if self.method == "hmc" else ""
-        return f"{self.method}-{self.step:g}{length}-{self.friction or 0:g}-{self.seed}"
+        volume = "-nvt" if self.constant_volume else ""
+        return f"{self.method}-{self.step:g}{length}-{self.friction or 0:g}-{self.temperature:g}{volume}-{self.seed}"
 
     @property
     def label(self) -> str:
         """The run in a few words."""
-        if self.method != "hmc":
-            return f"{'LangevinMiddle' if self.method == 'langevin' else 'wrong on purpose'}, {self.step:g} fs"
+        kind = {"langevin": "LangevinMiddle", "wrong": "wrong on purpose"}.get(self.method, "HMC")
+        length = f", trials of {self.length:g} fs" if self.method == "hmc" else ""
         momenta = f", friction {self.friction:g}/ps" if self.friction else ""
-        return f"HMC, {self.step:g} fs, trials of {self.length:g} fs{momenta}"
+        ensemble = f", {self.temperature:g} K, constant volume" if self.constant_volume else ""
+        return f"{kind}, {self.step:g} fs{length}{momenta}{ensemble}"
 
 
 def study(settings: SampleSettings, report: Report = SILENT) -> None:
@@ -153,19 +158,21 @@ def wrong_integrator(settings: SampleSettings) -> openmm.CustomIntegrator:
 
 
 def integrator_of(settings: SampleSettings, system: openmm.System) -> tuple[openmm.Integrator, int]:
-    """An integrator at 1 bar, and its number of steps from one sample to the next."""
+    """An integrator, and its number of steps from one sample to the next."""
     friction, temperature = settings.friction or FRICTION, settings.temperature
     if settings.method != "hmc":
         every = round(EVERY / settings.step)
-        system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, temperature * unit.kelvin, every))
+        if not settings.constant_volume:
+            system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, temperature * unit.kelvin, every))
         if settings.method == "wrong":
             return wrong_integrator(settings), every
         return openmm.LangevinMiddleIntegrator(temperature, friction, 1e-3 * settings.step), every
     step = settings.step * SIER4G.force_evaluations
     steps = max(1, round(settings.length / step))
     every = max(1, round(EVERY / (step * steps)))
-    drawn = {"frictionCoeff": settings.friction, "pressure": 1, "barostatInterval": every}
-    return SIERHMCIntegrator(temperature, 1e-3 * step, SIER4G, steps, **drawn), every
+    pressure = None if settings.constant_volume else 1.0
+    made = SIERHMCIntegrator(temperature, 1e-3 * step, SIER4G, steps, settings.friction, pressure, every)
+    return made, every
 
 
 def run(settings: SampleSettings, report: Report = SILENT) -> Record:
@@ -189,7 +196,7 @@ def run(settings: SampleSettings, report: Report = SILENT) -> Record:
             if done % max(1, round(1e3 * SAVED / interval)) == 0 or done == count:
                 steps = getattr(integrator, "forceEvaluations", before + done * every) - before
                 # A trial takes an energy, and a move of the volume another one.
-                energies = done + (integrator.trials if is_hmc else 0)
+                energies = (0 if settings.constant_volume else done) + (integrator.trials if is_hmc else 0)
                 notes = {
                     "label": settings.label,
                     "interval": interval,
@@ -246,7 +253,9 @@ def table(files: Sequence[Path]) -> pd.DataFrame:
         accepted = [record.notes["accepted"] for record in several]
         row["accepted"] = math.nan if None in accepted else np.average(accepted, weights=lengths)
         for name in OBSERVED:
-            row[name], row[f"{name}_error"] = pooled([mean_and_error(samples[name].to_numpy()) for samples in tables])[:2]
+            row[name], row[f"{name}_error"] = pooled([mean_and_error(samples[name].to_numpy()) for samples in tables])[
+                :2
+            ]
         costs = {name: [cost(samples[[name]], first["forces"]) for samples in tables] for name in OBSERVED}
         costs["dipole"] = [cost(samples[list(DIPOLE)], first["forces"]) for samples in tables]
         for name, found in costs.items():
