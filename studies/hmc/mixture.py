@@ -3,7 +3,7 @@
     python -m studies.hmc.mixture --method hmc --step 2 --time 60 --out mixture
     python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 1 --out mixture
     python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 3 --out mixture
-    python -m studies.hmc.mixture --table mixture/*.json      the first file is of the method the others are compared with
+    python -m studies.hmc.mixture --table mixture/*.json      the others are compared with the first
 
 Bonds to hydrogen are constrained; 1 bar; steps are in fs for each force evaluation. A hydrogen mass of 1 leaves masses
 as they are. Kinetic energies are tested with `openmm_sier.measure.validation`. Configurational temperatures are

@@ -1,15 +1,15 @@
 """What an independent sample of a solvated dipeptide costs with hybrid Monte Carlo and with Langevin dynamics.
 
-    python -m studies.hmc.samples --method hmc --step 2 --length 120 --time 150 --out samples
-    python -m studies.hmc.samples --method hmc --length 30 --friction 2 --out samples
-    python -m studies.hmc.samples --method langevin --step 0.5 --out samples
-    python -m studies.hmc.samples --method wrong --step 2 --out samples
-    python -m studies.hmc.samples --method hmc --temperature 500 --constant-volume --out samples      psi turns often
+    python -m studies.hmc.samples --method hmc --step 2 --length 120 --time 80 --out samples
+    python -m studies.hmc.samples --method hmc --length 30 --friction 2 --time 80 --out samples
+    python -m studies.hmc.samples --method langevin --step 4 --time 80 --out samples
     python -m studies.hmc.samples --table samples/*.json       runs with several seeds are pooled
+    for method in hmc langevin wrong; do python -m studies.hmc.samples --method $method --held --out held; done
 
-Constant pressure of 1 bar, unless `--constant-volume` is given; steps are in fs for each force evaluation, trials of SIER4G `--length` fs long. `langevin` is
-OpenMM's LangevinMiddleIntegrator with its MonteCarloBarostat, and a friction of 2/ps unless another is given. `wrong` is
-the same with forces that are too weak by 0.4, which shows whether the dihedrals would tell. An energy counts as a force.
+Constant pressure of 1 bar; steps are in fs for each force evaluation, trials of SIER4G `--length` fs long. `langevin` is
+OpenMM's LangevinMiddleIntegrator with its MonteCarloBarostat, and a friction of 2/ps unless another is given. An energy
+counts as a force. `--held` compares the dihedrals in one of their basins, at constant volume: phi and psi turn too
+rarely at 297 K for anything else. `wrong` is LangevinMiddle with forces that are too weak, which must show there.
 """
 
 from __future__ import annotations
@@ -51,10 +51,13 @@ SAVED = 5.0
 #: By which the forces of `wrong` are multiplied.
 WEAKER = 0.6
 
+#: Where `--held` holds phi and psi, rad, and how firmly, kJ/mol.
+CENTRES, FIRMNESS = (-1.3, 2.5), 50.0
+
 #: Components of the box's dipole moment, e nm.
 DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
 
-#: What tells the basins of the dihedrals apart: the cosine of psi those of alpha and beta, the sine of phi the left one.
+#: The cosine of psi tells alpha from beta, the sine of phi both from the left-handed helix.
 OBSERVED = ("potential", "volume", "cos psi", "sin psi", "cos phi", "sin phi")
 
 COLUMNS = {
@@ -90,7 +93,7 @@ class SampleSettings(SoluteSettings):
         step: fs for each force evaluation.
         length: of a trial, fs, rounded to a whole number of steps.
         friction: 1/ps; hybrid Monte Carlo draws momenta anew without it.
-        constant_volume: instead of 1 bar.
+        held: whether torsions hold phi and psi in one basin, at constant volume.
         time: of the run, ps.
         settling: ps before it.
     """
@@ -102,7 +105,7 @@ class SampleSettings(SoluteSettings):
     step: float = 2.0
     length: float = 120.0
     friction: float | None = None
-    constant_volume: bool = False
+    held: bool = False
     time: float = 100.0
     settling: float = 5.0
 
@@ -110,8 +113,8 @@ class SampleSettings(SoluteSettings):
     def name(self) -> str:
         """Of its file."""
         length = f"-{self.length:g}" if self.method == "hmc" else ""
-        volume = "-nvt" if self.constant_volume else ""
-        return f"{self.method}-{self.step:g}{length}-{self.friction or 0:g}-{self.temperature:g}{volume}-{self.seed}"
+        held = "-held" if self.held else ""
+        return f"{self.method}-{self.step:g}{length}-{self.friction or 0:g}{held}-{self.seed}"
 
     @property
     def label(self) -> str:
@@ -119,8 +122,7 @@ class SampleSettings(SoluteSettings):
         kind = {"langevin": "LangevinMiddle", "wrong": "wrong on purpose"}.get(self.method, "HMC")
         length = f", trials of {self.length:g} fs" if self.method == "hmc" else ""
         momenta = f", friction {self.friction:g}/ps" if self.friction else ""
-        ensemble = f", {self.temperature:g} K, constant volume" if self.constant_volume else ""
-        return f"{kind}, {self.step:g} fs{length}{momenta}{ensemble}"
+        return f"{kind}, {self.step:g} fs{length}{momenta}{', held' if self.held else ''}"
 
 
 def study(settings: SampleSettings, report: Report = SILENT) -> None:
@@ -136,6 +138,14 @@ def study(settings: SampleSettings, report: Report = SILENT) -> None:
 
 
 # --- runs ---
+
+
+def hold(solution: Solution) -> None:
+    """Add torsions that hold phi and psi in one basin."""
+    for atoms, centre in zip(backbone(solution.topology), CENTRES, strict=True):
+        held = openmm.CustomTorsionForce(f"{FIRMNESS}*(1 - cos(theta - {centre}))".replace("- -", "+ "))
+        held.addTorsion(*atoms, [])
+        solution.system.addForce(held)
 
 
 def wrong_integrator(settings: SampleSettings) -> openmm.CustomIntegrator:
@@ -162,7 +172,7 @@ def integrator_of(settings: SampleSettings, system: openmm.System) -> tuple[open
     friction, temperature = settings.friction or FRICTION, settings.temperature
     if settings.method != "hmc":
         every = round(EVERY / settings.step)
-        if not settings.constant_volume:
+        if not settings.held:
             system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, temperature * unit.kelvin, every))
         if settings.method == "wrong":
             return wrong_integrator(settings), every
@@ -170,7 +180,7 @@ def integrator_of(settings: SampleSettings, system: openmm.System) -> tuple[open
     step = settings.step * SIER4G.force_evaluations
     steps = max(1, round(settings.length / step))
     every = max(1, round(EVERY / (step * steps)))
-    pressure = None if settings.constant_volume else 1.0
+    pressure = None if settings.held else 1.0
     made = SIERHMCIntegrator(temperature, 1e-3 * step, SIER4G, steps, settings.friction, pressure, every)
     return made, every
 
@@ -178,6 +188,8 @@ def integrator_of(settings: SampleSettings, system: openmm.System) -> tuple[open
 def run(settings: SampleSettings, report: Report = SILENT) -> Record:
     """One run, in a file of its own, which is written as it goes on."""
     solution = solutes.read(settings)
+    if settings.held:
+        hold(solution)
     integrator, every = integrator_of(settings, solution.system)
     integrator.setRandomNumberSeed(settings.seed)
     context = solutes.context(solution, integrator, settings)
@@ -196,7 +208,7 @@ def run(settings: SampleSettings, report: Report = SILENT) -> Record:
             if done % max(1, round(1e3 * SAVED / interval)) == 0 or done == count:
                 steps = getattr(integrator, "forceEvaluations", before + done * every) - before
                 # A trial takes an energy, and a move of the volume another one.
-                energies = (0 if settings.constant_volume else done) + (integrator.trials if is_hmc else 0)
+                energies = (0 if settings.held else done) + (integrator.trials if is_hmc else 0)
                 notes = {
                     "label": settings.label,
                     "interval": interval,

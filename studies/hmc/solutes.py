@@ -147,9 +147,7 @@ def _start(solution: Solution, settings: SoluteSettings) -> tuple[np.ndarray, np
     kept = settings.out / f"start-{solution.name}.npz"
     if not kept.exists():
         if settings.moving != "all":
-            raise ValueError(
-                f"{settings.out} has no start of {solution.name}: make a run first in which all atoms move"
-            )
+            raise ValueError(f"{settings.out} has no start of {solution.name}: make a run with --moving all first")
         integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
         integrator.setRandomNumberSeed(settings.seed)
         running = make_context(solution.system, integrator, settings.platform)
