@@ -3,7 +3,7 @@
 For a field u on the positions that constraints leave free, <u . grad V> = kT <div u>. Here u is the force over the mass
 of groups of atoms that constraints hold together, which move as wholes, and the torque on water, which turns. The
 measure of constrained motion does not depend on where such groups are, nor on how a rigid molecule is turned, so that
-nothing else enters. The divergence is estimated without bias by forces at two places that are displaced by random signs.
+nothing else enters. The divergence is estimated without bias by forces at two places, displaced by random signs.
 
 Sources: Butler, Ayton, Jepps and Evans, J. Chem. Phys. 109, 6519 (1998); Hutchinson, Commun. Stat. Simul. Comput. 19,
 433 (1990).

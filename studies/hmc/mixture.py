@@ -42,9 +42,6 @@ from studies.records import Record
 from studies.sampling import body_state
 from systems import peptide
 
-#: The forces of amides and of water.
-FORCE_FIELD = ("amber14-all.xml", "amber14/tip3p.xml")
-
 #: nm: the edge of the box that is filled with water, and the cut-off.
 EDGE, CUTOFF = 2.0, 0.7
 
@@ -126,9 +123,8 @@ def study(settings: MixtureSettings, report: Report = SILENT) -> None:
 # --- runs ---
 
 
-def mixture(settings: MixtureSettings) -> tuple[app.Topology, np.ndarray, openmm.System]:
+def built() -> app.Modeller:
     """Amides on a lattice, with water between them."""
-    forcefield = app.ForceField(*FORCE_FIELD)
     one = peptide.dry((), *peptide.TORSIONS)
     sites = np.array(one.positions.value_in_unit(unit.nanometer))
     sites -= sites.mean(axis=0)
@@ -136,19 +132,46 @@ def mixture(settings: MixtureSettings) -> tuple[app.Topology, np.ndarray, openmm
     for place in np.ndindex(*LATTICE):
         centre = EDGE * (np.array(place) + 0.5) / LATTICE
         modeller.add(one.topology, (sites + centre) * unit.nanometer)
-    modeller.addSolvent(forcefield, boxSize=openmm.Vec3(EDGE, EDGE, EDGE) * unit.nanometer)
-    system = forcefield.createSystem(
-        modeller.topology,
+    modeller.addSolvent(app.ForceField(*peptide.FORCE_FIELD), boxSize=openmm.Vec3(EDGE, EDGE, EDGE) * unit.nanometer)
+    return modeller
+
+
+def system_of(topology: app.Topology, hydrogen_mass: float) -> openmm.System:
+    """The prepared System."""
+    system = app.ForceField(*peptide.FORCE_FIELD).createSystem(
+        topology,
         nonbondedMethod=app.PME,
         nonbondedCutoff=CUTOFF,
         switchDistance=CUTOFF - 0.15,
         ewaldErrorTolerance=1e-4,
         constraints=app.HBonds,
-        hydrogenMass=None if settings.hydrogen_mass < 1.5 else settings.hydrogen_mass,
+        hydrogenMass=None if hydrogen_mass < 1.5 else hydrogen_mass,
         removeCMMotion=False,
     )
     prepare_system(system)
-    return modeller.topology, np.array(modeller.positions.value_in_unit(unit.nanometer)), system
+    return system
+
+
+def start(settings: MixtureSettings) -> app.PDBFile:
+    """The start of all runs: a minimum, 4 ps of LangevinMiddle at 2 fs and 2 kbar, and 16 ps at 1 bar."""
+    kept = settings.out / "mixture.pdb"
+    if not kept.exists():
+        modeller = built()
+        system = system_of(modeller.topology, 1.0)
+        system.addForce(openmm.MonteCarloBarostat(2000 * unit.bar, settings.temperature * unit.kelvin, 10))
+        integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
+        integrator.setRandomNumberSeed(settings.seed)
+        context = make_context(system, integrator, settings.platform)
+        context.setPositions(modeller.positions)
+        openmm.LocalEnergyMinimizer.minimize(context, 10, 200)
+        context.setVelocitiesToTemperature(settings.temperature, settings.seed)
+        integrator.step(2000)
+        context.setParameter(openmm.MonteCarloBarostat.Pressure(), 1.0)
+        integrator.step(8000)
+        state = context.getState(positions=True)
+        modeller.topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
+        peptide.write(kept, modeller.topology, state.getPositions())
+    return app.PDBFile(str(kept))
 
 
 def integrator_of(settings: MixtureSettings, system: openmm.System) -> tuple[openmm.Integrator, int]:
@@ -162,37 +185,16 @@ def integrator_of(settings: MixtureSettings, system: openmm.System) -> tuple[ope
     return SIERHMCIntegrator(settings.temperature, step, SIER4G, round(EVERY / step), pressure=1), 1
 
 
-def start(settings: MixtureSettings, positions: np.ndarray, system: openmm.System) -> openmm.State:
-    """The start of all runs: a minimum, 4 ps of LangevinMiddle at 2 fs and 2 kbar, and 16 ps at 1 bar."""
-    kept = settings.out / "start.xml"
-    if kept.exists():
-        return openmm.XmlSerializer.deserialize(kept.read_text())
-    copy = openmm.XmlSerializer.clone(system)
-    copy.addForce(openmm.MonteCarloBarostat(2000 * unit.bar, settings.temperature * unit.kelvin, 10))
-    integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
-    integrator.setRandomNumberSeed(settings.seed)
-    context = make_context(copy, integrator, settings.platform)
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10, 200)
-    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
-    integrator.step(2000)
-    context.setParameter(openmm.MonteCarloBarostat.Pressure(), 1.0)
-    integrator.step(8000)
-    found = context.getState(positions=True)
-    kept.write_text(openmm.XmlSerializer.serialize(found))
-    return found
-
-
 def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
     """One run, in a file of its own, which is written as it goes on."""
-    topology, positions, system = mixture(settings)
-    bodies = RigidBodies.from_system(system, topology)
-    begin = start(settings, positions, system)
+    pdb = start(settings)
+    system = system_of(pdb.topology, settings.hydrogen_mass)
+    bodies = RigidBodies.from_system(system, pdb.topology)
     integrator, every = integrator_of(settings, system)
     integrator.setRandomNumberSeed(settings.seed)
     context = make_context(system, integrator, settings.platform)
-    context.setPeriodicBoxVectors(*begin.getPeriodicBoxVectors())
-    context.setPositions(begin.getPositions())
+    context.setPositions(pdb.positions)
+    context.applyConstraints(1e-6)
     context.setVelocitiesToTemperature(settings.temperature, settings.seed)
     curvature = Curvature(system, bodies, settings.seed, settings.platform)
     integrator.step(round(settings.settling / EVERY) * every)
@@ -213,7 +215,7 @@ def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
                     "label": settings.label,
                     "mass": float(bodies.masses.sum()),
                     "atoms": system.getNumParticles(),
-                    "waters": sum(residue.name == "HOH" for residue in topology.residues()),
+                    "waters": sum(residue.name == "HOH" for residue in pdb.topology.residues()),
                     "accepted": integrator.acceptanceRate if is_hmc else None,
                 }
                 record = Record(settings.recorded(), {"samples": pd.DataFrame(rows)}, notes)

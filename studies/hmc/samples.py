@@ -6,10 +6,10 @@
     python -m studies.hmc.samples --table samples/*.json       runs with several seeds are pooled
     for method in hmc langevin wrong; do python -m studies.hmc.samples --method $method --held --out held; done
 
-Constant pressure of 1 bar; steps are in fs for each force evaluation, trials of SIER4G `--length` fs long. `langevin` is
-OpenMM's LangevinMiddleIntegrator with its MonteCarloBarostat, and a friction of 2/ps unless another is given. An energy
-counts as a force. `--held` compares the dihedrals in one of their basins, at constant volume: phi and psi turn too
-rarely at 297 K for anything else. `wrong` is LangevinMiddle with forces that are too weak, which must show there.
+Constant pressure of 1 bar; steps are in fs for each force evaluation, trials are of SIER4G. `langevin` is OpenMM's
+LangevinMiddleIntegrator with its MonteCarloBarostat, and a friction of 2/ps unless another is given. An energy counts
+as a force. `--held` compares the dihedrals in one of their basins, at constant volume: phi and psi turn too rarely at
+297 K for anything else. `wrong` is LangevinMiddle with forces that are too weak, which must show there.
 """
 
 from __future__ import annotations

@@ -25,11 +25,12 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier import SIERHMCIntegrator
-from openmm_sier.dynamics.metropolis import expected_acceptance
+from openmm_sier.dynamics.metropolis import expected_acceptance, spread_at
 from openmm_sier.dynamics.rotation import exact, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 from openmm_sier.measure.report import SILENT, Report
 from studies import records
+from studies.acceptance import pooled_spread
 from studies.command import execute
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
@@ -50,6 +51,17 @@ COLUMNS = {
     "sd/kT": "{spread:.3f} ± {spread_error:.3f}",
     "mean/kT": "{mean:+.3f} ± {mean_error:.3f}",
     "by the sd": "{expected:.3f}",
+}
+
+LAWS = {
+    "moves": "{moving}",
+    "scheme": "{scheme}",
+    "hydrogens": "{masses}",
+    "fs per force": "{per_force:g}",
+    "boxes": "{boxes}",
+    "sd/kT for one": "{one:.5f} ± {one_error:.5f} {of}",
+    "atoms at 0.8": "{atoms_80:.2g}",
+    "at 0.5": "{atoms_50:.2g}",
 }
 
 
@@ -75,11 +87,16 @@ class SolvatedSettings(SoluteSettings):
 
 
 def study(settings: SolvatedSettings, report: Report = SILENT) -> None:
-    """Make trials, or a table."""
-    made = [records.read(path) for path in settings.table] or [run(settings, report)]
-    rows = pd.DataFrame([row_of(record) for record in made])
-    rows = rows.sort_values(["atoms", "moving", "scheme", "per_force"])
+    """Make trials, or tables of those made, which are written to solvated.json with all energy errors."""
+    if not settings.table:
+        report.table(records.table("Trials", pd.DataFrame([row_of(run(settings, report))]), COLUMNS, left=3))
+        return
+    rows = pd.DataFrame([row_of(records.read(path)) for path in settings.table])
+    rows = rows.sort_values(["atoms", "moving", "masses", "scheme", "per_force"])
+    found = laws(rows)
     report.table(records.table("Trials of solvated molecules", rows, COLUMNS, left=3))
+    report.table(records.table("Laws by size", found, LAWS, left=2))
+    Record(settings.recorded(), {"rows": rows, "laws": found}, {}).write(settings.out / "solvated.json")
 
 
 def integrator_of(settings: SolvatedSettings) -> SIERHMCIntegrator:
@@ -129,8 +146,8 @@ def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
 
 def row_of(record: Record) -> dict[str, Any]:
     """What trials tell: acceptance, the mean of min(1, exp(-error)), and mean and standard deviation of the errors."""
-    errors = record.tables["trials"]["error"].to_numpy(dtype=float)
-    errors = np.where(np.isnan(errors), math.inf, errors)
+    found = record.tables["trials"]["error"].to_numpy(dtype=float)
+    errors = np.where(np.isnan(found), math.inf, found)
     followed, chances = errors[np.isfinite(errors)], np.exp(-np.maximum(errors, 0))
     n, m = len(errors), len(followed)
     spread = float(np.std(followed, ddof=1)) if m > 1 else math.nan
@@ -148,7 +165,27 @@ def row_of(record: Record) -> dict[str, Any]:
         "mean": followed.mean() if m else math.nan,
         "mean_error": spread / math.sqrt(m) if m > 1 else math.nan,
         "expected": expected_acceptance(spread),
+        "errors": found.round(6),
     }
+
+
+def laws(rows: pd.DataFrame) -> pd.DataFrame:
+    """The spread of energy errors for one atom, or one molecule of water where water moves alone, from all boxes.
+
+    Independent parts of a box add to the variance, so that it grows as their number. `atoms_80` and `atoms_50` are the
+    atoms of a box at acceptances of 0.8 and 0.5, by this law.
+    """
+    units = {"all": ("atoms", "an atom"), "water": ("waters", "a molecule"), "solute": ("solute", "an atom")}
+    found = []
+    for (moving, scheme, masses, step), mine in rows.groupby(["moving", "scheme", "masses", "per_force"], sort=False):
+        column, of = units[moving]
+        one, error = pooled_spread(mine.assign(molecules=mine[column]))
+        row = {"moving": moving, "scheme": scheme, "masses": masses, "per_force": step, "boxes": len(mine), "of": of}
+        row |= {"one": one, "one_error": error, "atoms_80": math.nan, "atoms_50": math.nan}
+        if moving == "all":
+            row |= {f"atoms_{round(100 * wanted)}": (spread_at(wanted) / one) ** 2 for wanted in (0.8, 0.5)}
+        found.append(row)
+    return pd.DataFrame(found)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
