@@ -106,7 +106,7 @@ class MixtureSettings(Settings):
 
 
 def study(settings: MixtureSettings, report: Report = SILENT) -> None:
-    """Make a run, or tables of runs."""
+    """Make a run, or tables of runs, which are written to mixture.json."""
     if not settings.table:
         run(settings, report)
         return
@@ -117,7 +117,9 @@ def study(settings: MixtureSettings, report: Report = SILENT) -> None:
     rows = table(runs)
     names = [name.removesuffix("_error") for name in rows if name.endswith("_error")]
     report.table(records.table("A mixture at 1 bar", records.with_text(rows, *names), COLUMNS))
-    report.table(records.table("Tests of kinetic energies", verdicts(runs), VERDICTS, left=2))
+    tests = verdicts(runs)
+    report.table(records.table("Tests of kinetic energies", tests, VERDICTS, left=2))
+    Record(settings.recorded(), {"rows": rows, "tests": tests}, {}).write(settings.out / "mixture.json")
 
 
 # --- runs ---

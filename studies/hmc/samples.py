@@ -126,7 +126,7 @@ class SampleSettings(SoluteSettings):
 
 
 def study(settings: SampleSettings, report: Report = SILENT) -> None:
-    """Make a run, or tables of runs."""
+    """Make a run, or tables of runs, which are written to samples.json."""
     if not settings.table:
         run(settings, report)
         return
@@ -135,6 +135,7 @@ def study(settings: SampleSettings, report: Report = SILENT) -> None:
     report.table(records.table("Means at 1 bar", means, COLUMNS))
     costs = records.with_text(rows, *(name for name in rows if name.endswith("_cost")))
     report.table(records.table("Cost of an independent sample", costs, COSTS))
+    Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "samples.json")
 
 
 # --- runs ---
@@ -279,7 +280,7 @@ def table(files: Sequence[Path]) -> pd.DataFrame:
 def cost(samples: pd.DataFrame, forces: float) -> Estimate:
     """Forces for an independent sample; the mean over columns, which are components of one vector."""
     found = np.array([inefficiency(samples[name].to_numpy()) for name in samples])
-    return Estimate(forces * found[:, 0].mean(), forces * np.linalg.norm(found[:, 1]) / len(found))
+    return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
 
 
 def pooled(estimates: Sequence[Estimate]) -> Estimate:
