@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from tests.support.trials import KT, Chain, Dipoles, Wells
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.rotation import mrdl
@@ -27,6 +26,7 @@ from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error
 from studies import records
 from studies.command import Settings, execute
+from studies.hmc.models import KT, Chain, Dipoles, Wells
 from studies.records import Record
 
 COLUMNS = {
