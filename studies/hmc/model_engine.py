@@ -7,7 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -212,7 +212,9 @@ class Chain:
 
     def samples(self, trials: int) -> Iterator[Sample]:
         """The samples after each of so many trials."""
-        engine, record = self.engine, self.record
+        # What a trial asks of an engine and of a record is here; what OpenMM and users ask is not.
+        engine: Any = self.engine
+        record: Any = self.record
         engine.begin(self.flow)
         for steps in itertools.islice(itertools.cycle(self.steps), trials):
             self.ensemble(steps).advance(engine, self.flow, record, 1)
