@@ -21,6 +21,8 @@ from openmm_sier_command.values import SWITCH, TIME, Kind, WrongValueError, choi
 USUAL_STEPS = {
     "sier4g": 6.0,
     "sier2": 2.0,
+    "sier2v2": 6.0,
+    "sier2p3": 12.0,
     "sier4": 4.0,
     "sier4v": 5.0,
     "sier4p": 6.0,

@@ -24,5 +24,8 @@ STUDIES = {
     "studies.checks.interrupts": "10 min of one core",
     "studies.checks.validate_water": "",
     "studies.checks.andersen_oscillators": "",
+    "studies.checks.net_force": "half a minute",
+    "studies.checks.repeatability": "seconds",
+    "studies.checks.pressure_tensors": "half a minute",
     "studies.figures": "seconds",
 }

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from tests.support.trials import KT, Chain, Dipoles, Wells
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.rotation import mrdl
@@ -27,7 +28,6 @@ from openmm_sier.measure.statistics import mean_and_error
 from studies import records
 from studies.command import Settings, execute
 from studies.records import Record
-from tests.support.trials import KT, Chain, Dipoles, Wells
 
 COLUMNS = {
     "": "{name}",

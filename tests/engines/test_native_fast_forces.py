@@ -7,10 +7,9 @@ import openmm
 import pytest
 
 from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator
-from openmm_sier.dynamics.schemes import BATH, CATALOGUE
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
-from openmm_sier.engines.native.fast_forces import refuse
+from openmm_sier.engines.native.refusals import refuse_fast_forces as refuse
 from tests.support.ethane import ethane
 from tests.support.flexible import Points, chains
 from tests.support.waters import context_at, energies, phase_point, water_box
@@ -82,17 +81,6 @@ def test_schemes_with_fast_forces_have_their_order(constrained, scheme, inner, o
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
 
 
-def test_a_step_is_undone_by_one_with_reversed_velocities():
-    points = chains()
-    _, start = start_of(points)
-    program = native_program.write(SIER4P, 2, {FAST})
-    there = end_of(points, program, start, 0.003, 20)
-    back = end_of(points, program, (there[0], -there[1]), 0.003, 20)
-    assert np.abs(there[0] - start[0]).max() > 1e-2
-    # The tolerance of the constraints, 1e-12 of a bond for 600 steps of RATTLE, which the motion amplifies.
-    assert np.abs(back[0] - start[0]).max() < 1e-8
-
-
 def test_fast_forces_may_be_in_several_groups():
     points = chains()
     system = system_of(points)
@@ -140,44 +128,12 @@ def test_inner_steps_of_fourth_order_follow_fast_motion():
     assert 0.01 < spread(points, native_program.write(SIER2, 4, {FAST}, SIER2), 0.003, 200) < 0.06
 
 
-def test_fast_forces_in_the_drift_conserve_energy_better():
-    points = chains()
-    nested = spread(points, native_program.write(SIER4G, 1, {FAST}), 0.004, 100)
-    # 0.010 and 0.037 kJ/mol over twice the time.
-    assert spread(points, native_program.write(SIER4G, 3), 0.004, 100) > 2 * nested
-
-
-@pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
-def test_native_steps_are_those_without_fast_forces(scheme):
-    """All forces that may act on virtual sites are taken before anything moves."""
-    for wanted in (scheme, scheme.with_bath()):
-        plain, nested = native_program.write(wanted, 3), native_program.write(wanted, 2, {FAST})
-        assert len(nested.parts) == len(plain.parts)
-        for part in nested.parts:
-            moved = False
-            for line in part:
-                for statement, _ in line.executed():
-                    assert not (moved and statement.needs_force)
-                    moved = moved or statement.moves
-
-
 def test_program_prints_its_inner_step_once():
     lines = str(native_program.write(SIER4G, 2, {FAST})).splitlines()
     assert len(lines) < 20
     assert sum("inner steps of SIER4G  for e/h = 0.25, 0.25" in line for line in lines) == 2
     assert lines.count("an inner step e:") == 1
     assert "v = v + 0.5*e*f1/m" in str(native_program.write(SIER4G, 2, {FAST}, SIER2))
-
-
-@pytest.mark.parametrize("groups", [{-1}, {32}, {1.5}, {"1"}])
-def test_groups_that_do_not_exist_are_refused(groups):
-    with pytest.raises(ValueError, match="from 0 to 31, got"):
-        native_program.write(SIER4G, 1, groups)
-
-
-def test_inner_scheme_without_a_bath():
-    with pytest.raises(ValueError, match=f"'{BATH}'"):
-        native_program.write(SIER2, 1, {1}, SIER2.with_bath())
 
 
 # --- what can be fast ---

@@ -4,7 +4,7 @@ The program runs where the forces run, and XML carries it to interpreters withou
 `Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
 
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it
-(docs/virtual-sites-report.md). A step of the scheme is therefore divided into several steps of OpenMM, here called
+(docs/reports/virtual-sites.md). A step of the scheme is therefore divided into several steps of OpenMM, here called
 native steps, each of which computes forces at the positions that it starts from and nowhere else. All are h/n long,
 so that OpenMM's clock is right after every n of them.
 """
@@ -28,8 +28,8 @@ CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context
 MOVED, V0, KEPT, WORK = (PREFIX + name for name in ("moved", "v0", "kept", "work"))
 VECTORS = (MOVED, V0, KEPT, WORK)
 
-#: Global variables for the next native step, and for the bath's friction (1/ps) and thermal energy (kJ/mol).
-PART, FRICTION, THERMAL = (PREFIX + name for name in ("part", "friction", "kT"))
+#: Global variables for the bath's friction (1/ps) and thermal energy (kJ/mol).
+FRICTION, THERMAL = (PREFIX + name for name in ("friction", "kT"))
 
 #: OpenMM looks at every path through the if-blocks of a program, of which there are 2^parts.
 MOST_PARTS = 12
@@ -189,7 +189,7 @@ def write(
     follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md).
 
     Within a drift virtual sites stay where they are, so fast forces are right only if they act on atoms alone:
-    `native_fast_forces.refuse` checks this.
+    `refusals.refuse_fast_forces` checks this.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
