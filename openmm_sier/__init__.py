@@ -2,7 +2,7 @@
 
 from openmm_sier import hooks
 from openmm_sier.dynamics.bodies import BodyState, RigidityError
-from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, SIER4V, Scheme
+from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER2V2, SIER4, SIER4G, SIER4P, SIER4V, Scheme
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
@@ -17,6 +17,8 @@ hooks.install()
 
 __all__ = [
     "SIER2",
+    "SIER2P3",
+    "SIER2V2",
     "SIER4",
     "SIER4G",
     "SIER4P",

@@ -9,7 +9,6 @@ it was, and two commands with different seeds can share a directory. The table o
 
 from __future__ import annotations
 
-import json
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -83,15 +82,10 @@ def percent(liquid: Liquid, method: Method, settings: DefaultsSettings, report: 
     return 100 * energy_error(series.time, series.total, series.potential)
 
 
-def rows_of(path: Path) -> list[dict[str, Any]]:
-    """The runs that were made so far."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
 def run_missing(settings: DefaultsSettings, path: Path, report: Report) -> None:
     """Make the runs that a file lacks, and add each to it."""
     methods = chosen(settings.methods, CONSTANT_ENERGY, "method")
-    done = [{name: value for name, value in row.items() if name != "percent"} for row in rows_of(path)]
+    done = [{name: value for name, value in row.items() if name != "percent"} for row in records.kept_runs(path)]
 
     @cache
     def start(seed: int) -> Liquid:
@@ -102,8 +96,7 @@ def run_missing(settings: DefaultsSettings, path: Path, report: Report) -> None:
             row = cell | {"method": method.name, "seed": seed}
             if row not in done:
                 row["percent"] = percent(replace(start(seed), system=system), method, settings, report)
-                with path.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
+                records.keep_run(path, row)
                 report.note(", ".join(f"{name} {value}" for name, value in row.items()))
 
 
@@ -121,7 +114,7 @@ def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
     claim(settings.out / "settings.json", shared)
     path = settings.out / "defaults.jsonl"
     run_missing(settings, path, report)
-    runs = pd.DataFrame(rows_of(path))
+    runs = pd.DataFrame(records.kept_runs(path))
     wide = table(runs)
     columns = {
         "ewaldErrorTolerance": "{tolerance:g}",

@@ -38,8 +38,8 @@ FIGURES = {
     "cost": Drawn(accuracy.figure, "cost.json", "python -m studies.bench --parts accuracy"),
     "energy": Drawn(
         schemes.figure,
-        "energy.json",
-        "python -m studies.schemes --schemes verlet sier2 sier4 sier4v sier4g sier4p",
+        "schemes.json",
+        "python -m studies.schemes",
     ),
     "equipartition": Drawn(equipartition.figure, "equipartition.json", "python -m studies.equipartition"),
     "paper-water": Drawn(water.figure, "paper-water.json", "python -m studies.paper water"),

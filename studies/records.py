@@ -100,6 +100,20 @@ def replace_file(path: Path, text: str) -> None:
     temporary.replace(path)
 
 
+# --- runs kept one by one ---
+
+
+def kept_runs(path: Path) -> list[dict[str, Any]]:
+    """The runs in a file, one of JSON on each line; none if there is no file yet."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def keep_run(path: Path, run: Mapping[str, Any]) -> None:
+    """Add a run to a file as soon as it is made, so that a study that is stopped loses nothing."""
+    with path.open("a") as file:
+        file.write(json.dumps(_plain(run), allow_nan=False) + "\n")
+
+
 # --- as text ---
 
 

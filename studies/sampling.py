@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
@@ -17,13 +18,15 @@ from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure.report import SILENT, Report
-from openmm_sier.measure.starts import equilibrated, make_context
+from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
 from studies import boxes
 from studies.command import BoxSettings
 from studies.methods import Method
+from studies.records import replace_file
 
 #: Tolerance of constraints for OpenMM's own integrators.
 CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE
@@ -89,16 +92,31 @@ class Liquid:
     platform: str | None = None
 
 
-def equilibrated_liquid(settings: BoxSettings, time: float, report: Report = SILENT) -> Liquid:
+def equilibrated_liquid(
+    settings: BoxSettings,
+    time: float,
+    report: Report = SILENT,
+    tolerance: float = boxes.TOLERANCE,
+    kept: Path | None = None,
+) -> Liquid:
     """A box at its temperature.
 
     Args:
         settings: of the box.
         time: of the equilibration, ps.
         report: gets notes and progress.
+        tolerance: of PME.
+        kept: XML file of the State of an earlier equilibration, which is made if it does not exist; None keeps none.
     """
-    box = boxes.read(settings)
-    start = equilibrated(box, settings.temperature, settings.seed, time, settings.platform, report)
+    box = boxes.read(settings, tolerance=tolerance)
+    if kept is not None and kept.exists():
+        start = openmm.XmlSerializer.deserialize(kept.read_text())
+    else:
+        context = make_context(box.system, SIER2Integrator(0.001), settings.platform)
+        prepare(context, box.positions, settings.temperature, settings.seed, time, report=report)
+        start = context.getState(positions=True, velocities=True)
+        if kept is not None:
+            replace_file(kept, openmm.XmlSerializer.serialize(start))
     return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)
 
 

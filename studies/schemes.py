@@ -1,9 +1,11 @@
 """Energy conservation of the schemes for a given number of forces.
 
-    python -m studies.schemes [BOX.pdb] [--schemes verlet sier4g] [--dt 1 2]
+    python -m studies.schemes [BOX.pdb] [--schemes verlet sier4g] [--dt 1 2] [--starts 4]
 
-compares energy error and long-run drift of every scheme and of OpenMM's Verlet against force evaluations per ps, and
-writes schemes.json and schemes.png.
+compares energy error and drift of every scheme and of OpenMM's Verlet against the simulated time per force evaluation,
+from several starts. Each run is kept in schemes.jsonl as soon as it is done, and is not repeated: a command that was
+stopped goes on where it was, and commands with other boxes, schemes or steps and one `--out` add to the same table.
+Writes schemes.json, schemes.md and schemes.png from all runs there.
 """
 
 from __future__ import annotations
@@ -11,17 +13,20 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from openmm_sier.dynamics.schemes import DRIFT, KICK, alternating
 from openmm_sier.measure.observables import energy_drift, energy_error
 from openmm_sier.measure.report import SILENT, Report
 from studies import records, style
-from studies.command import BoxSettings, chosen, execute
+from studies.command import BoxSettings, chosen, claim, execute
 from studies.methods import CONSTANT_ENERGY, OTHERS, Method, of_scheme
 from studies.records import Record
 from studies.sampling import Liquid, Unstable, equilibrated_liquid, follow
@@ -29,107 +34,199 @@ from studies.sampling import Liquid, Unstable, equilibrated_liquid, follow
 #: Everything that can be compared, by the names that users give.
 KNOWN: dict[str, Method] = CONSTANT_ENERGY | {name: of_scheme(scheme) for name, scheme in OTHERS.items()}
 
+#: Palindromes of kicks and drifts by what stands before the colon; after it are the fractions up to the middle stage.
+FIRST = {"kick": (KICK, DRIFT), "drift": (DRIFT, KICK)}
+
+#: What the errors of a liquid are divided by: OpenMM's Verlet, and its usual simulated time per force evaluation in fs.
+REFERENCE, USUAL = CONSTANT_ENERGY["verlet"].name, 2.0
+
+#: What a point of the table has in common; its runs differ in their seeds alone.
+POINT = ["liquid", "method", "fs_per_force"]
+
 COLUMNS = {
+    "liquid": "{liquid}",
     "scheme": "{method}",
     "order": "{order}",
     "forces a step": "{forces}",
     "step/fs": "{step:g}",
     "fs per force": "{fs_per_force:g}",
-    "forces/ps": "{forces_per_ps:.0f}",
-    "rms(H)/rms(V)/%": "{percent:.3f}",
+    "starts": "{starts}",
+    "rms(H)/rms(V)/%": "{percent:.3g} ± {percent_error:.1g}",
+    "range": "{least:.2g} to {most:.2g}",
+    "over Verlet at 2 fs": "{relative:.2f} ± {relative_error:.2f}",
     "drift of the box/kJ/mol/ps": "{drift:.3f} ± {drift_error:.3f}",
 }
 
 
+def methods_of(names: Sequence[str]) -> list[Method]:
+    """Methods by name; a palindrome that has none is kick:0.1932,0.5 or drift:0.1189,0.2962,0.3811, see `FIRST`.
+
+    Raises:
+        ValueError: a scheme is unknown, or fractions are not numbers that sum to one.
+    """
+    given = {name: palindrome(name) for name in names if name.partition(":")[0] in FIRST}
+    return chosen(names, KNOWN | given, "scheme")
+
+
+def palindrome(name: str) -> Method:
+    """The palindrome of kicks and drifts that a name such as kick:0.1932,0.5 describes."""
+    first, _, fractions = name.partition(":")
+    return of_scheme(alternating(name, *FIRST[first], tuple(float(each) for each in fractions.split(","))))
+
+
 @dataclass(frozen=True)
 class SchemesSettings(BoxSettings):
-    """Settings of the comparison.
+    """Settings of the comparison; the seeds of the starts follow `seed`.
 
     Attributes:
         dt: simulated time per force evaluation, fs.
-        schemes: by name; all unless given.
+        schemes: by name, all unless given; palindromes also by their fractions, such as drift:0.1189,0.2962,0.3811.
+        starts: equilibrated phase points, from which all runs start.
         time: of each run, ps.
         equilibrate: before them, ps.
+        tolerance: OpenMM's ewaldErrorTolerance.
     """
 
-    dt: tuple[float, ...] = (1.0, 1.5, 2.0, 2.5)
+    dt: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 5.0)
     schemes: tuple[str, ...] = ()
-    time: float = 4.0
-    equilibrate: float = 4.0
+    starts: int = 4
+    time: float = 1.0
+    equilibrate: float = 3.0
+    tolerance: float = 1e-4
+
+    @property
+    def liquid(self) -> str:
+        """Name of the box, and of the force field if it is not that of the box."""
+        return ", ".join([self.box.stem, *(Path(file).stem for file in self.forcefield)])
 
 
-def compare(settings: SchemesSettings, report: Report = SILENT) -> pd.DataFrame:
-    """Run every scheme at every time per force evaluation from one equilibrated start.
+def run_missing(settings: SchemesSettings, path: Path, report: Report = SILENT) -> None:
+    """Make the runs that a file lacks, and add each to it.
 
-    Returns:
-        A row for each, with its step in fs, `percent` for rms(H)/rms(V) in per cent (see
-        `openmm_sier.measure.observables.energy_error`), the drift of the energy of the whole box in kJ/mol/ps, and why
-        the run ended early, if it did: `broken`.
+    A run has its step in fs, `percent` for rms(H)/rms(V) in per cent (see
+    `openmm_sier.measure.observables.energy_error`), the drift of the energy of the whole box in kJ/mol/ps, and why it
+    ended early, if it did: `broken`.
 
     Raises:
         ValueError: a scheme is unknown.
     """
-    methods = chosen(settings.schemes, KNOWN, "scheme")
-    liquid = equilibrated_liquid(settings, settings.equilibrate, report)
-    rows = []
-    for dt in settings.dt:
-        for method in methods:
-            rows.append(_row(liquid, method, dt, settings.time, report))
-            form = "rms(H)/rms(V) = {percent:.3f} %, drift {drift:+.2f} ± {drift_error:.2f} kJ/mol/ps"
-            told = f"broke down ({rows[-1]['broken']})" if rows[-1]["broken"] else records.cell(form, rows[-1])
-            report.note(f"{method.name} at {dt:g} fs per force: {told}")
-    return pd.DataFrame(rows)
+    methods = methods_of(settings.schemes)
+    done = {(*(run[name] for name in POINT), run["seed"]) for run in records.kept_runs(path)}
+
+    @cache
+    def start(seed: int) -> Liquid:
+        kept = path.with_name(f"start of {settings.liquid}, seed {seed}.xml")
+        mine = replace(settings, seed=seed)
+        return equilibrated_liquid(mine, settings.equilibrate, report, settings.tolerance, kept)
+
+    seeds = range(settings.seed, settings.seed + settings.starts)
+    for seed, dt, method in product(seeds, settings.dt, methods):
+        if (settings.liquid, method.name, dt, seed) in done:
+            continue
+        run = {"liquid": settings.liquid, "seed": seed} | _run(start(seed), method, dt, settings.time, report)
+        records.keep_run(path, run)
+        form = "rms(H)/rms(V) = {percent:.3f} %, drift {drift:+.2f} kJ/mol/ps"
+        told = f"broke down ({run['broken']})" if run["broken"] else records.cell(form, run)
+        report.note(f"{method.name} at {dt:g} fs per force, seed {seed}: {told}")
 
 
-def _row(liquid: Liquid, method: Method, dt: float, time: float, report: Report) -> dict[str, Any]:
-    row = {
+def _run(liquid: Liquid, method: Method, dt: float, time: float, report: Report) -> dict[str, Any]:
+    run = {
         "method": method.name,
         "order": method.order,
         "forces": method.forces,
         "step": dt * method.forces,
         "fs_per_force": dt,
-        "forces_per_ps": 1000 / dt,
         "percent": math.nan,
         "drift": math.nan,
-        "drift_error": math.nan,
         "broken": "",
     }
     try:
         series = follow(liquid, method, dt, time, report=report).series
     except Unstable as error:
-        return row | {"broken": str(error)}
-    row["percent"] = 100 * energy_error(series.time, series.total, series.potential)
-    row["drift"], row["drift_error"], _ = energy_drift(series.time, series.total)
-    return row
+        return run | {"broken": str(error)}
+    run["percent"] = 100 * energy_error(series.time, series.total, series.potential)
+    run["drift"] = energy_drift(series.time, series.total).value
+    return run
+
+
+def points(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row for each liquid, scheme and simulated time per force: means over the starts, with standard errors.
+
+    What is unknown is NaN: a mean where a start broke down, an error where there is one start, and `relative` in a
+    liquid without runs of `REFERENCE` at its `USUAL` step.
+    """
+    rows = pd.DataFrame([_point(mine) for _, mine in runs.groupby(POINT, sort=False)])
+    is_usual = (rows["method"] == REFERENCE) & (rows["fs_per_force"] == USUAL)
+    verlet = rows[is_usual].set_index("liquid")
+    divisor, its_error = (rows["liquid"].map(verlet[name]) for name in ("percent", "percent_error"))
+    rows["relative"] = rows["percent"] / divisor
+    shares = np.hypot(rows["percent_error"] / rows["percent"], its_error / divisor)
+    rows["relative_error"] = (rows["relative"] * shares).mask(is_usual, 0.0)
+    return rows
+
+
+def _point(runs: pd.DataFrame) -> dict[str, Any]:
+    first, starts = runs.iloc[0], len(runs)
+    point = {name: first[name] for name in ("liquid", "method", "order", "forces", "step", "fs_per_force")}
+    point |= {"starts": starts, "broken": next((reason for reason in runs["broken"] if reason), "")}
+    for name in ("percent", "drift"):
+        point[name] = runs[name].mean(skipna=False)
+        point[f"{name}_error"] = runs[name].std(skipna=False) / math.sqrt(starts)
+    return point | {"least": runs["percent"].min(skipna=False), "most": runs["percent"].max(skipna=False)}
+
+
+def over_liquids(rows: pd.DataFrame) -> pd.DataFrame:
+    """Means of `relative` over the liquids, for each scheme and simulated time per force that all of them have."""
+    known = rows.dropna(subset=["relative"])
+    liquids = known["liquid"].nunique()
+    means = []
+    for (method, dt), mine in known.groupby(["method", "fs_per_force"], sort=False):
+        if len(mine) == liquids:
+            mean, error = mine["relative"].mean(), math.sqrt((mine["relative_error"] ** 2).sum()) / liquids
+            means.append({"method": method, "fs_per_force": dt, "relative": mean, "relative_error": error})
+    return pd.DataFrame(means, columns=["method", "fs_per_force", "relative", "relative_error"])
 
 
 def study(settings: SchemesSettings, report: Report = SILENT) -> Record:
-    """Compare, and write schemes.json and schemes.png."""
-    rows = compare(settings, report)
-    report.table(records.table(f"Conservation of energy, {settings.time:g} ps each", rows, COLUMNS))
-    for dt, mine in rows.dropna(subset=["percent"]).groupby("fs_per_force"):
+    """Make the runs that are missing in the directory `out`, and write schemes.json, schemes.md and schemes.png."""
+    shared = {name: settings.recorded()[name] for name in ("temperature", "time", "equilibrate", "tolerance")}
+    methods_of(settings.schemes)
+    claim(settings.out / "schemes-settings.json", shared)
+    path = settings.out / "schemes.jsonl"
+    run_missing(settings, path, report)
+    runs = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan})
+    rows = points(runs)
+    table = records.table(f"Conservation of energy, {settings.time:g} ps each", rows, COLUMNS, left=2)
+    report.table(table)
+    for (liquid, dt), mine in rows.dropna(subset=["percent"]).groupby(["liquid", "fs_per_force"], sort=False):
         best = mine.loc[mine["percent"].idxmin()]
-        report.note(f"least energy error at {dt:g} fs per force: {best['method']}, {best['percent']:.3f} %")
-    record = Record(settings.recorded(), {"rows": rows}, {})
+        report.note(f"least energy error of {liquid} at {dt:g} fs per force: {best['method']}, {best['percent']:.3f} %")
+    record = Record(shared, {"rows": rows, "runs": runs}, {})
     record.write(settings.out / "schemes.json")
+    (settings.out / "schemes.md").write_text(records.markdown(table))
     figure(record, settings.out / "schemes.png")
     return record
 
 
 def figure(record: Record, path: Path) -> None:
-    """Energy error and size of the drift against force evaluations per picosecond, one line per scheme."""
-    rows = record.tables["rows"].assign(drift=lambda rows: np.abs(rows["drift"]))
-    with style.figure(path, 2) as (made, (error, drift)):
-        style.curves(error, rows, "forces_per_ps", "percent")
-        style.curves(drift, rows, "forces_per_ps", "drift")
-        error.set(yscale="log", ylabel="rms(H)/rms(V) (%)", title="Energy error")
-        # Linear where a drift is below what a run of some ps resolves.
-        drift.set_yscale("symlog", linthresh=0.1)
-        drift.set(ylim=(0, None), ylabel="size of the energy drift of the box (kJ/mol/ps)", title="Energy drift")
-        for axes in (error, drift):
+    """Energy error against simulated time per force: of one liquid, and over Verlet's as the mean over all liquids."""
+    rows = record.tables["rows"]
+    liquids = list(rows["liquid"].unique())
+    with style.figure(path, 2) as (made, (error, relative)):
+        style.curves(error, rows[rows["liquid"] == liquids[0]], "fs_per_force", "percent")
+        style.curves(relative, over_liquids(rows), "fs_per_force", "relative")
+        error.set(ylabel="rms(H)/rms(V) (%)", title=f"Energy error, {liquids[0]}")
+        relative.set(ylabel="rms(H)/rms(V) over that of Verlet at 2 fs", title=_mean_over(len(liquids)))
+        for axes in (error, relative):
+            axes.set(yscale="log", xlabel="simulated time per force evaluation (fs)")
             axes.yaxis.set_major_formatter("{x:g}")
-            axes.set_xlabel("force evaluations per picosecond")
+        relative.axhline(1, color=style.GREY, lw=1)
         style.shared_legend(made, error)
+
+
+def _mean_over(liquids: int) -> str:
+    return "Energy error" if liquids == 1 else f"Mean of {liquids} liquids"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -21,6 +21,8 @@ GREY = "0.35"
 #: without it.
 METHODS = {
     "SIER2": ("#0072b2", "o"),
+    "SIER2V2": ("#00a6d6", ">"),
+    "SIER2P3": ("#1b3a93", "*"),
     "SIER4": ("#d55e00", "D"),
     "SIER4V": ("#7b3294", "v"),
     "SIER4G": ("#d6338a", "^"),

@@ -40,7 +40,6 @@ from openmm_sier.measure.ensemble import (
 )
 from openmm_sier.measure.forcefields import SHIPPED
 from openmm_sier_command.options import OPTIONS, Options, check_table
-from openmm_sier_command.values import Several
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -65,7 +64,7 @@ class PlanError(ValueError):
 
 
 def run(
-    plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, only_list: bool
+    plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, list: bool
 ) -> None:
     """Run `openmm-sier ensemble`.
 
@@ -79,7 +78,7 @@ def run(
     note(f"{plan}: {len(members)} members in {directory}, {sum(complete)} of them complete")
     for damage in (damage for member in members for damage in damaged_notes(member, directory)):
         note(damage)
-    if only_list:
+    if list:
         rows = [[m.name, "complete" if done else ""] for m, done in zip(members, complete, strict=True)]
         table(str(plan), ("member", ""), rows, 2)
         return
@@ -177,7 +176,7 @@ def _member(path: Path, options: dict[str, Any], varied: list[str]) -> Member:
     except RunError as error:
         raise PlanError(f"{path}: {error}") from None
     for key, value in checked.items():
-        if OPTIONS[key].writes:
+        if OPTIONS[key].kind.file == "output":
             _check_output(path, key, value)
     arguments = [COMMAND, _texts(path, "box", options["box"])[0]]
     for key, value in options.items():
@@ -190,7 +189,7 @@ def _member(path: Path, options: dict[str, Any], varied: list[str]) -> Member:
 
 
 def _takes_several(key: str) -> bool:
-    return key in OPTIONS and isinstance(OPTIONS[key].kind, Several)
+    return key in OPTIONS and OPTIONS[key].kind.each is not None
 
 
 def _check_output(path: Path, key: str, name: Path) -> None:
@@ -202,16 +201,13 @@ def _check_output(path: Path, key: str, name: Path) -> None:
 
 
 def _arguments(path: Path, key: str, value: Any) -> list[str]:
-    flag = OPTIONS[key].flag
-    if isinstance(value, bool):
-        return [flag] if value else [f"--no-{flag[2:]}"] if OPTIONS[key].default is None else []
-    return [flag, *_texts(path, key, value)]
+    return OPTIONS[key].words(value if isinstance(value, bool) else _texts(path, key, value))
 
 
 def _texts(path: Path, key: str, value: Any) -> list[str]:
     """Values as arguments; input files by their absolute path, since members have directories of their own."""
     texts = [str(item) for item in (value if isinstance(value, list) else [value])]
-    return [_found(path, text) for text in texts] if OPTIONS[key].reads else texts
+    return [_found(path, text) for text in texts] if OPTIONS[key].kind.file == "input" else texts
 
 
 def _found(path: Path, name: str) -> str:

@@ -91,13 +91,8 @@ def _identity(arguments: list[str]) -> list[str]:
 
 
 def _write(path: str, content: list[str]) -> None:
-    """Replace a note: at any moment, after a power failure too, it is the old one or the new one."""
-    temporary = records.temporary_checkpoint(Path(path))
-    with open(temporary, "w") as file:
-        json.dump(content, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    with records.replacing(Path(path)) as made:
+        made.write_text(json.dumps(content, indent=1))
 
 
 def _end_with_parent() -> None:

@@ -19,7 +19,6 @@ from openmm_sier_command.options import (
     Options,
     check_table,
 )
-from openmm_sier_command.values import File
 
 #: K; the temperature of the systems that come with the project.
 DEFAULT_TEMPERATURE = 297.0
@@ -34,10 +33,10 @@ TRIAL = 10
 LONGEST_INTERVAL = 2**31 - 1
 
 #: Options that name one file each. A checkpoint notes them relative to itself.
-FILES = tuple(name for name in NOTED if isinstance(OPTIONS[name].kind, File))
+FILES = tuple(name for name in NOTED if OPTIONS[name].kind.file and not OPTIONS[name].kind.each)
 
 #: Those of them that a run writes.
-OUTPUTS = tuple(name for name in FILES if OPTIONS[name].writes)
+OUTPUTS = tuple(name for name in FILES if OPTIONS[name].kind.file == "output")
 
 
 class RunError(ValueError):

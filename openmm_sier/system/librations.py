@@ -19,12 +19,14 @@ from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
 
 #: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
-#: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER4G 17.4, SIER4 15.1, SIER4V and
-#: SIER4P 15.8. In 64 molecules of liquid the energy grew within 1.2 ps by this share of the kinetic energy:
+#: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER2V2 12.8, SIER2P3 23.4, SIER4G
+#: 17.4, SIER4 15.1, SIER4V and SIER4P 15.8. In 64 molecules of liquid the energy grew within 1.2 ps by this share of
+#: the kinetic energy:
 #:     TIP3P     SIER2   9 fs 0.03, 10 fs 0.14, 11 fs 0.8     SIER4G  13 fs 0.04, 16 fs 0.11, 18 fs 0.6, 20 fs 1.7
 #:     SPC/E     SIER2   8 fs 0.03, 10 fs 0.28, 11 fs 3.6     SIER4G  14 fs 0.06, 16 fs 0.37, 18 fs 1.0, 20 fs 2.9
 #:     TIP4P-Ew  SIER2   8 fs 0.06, 10 fs 0.97, 11 fs 1e20    SIER4G  13 fs 0.02, 16 fs 0.54, 18 fs 1.1, 20 fs 3.3
 #:     TIP3P     SIER4  13 fs 0.06, 16 fs 0.31, 18 fs 3.0     SIER4P  18 fs 0.04, 20 fs 0.07     SIER4V  20 fs 0.05
+#:     TIP3P     SIER2V2  10 fs 0, 12 fs 0.04, 14 fs 0.35       SIER2P3  20 fs 0, 23 fs 0.10, 26 fs 0.77
 #: At the accuracy limits of the schemes of fourth order, 11 to 15 fs, rms(H) is 0.02 to 0.06 rms(V), and at SIER2's,
 #: 3.0 fs, it is 0.02.
 HYDROGEN_BOND = 4.0e4

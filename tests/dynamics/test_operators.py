@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from openmm_sier import SIER2, SIER4, SIER4G
+from openmm_sier import SIER2, SIER2P3, SIER2V2, SIER4, SIER4G
 from openmm_sier.dynamics.operators import CachedForces, drift, kick, stepper
 from openmm_sier.dynamics.schemes import DRIFT, KICK
 from tests.support.convergence import operators_of, run, slope
@@ -49,7 +49,13 @@ def test_model_forces_are_the_gradient(rng, mixture):
 
 @pytest.mark.parametrize(
     ("scheme", "steps", "order", "tolerance"),
-    [(SIER2, (64, 128, 256), 2.0, 0.05), (SIER4, (16, 32, 64), 4.0, 0.1), (SIER4G, (16, 32, 64), 4.0, 0.1)],
+    [
+        (SIER2, (64, 128, 256), 2.0, 0.05),
+        (SIER2V2, (32, 64, 128), 2.0, 0.05),
+        (SIER2P3, (32, 64, 128), 2.0, 0.05),
+        (SIER4, (16, 32, 64), 4.0, 0.1),
+        (SIER4G, (16, 32, 64), 4.0, 0.1),
+    ],
 )
 @pytest.mark.parametrize("system", ["waters", "mixture"])
 def test_global_error_falls_with_the_order(rng, request, system, scheme, steps, order, tolerance):
@@ -58,7 +64,7 @@ def test_global_error_falls_with_the_order(rng, request, system, scheme, steps, 
     assert slope(cluster, scheme, cluster.start(rng), steps) == pytest.approx(order, abs=tolerance)
 
 
-@pytest.mark.parametrize(("scheme", "order"), [(SIER2, 2), (SIER4, 4), (SIER4G, 4)])
+@pytest.mark.parametrize(("scheme", "order"), [(SIER2, 2), (SIER2V2, 2), (SIER2P3, 2), (SIER4, 4), (SIER4G, 4)])
 def test_energy_error_falls_with_the_order_and_does_not_drift(rng, waters, scheme, order):
     start = waters.start(rng)
     energy = waters.energy(start)
@@ -94,7 +100,7 @@ def pair():
     return SoftCluster([WATER] * 2)
 
 
-@pytest.mark.parametrize(("scheme", "h"), [(SIER2, 0.004), (SIER4, 0.008), (SIER2, -0.004)])
+@pytest.mark.parametrize(("scheme", "h"), [(SIER2, 0.004), (SIER4, 0.008), (SIER2P3, 0.012), (SIER2, -0.004)])
 def test_a_step_of_two_waters_is_symplectic(rng, pair, scheme, h):
     state = pair.start(rng)
     assert symplectic_defect(lambda s: run(pair, scheme, s, h, 1), state) < SYMPLECTIC
@@ -136,7 +142,9 @@ def test_a_wrong_coefficient_is_not_symplectic(rng, pair):
 # --- reversal and conservation ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("scheme", "h"), [(SIER2, 0.002), (SIER4, 0.006), (SIER4G, 0.006)])
+@pytest.mark.parametrize(
+    ("scheme", "h"), [(SIER2, 0.002), (SIER2V2, 0.006), (SIER2P3, 0.012), (SIER4, 0.006), (SIER4G, 0.006)]
+)
 def test_time_reversal(rng, mixture, scheme, h):
     """Back by reversed momenta and by a reversed step: rounding of 1e-15 grows with the flow's instability only."""
     start = mixture.start(rng)
@@ -170,7 +178,7 @@ def test_an_operator_that_nothing_executes_is_refused(waters):
         stepper(SIER2.with_bath(), operators, 0.002)
 
 
-@pytest.mark.parametrize(("scheme", "evaluations"), [(SIER2, 1), (SIER4, 4), (SIER4G, 3)])
+@pytest.mark.parametrize(("scheme", "evaluations"), [(SIER2, 1), (SIER2V2, 2), (SIER4, 4), (SIER4G, 3)])
 def test_force_evaluations(rng, waters, scheme, evaluations):
     forces, operators = operators_of(waters)
     step = stepper(scheme, operators, 0.002)

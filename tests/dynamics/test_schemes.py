@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from openmm_sier import SIER2, SIER4, Scheme
+from openmm_sier import SIER2, SIER2P3, SIER2V2, SIER4, Scheme
 from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, KICK, alternating
 
 EULER = Scheme("Euler", ((KICK, 1.0), (DRIFT, 1.0)))
@@ -115,6 +115,8 @@ def test_three_operators():
     ("scheme", "evaluations", "reuses"),
     [
         (SIER2, 1, True),
+        (SIER2V2, 2, True),
+        (SIER2P3, 3, False),
         (SIER4, 4, True),
         (EULER, 1, False),
         (YOSHIDA, 3, False),
@@ -147,6 +149,21 @@ def test_the_published_coefficients():
     for operator in (KICK, DRIFT):
         total = sum(stage.fraction for stage in SIER4.stages if stage.operator == operator)
         assert total == pytest.approx(1, abs=1e-15)
+
+
+def test_the_published_coefficients_of_schemes_for_long_steps():
+    """McLachlan's two stages, and the digits of Blanes, Casas and Sanz-Serna for three, of which one is computed."""
+    two, three = ([stage.fraction for stage in scheme.stages] for scheme in (SIER2V2, SIER2P3))
+    assert two[:3] == [0.1931833275037836, 0.5, 1 - 2 * 0.1931833275037836]
+    # McLachlan's has the least sum of squares of the two errors of second order, those of [A, [A, B]] and [B, [A, B]].
+    share = np.linspace(0.19, 0.2, 1001)
+    first, second = (1 - 6 * share + 6 * share**2) / 12, (1 - 6 * share) / 24
+    assert share[np.argmin(first**2 + second**2)] == pytest.approx(two[0], abs=2e-5)
+    assert three[:2] == pytest.approx([0.11888010966548, 0.29619504261126], abs=5e-14)
+    for scheme in (SIER2V2, SIER2P3):
+        assert scheme.is_palindrome
+        assert scheme.order == 2
+        assert measured_order(scheme) == pytest.approx(2, abs=0.3)
 
 
 def test_every_scheme_names_its_source():

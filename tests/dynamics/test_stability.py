@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from openmm_sier import SIER2, SIER4G, Scheme
+from openmm_sier import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.dynamics.schemes import CATALOGUE, alternating
 from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.stability import INEQUALITY
 
@@ -51,6 +51,26 @@ def test_limits_that_are_known():
     assert pytest.approx(math.sqrt(4 / 11), rel=1e-12) == SIER2.accuracy_limit
     # That of position Verlet is 1 / (1 - z^2/4) of it.
     assert pytest.approx(math.sqrt(4 * INEQUALITY), rel=1e-12) == POSITION_VERLET.accuracy_limit
+
+
+def test_where_the_trace_touches_two_is_no_limit():
+    """SIER2P3 is -1 near half a period of the mode, and goes on to the 4.67 that its authors give.
+
+    Two steps of Verlet as one touch at 2 sqrt(2), and three of them at 2 sqrt(3) and 2 sqrt(9): each is Verlet's limit
+    of 2 for its part of the step, whatever the step is called. A coefficient off by a thousandth parts the roots.
+    """
+    assert pytest.approx(4.662, abs=5e-4) == SIER2P3.stability_limit
+    assert pytest.approx(3.571, abs=5e-4) == SIER2P3.accuracy_limit
+    for stages in (2, 3, 4):
+        fractions = [1 / (2 * stages), *[1 / stages] * (stages - 1)]
+        steps = alternating("steps of Verlet", "kick", "drift", tuple(fractions))
+        assert steps.stability_limit == pytest.approx(2.0 * stages, rel=1e-6)
+        assert steps.accuracy_limit == pytest.approx(SIER2.accuracy_limit * stages, rel=1e-6)
+    first, second, third, _ = (stage.fraction for stage in SIER2P3.stages[:4])
+    assert alternating("off", "drift", "kick", (first, second - 1e-3, third)).stability_limit < 3
+    # A million steps where it touches: no growth.
+    touching = motion(SIER2P3, 2.976, 1_000_000)
+    assert np.abs(touching).max() < 1.2
 
 
 @every_scheme

@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import pandas as pd
 import pytest
 from openmm import app, unit
 
-from openmm_sier.dynamics.schemes import DRIFT, KICK, SIER4P, SIER4V, alternating
+from openmm_sier.dynamics.schemes import DRIFT, KICK, SIER2V2, SIER4P, SIER4V, alternating
 from studies import records, schemes
 from studies.methods import OTHERS
 from studies.schemes import SchemesSettings
@@ -62,6 +63,7 @@ def settings(tmp_path_factory):
         forcefield=("tip3p.xml",),
         dt=(2.0, 12.0),
         schemes=("verlet", "sier2", "sier4g"),
+        starts=1,
         time=0.3,
         equilibrate=0.2,
         platform="CPU",
@@ -92,7 +94,8 @@ def test_rows(finished):
 def test_files(finished, settings):
     record = records.read(settings.out / "schemes.json")
     assert list(record.tables["rows"]["method"]) == list(finished[0]["method"])
-    assert record.settings["box"] == "box.pdb"
+    assert record.settings["time"] == 0.3
+    assert set(record.tables["runs"]["liquid"]) == {"box, tip3p"}
     assert (settings.out / "schemes.png").read_bytes().startswith(b"\x89PNG")
     assert (settings.out / "schemes.png").stat().st_size > 20000
 
@@ -101,11 +104,78 @@ def test_what_is_reported(finished):
     rows, told = finished
     (table,) = told.tables
     assert len(table.rows) == len(rows)
-    assert table.rows[-1][-2:] == ["-", "-"]
+    assert table.rows[-1][-4:] == ["-", "-", "-", "-"]
     assert any("broke down" in note for note in told.notes)
-    assert any(note.startswith("least energy error at 2 fs per force: SIER4G") for note in told.notes)
+    liquid = "box, tip3p"
+    assert any(note.startswith(f"least energy error of {liquid} at 2 fs per force: SIER4G") for note in told.notes)
+
+
+def test_runs_are_kept_and_others_are_added(finished, settings, tmp_path, monkeypatch):
+    """What is done is not done again, and a run of another start goes into the same table."""
+    rows, _ = finished
+    for file in settings.out.glob("*.json*"):
+        (tmp_path / file.name).write_text(file.read_text())
+    runs = []
+    monkeypatch.setattr(schemes, "equilibrated_liquid", lambda settings, *_: settings.seed)
+    made = {"order": 2, "forces": 1, "step": 2.0, "percent": 5.0, "drift": 0.0, "broken": ""}
+    monkeypatch.setattr(
+        schemes,
+        "_run",
+        lambda start, method, dt, *_: (
+            runs.append((start, method.name)) or {**made, "method": method.name, "fs_per_force": dt}
+        ),
+    )
+    again = dataclasses.replace(settings, out=tmp_path, starts=2, dt=(2.0,), schemes=("verlet", "sier2"))
+    added = schemes.study(again).tables["rows"]
+    assert runs == [(2, "OpenMM Verlet"), (2, "SIER2")]
+    assert len(added) == len(rows)
+    mean = added[added["fs_per_force"] == 2].set_index("method")["percent"]
+    assert mean["SIER2"] == pytest.approx((rows["percent"][1] + 5) / 2, rel=1e-12)
+    with pytest.raises(ValueError, match=r"has results with time 0.3, got 0.6"):
+        schemes.study(dataclasses.replace(again, time=0.6))
+
+
+def test_points_are_means_over_starts_with_their_errors():
+    names = ["liquid", "method", "fs_per_force", "percent", "broken"]
+    runs = [("A", "OpenMM Verlet", 2.0, 0.9, ""), ("A", "OpenMM Verlet", 2.0, 1.1, "")]
+    runs += [("A", "X", 4.0, 1.0, ""), ("A", "X", 4.0, 2.0, ""), ("B", "X", 4.0, 3.0, "")]
+    runs += [("A", "Y", 4.0, 1.0, ""), ("A", "Y", 4.0, math.nan, "too long")]
+    same = {"order": 2, "forces": 1, "step": 4.0, "drift": 0.0}
+    rows = schemes.points(pd.DataFrame(runs, columns=names).assign(**same)).set_index(["liquid", "method"])
+    verlet, x, y = (rows.loc["A", name] for name in ("OpenMM Verlet", "X", "Y"))
+    # The standard error of two values is half their difference.
+    assert (verlet["percent"], verlet["percent_error"]) == pytest.approx((1.0, 0.1))
+    assert (verlet["relative"], verlet["relative_error"]) == (1.0, 0.0)
+    assert (x["relative"], x["relative_error"]) == pytest.approx((1.5, 1.5 * math.hypot(0.5 / 1.5, 0.1)))
+    assert (x["least"], x["most"], x["starts"]) == (1.0, 2.0, 2)
+    assert math.isnan(y["percent"])
+    assert y["broken"] == "too long"
+    # One start has no error, and a liquid without Verlet nothing to be divided by.
+    assert math.isnan(rows.loc[("B", "X"), "percent_error"])
+    assert math.isnan(rows.loc[("B", "X"), "relative"])
+
+
+def test_means_over_liquids_need_all_of_them():
+    names = ["liquid", "method", "fs_per_force", "relative", "relative_error"]
+    rows = [
+        ("A", "X", 4.0, 1.0, 0.3),
+        ("B", "X", 4.0, 2.0, 0.4),
+        ("A", "Y", 4.0, 1.0, 0.1),
+        ("C", "X", 4.0, math.nan, 1),
+    ]
+    (mean,) = schemes.over_liquids(pd.DataFrame(rows, columns=names)).to_dict("records")
+    assert mean == pytest.approx({"method": "X", "fs_per_force": 4.0, "relative": 1.5, "relative_error": 0.25})
+
+
+def test_palindromes_by_their_fractions():
+    first, verlet, second = schemes.methods_of(["kick:0.1931833275037836,0.5", "verlet", "drift:0.5"])
+    assert first.scheme.stages == SIER2V2.stages
+    assert verlet is schemes.KNOWN["verlet"]
+    assert [stage.fraction for stage in second.scheme.stages] == [0.5, 1.0, 0.5]
+    with pytest.raises(ValueError, match="'drift' must sum to 1"):
+        schemes.methods_of(["kick:0.2,0.6"])
 
 
 def test_unknown_schemes_are_refused(settings):
     with pytest.raises(ValueError, match="unknown scheme 'sier5'; known are verlet, sier2"):
-        schemes.compare(dataclasses.replace(settings, schemes=("sier5",)))
+        schemes.study(dataclasses.replace(settings, schemes=("sier5",)))

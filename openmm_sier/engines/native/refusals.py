@@ -64,7 +64,7 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
     if given is None:
         return None
     rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given
-    held, masses = tables.constraints(system).pair_set(), tables.masses(system)
+    held, masses = tables.constraints(system).by_pair(), tables.masses(system)
     for row in rows:
         massive = sorted(int(i) for i in row if 0 <= i < len(masses) and masses[i] > 0)
         for pair in combinations(massive, 2):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import ellipj, ellipk
 
-from openmm_sier.dynamics.rotation import elliptic
+from openmm_sier.dynamics.backend import elliptic
 
 
 def increment(p, q, t, series=elliptic.sn_coefficients):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
-from openmm_sier.dynamics.rotation.elliptic import (
+from openmm_sier.dynamics.backend.elliptic import (
     LONGEST,
     SERIES_LIMIT,
     SHORT,

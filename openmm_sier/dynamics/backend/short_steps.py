@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from openmm_sier.dynamics.backend.elliptic import LONGEST, sn_increment
 from openmm_sier.dynamics.backend.formulas import plus
-from openmm_sier.dynamics.rotation.elliptic import LONGEST, sn_increment
 
 #: Squares of angular momenta outside this range are left to `long_steps`, which rescales them.
 LEAST_SQUARE, LARGEST_SQUARE = 1e-240, 1e240

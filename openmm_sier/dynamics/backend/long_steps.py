@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from openmm_sier.dynamics.backend.elliptic import LONGEST, complete_integrals, shortest_series
 from openmm_sier.dynamics.backend.formulas import plus
-from openmm_sier.dynamics.rotation.elliptic import LONGEST, complete_integrals, shortest_series
-from openmm_sier.dynamics.rotation.short_steps import euler_rates, free_rotation
+from openmm_sier.dynamics.backend.short_steps import euler_rates, free_rotation
 
 #: If passages of the separatrix's saddle are more than this many sub-steps apart, doubles cannot resolve the motion.
 MOST_SUBSTEPS = 8192
