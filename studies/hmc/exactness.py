@@ -26,7 +26,7 @@ from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error
 from studies import records
 from studies.command import Settings, execute
-from studies.hmc.models import KT, Chain, Dipoles, Wells
+from studies.hmc.model_engine import KT, Chain, Dipoles, Wells
 from studies.records import Record
 
 COLUMNS = {
