@@ -141,7 +141,7 @@ def alone(kind: str, place: Path, steps: int = STEPS) -> None:
 
 
 def again(kind: str, place: Path) -> None:
-    """Carry out a command that was killed, maybe after its last step: then a restart says that nothing is left to do."""
+    """Carry out a killed command once more. A restart that was killed after its last step finds nothing left to do."""
     command = Command(kind, place)
     if command.wait() and not (kind == "restart" and f"is at step {STEPS} " in command.said()):
         raise Disturbed(f"{kind} after it was killed failed: {command.said()}")
