@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import openmm
@@ -31,7 +31,7 @@ from openmm_sier import SIER4G, SIERHMCIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.integrators.tuning import inefficiency
 from openmm_sier.measure.report import SILENT, Report
-from openmm_sier.measure.statistics import Estimate, mean_and_error
+from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from studies import records
 from studies.command import execute
 from studies.hmc import solutes
@@ -96,6 +96,7 @@ class SampleSettings(SoluteSettings):
         held: whether torsions hold phi and psi in one basin, at constant volume.
         time: of the run, ps.
         settling: ps before it.
+        skip: ps to leave out at the beginning of each run, for the table.
     """
 
     box: Path = Path("systems/dipeptide.pdb")
@@ -108,6 +109,9 @@ class SampleSettings(SoluteSettings):
     held: bool = False
     time: float = 100.0
     settling: float = 5.0
+    skip: float = 0.0
+
+    ANY_SIGN: ClassVar[tuple[str, ...]] = ("skip",)
 
     @property
     def name(self) -> str:
@@ -130,7 +134,7 @@ def study(settings: SampleSettings, report: Report = SILENT) -> None:
     if not settings.table:
         run(settings, report)
         return
-    rows = table(settings.table)
+    rows = table(settings.table, settings.skip)
     means = records.with_text(rows, *OBSERVED)
     report.table(records.table("Means at 1 bar", means, COLUMNS))
     costs = records.with_text(rows, *(name for name in rows if name.endswith("_cost")))
@@ -243,14 +247,14 @@ class Observer:
 # --- tables ---
 
 
-def samples_of(record: Record) -> pd.DataFrame:
-    """The samples of a run, with the cosines and sines of the angles."""
-    samples = record.tables["samples"]
+def samples_of(record: Record, skip: float = 0.0) -> pd.DataFrame:
+    """The samples of a run after a time to be skipped, ps, with the cosines and sines of the angles."""
+    samples = record.tables["samples"].iloc[round(1e3 * skip / record.notes["interval"]) :]
     angles = {f"{f.__name__} {angle}": f(samples[angle]) for angle in ("phi", "psi") for f in (np.cos, np.sin)}
     return samples.assign(**angles)
 
 
-def table(files: Sequence[Path]) -> pd.DataFrame:
+def table(files: Sequence[Path], skip: float = 0.0) -> pd.DataFrame:
     """A row for each kind of run; runs that differ in their seeds alone are pooled."""
     runs: dict[str, list[Record]] = {}
     for path in files:
@@ -258,7 +262,7 @@ def table(files: Sequence[Path]) -> pd.DataFrame:
         runs.setdefault(record.notes["label"], []).append(record)
     rows = []
     for label, several in runs.items():
-        tables = [samples_of(record) for record in several]
+        tables = [samples_of(record, skip) for record in several]
         lengths = np.array([len(samples) for samples in tables])
         first = several[0].notes
         row: dict[str, Any] = {"label": label, "time": 1e-3 * first["interval"] * lengths.sum()}
@@ -272,7 +276,7 @@ def table(files: Sequence[Path]) -> pd.DataFrame:
         costs = {name: [cost(samples[[name]], first["forces"]) for samples in tables] for name in OBSERVED}
         costs["dipole"] = [cost(samples[list(DIPOLE)], first["forces"]) for samples in tables]
         for name, found in costs.items():
-            row[f"{name}_cost"], row[f"{name}_cost_error"] = pooled(found)[:2]
+            row[f"{name}_cost"], row[f"{name}_cost_error"], _ = pooled(found)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -281,12 +285,6 @@ def cost(samples: pd.DataFrame, forces: float) -> Estimate:
     """Forces for an independent sample; the mean over columns, which are components of one vector."""
     found = np.array([inefficiency(samples[name].to_numpy()) for name in samples])
     return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
-
-
-def pooled(estimates: Sequence[Estimate]) -> Estimate:
-    """The mean over runs of equal length."""
-    values, errors, _ = np.array(estimates).T
-    return Estimate(float(values.mean()), float(np.linalg.norm(errors) / len(values)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
