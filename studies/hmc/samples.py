@@ -57,8 +57,11 @@ CENTRES, FIRMNESS = (-1.3, 2.5), 50.0
 #: Components of the box's dipole moment, e nm.
 DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
 
-#: The cosine of psi tells alpha from beta, the sine of phi both from the left-handed helix.
-OBSERVED = ("potential", "volume", "cos psi", "sin psi", "cos phi", "sin phi")
+ANGLES = ("phi", "psi")
+
+#: The cosine of psi tells alpha from beta, the sine of phi both from the left-handed helix; `about` are cosines of the
+#: distance from where angles are held.
+OBSERVED = ("potential", "volume", "cos psi", "sin psi", "cos phi", "sin phi", "about phi", "about psi")
 
 COLUMNS = {
     "run": "{label}",
@@ -70,6 +73,8 @@ COLUMNS = {
     "<sin psi>": "{sin psi_text}",
     "<cos phi>": "{cos phi_text}",
     "<sin phi>": "{sin phi_text}",
+    "about phi": "{about phi_text}",
+    "about psi": "{about psi_text}",
 }
 
 COSTS = {
@@ -250,8 +255,9 @@ class Observer:
 def samples_of(record: Record, skip: float = 0.0) -> pd.DataFrame:
     """The samples of a run after a time to be skipped, ps, with the cosines and sines of the angles."""
     samples = record.tables["samples"].iloc[round(1e3 * skip / record.notes["interval"]) :]
-    angles = {f"{f.__name__} {angle}": f(samples[angle]) for angle in ("phi", "psi") for f in (np.cos, np.sin)}
-    return samples.assign(**angles)
+    angles = {f"{f.__name__} {angle}": f(samples[angle]) for angle in ANGLES for f in (np.cos, np.sin)}
+    about = {f"about {angle}": np.cos(samples[angle] - centre) for angle, centre in zip(ANGLES, CENTRES, strict=True)}
+    return samples.assign(**angles, **about)
 
 
 def table(files: Sequence[Path], skip: float = 0.0) -> pd.DataFrame:
