@@ -48,13 +48,10 @@ def execute(arguments: list[str], command: Callable[[list[str]], int] | None = N
         if _noted(COMPLETE) == arguments:
             return 0
         identity = _identity(arguments)
-        try:
-            noted = read_arguments(Path(NOTES))
-        except DamagedNoteError as error:
-            # What the checkpoint belongs to is not known.
-            print(f"{error}: the member is done again")
+        noted = _noted(NOTES)
+        if noted is None and Path(NOTES).exists():
+            # It is damaged: what the checkpoint belongs to is not known.
             Path(CHECKPOINT).unlink(missing_ok=True)
-            noted = None
         if noted not in (None, identity):
             there = " ".join(sorted(set(noted) - set(identity))) or "fewer options"
             print(f"{Path.cwd()} has another member, with {there}: choose another directory", file=sys.stderr)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -191,15 +191,13 @@ def _check_given(options: Options, ensemble: str) -> None:
 # --- from a checkpoint ---
 
 
-def noted_plan(checkpoint: Path, saved: object) -> Plan:
+def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan that a checkpoint notes, with paths of files relative to the current directory.
 
     Raises:
         OptionError, RunError: it is none; the message names the checkpoint and the field.
     """
     source = f"{checkpoint}: plan"
-    if not isinstance(saved, dict):
-        raise OptionError(f"{source}: expected options by name, got {saved!r}")
     if unknown := [name for name in saved if name not in NOTED]:
         raise OptionError(f"{source}: there is no option {unknown[0]}")
     if missing := [name for name in NOTED if saved.get(name) is None and not OPTIONS[name].empty]:
@@ -215,7 +213,7 @@ def noted_plan(checkpoint: Path, saved: object) -> Plan:
     return plan
 
 
-def continued_plan(options: Options, checkpoint: Path, saved: object) -> Plan:
+def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan of a checkpoint, with another length if one is given.
 
     Raises:

@@ -38,7 +38,7 @@ from openmm_sier.system.unchanged import UnchangedSystem
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
-    """Symplectic integrator for rigid bodies that uses the exact solution of free rotation.
+    """Integrator for rigid bodies by splitting schemes, with the exact solution of free rotation.
 
     A drop-in replacement for OpenMM's integrators: pass it to a `Simulation` or a `Context`; nothing else has to be
     called. Rigid molecules are found in the System's constraints when the Context is created. The atoms of other

@@ -14,7 +14,7 @@ from openmm import app, unit
 
 from openmm_sier import SIER2Integrator
 from openmm_sier.cli import main
-from openmm_sier.cli.files import checkpoints, records, trajectories
+from openmm_sier.cli.files import checkpoints, trajectories
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import locks
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError
 from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run, wait_for
@@ -99,15 +98,16 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
 
 def test_lock_on_a_removed_file_is_not_taken_for_one(monkeypatch):
     """The holder removes the file between the opening and the locking by the next one."""
-    stat, calls = os.stat, []
+    fcntl = pytest.importorskip("fcntl")
+    flock, calls = fcntl.flock, []
 
-    def remove_first(path, *arguments, **more):
-        if str(path).endswith(".a.dcd.lock") and not calls:
-            calls.append(path)
-            os.unlink(path)
-        return stat(path, *arguments, **more)
+    def remove_first(*arguments):
+        if not calls:
+            calls.append(arguments)
+            os.unlink(".a.dcd.lock")
+        return flock(*arguments)
 
-    monkeypatch.setattr(locks.os, "stat", remove_first)
+    monkeypatch.setattr(fcntl, "flock", remove_first)
     with FileLocks() as mine:
         mine.hold([Path("a.dcd")])
         assert calls

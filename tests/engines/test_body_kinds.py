@@ -17,13 +17,11 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import (
-    SIER2,
     SIER4,
     RigidBodies,
     RigidityError,
     SIER2Integrator,
     SIER4Integrator,
-    SIERIntegrator,
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
@@ -260,19 +258,6 @@ def test_they_move_as_openmm_moves_their_peers(kind):
     assert 3.6 < differences[0] / differences[1] < 4.4
 
 
-@every_kind
-@pytest.mark.parametrize(("scheme", "slope"), [(SIER2, 2), (SIER4, 4)], ids=["SIER2", "SIER4"])
-def test_order(kind, scheme, slope):
-    gas = Gas(kind)
-    steps = (0.002, 0.001) if scheme is SIER2 else (0.008, 0.004)
-    exact = ends_of(SIER4Integrator(0.0005, bodies=gas.clusters), gas, 96)
-    errors = []
-    for h in steps:
-        end = ends_of(SIERIntegrator(h, scheme, bodies=gas.clusters), gas, round(0.048 / h))
-        errors.append(np.abs(end[0] - exact[0]).max())
-    assert abs(np.log2(errors[0] / errors[1]) - slope) < 0.1 * slope
-
-
 # --- what is inside them ----------------------------------------------------------------------------------------
 
 
@@ -482,12 +467,6 @@ def test_bodies_that_cannot_be(rigid, error, message):
         RigidBodies.from_system(system, topology, rigid, positions)
 
 
-def test_residue_names_need_a_topology():
-    system, _, positions = methyl()
-    with pytest.raises(ValueError, match="need the topology"):
-        RigidBodies.from_system(system, None, {"CH3": "rigid"}, positions)
-
-
 def test_massless_atom_in_a_named_body():
     gas = Gas("CH4")
     gas.system.setParticleMass(2, 0)
@@ -566,20 +545,3 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
         RigidityError, match=r"MonteCarlo\w*Barostat scales every atom apart.*scaleMoleculesAsRigid=True"
     ):
         context.getIntegrator().step(1)
-
-
-def test_atoms_that_move_one_by_one_need_no_rigid_molecules():
-    system = openmm.System()
-    force = openmm.NonbondedForce()
-    for _ in range(8):
-        system.addParticle(40.0)
-        force.addParticle(0, 0.34, 1.0)
-    force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-    system.addForce(force)
-    system.setDefaultPeriodicBoxVectors([3, 0, 0], [0, 3, 0], [0, 0, 3])
-    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, 1, False))
-    integrator = SIER2Integrator(0.001)
-    positions = np.array(list(np.ndindex(2, 2, 2))) * 1.0
-    context = context_at(system, integrator, (positions, 0 * positions))
-    integrator.step(10)
-    assert context.getStepCount() == 10

@@ -12,34 +12,8 @@ from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.refusals import refuse_fast_forces as refuse
 from tests.support.ethane import ethane
 from tests.support.flexible import Points, chains
-from tests.support.waters import context_at, energies, phase_point, water_box
-
-#: Force group of springs.
-FAST = 1
-
-
-def system_of(points: Points) -> openmm.System:
-    """The System of some points: springs in the force group `FAST`, all else in group 0."""
-    system, springs = openmm.System(), openmm.HarmonicBondForce()
-    for mass in points.masses:
-        system.addParticle(mass)
-    for (i, j), length in zip(points.pairs.tolist(), points.lengths, strict=True):
-        system.addConstraint(i, j, length)
-    for i, j, length, constant in zip(*points.springs, strict=True):
-        springs.addBond(int(i), int(j), length, constant)
-    springs.setForceGroup(FAST)
-    field = openmm.CustomExternalForce("amplitude*sin(kx*x + ky*y + kz*z + phase)")
-    for name in ("amplitude", "kx", "ky", "kz", "phase"):
-        field.addPerParticleParameter(name)
-    for i, (charge, wave) in enumerate(zip(points.charges, points.waves.T, strict=True)):
-        field.addParticle(i, [charge * points.field, *wave, i])
-    charges = openmm.CustomBondForce(f"product/sqrt(r^2 + {points.SOFTENING}^2)")
-    charges.addPerBondParameter("product")
-    for i, j in zip(*np.nonzero(np.triu(points.products)), strict=True):
-        charges.addBond(int(i), int(j), [points.products[i, j]])
-    for force in (springs, field, charges):
-        system.addForce(force)
-    return system
+from tests.support.flexible_systems import FAST, system_of
+from tests.support.waters import context_at, phase_point, water_box
 
 
 def integrator_of(program: native_program.Program, h: float) -> openmm.CustomIntegrator:
@@ -56,7 +30,7 @@ def start_of(points: Points, seed=4):
 
 def end_of(points: Points, program, start, h, steps):
     integrator = integrator_of(program, h)
-    context = context_at(system_of(points), integrator, start)
+    context = context_at(system_of(points)[0], integrator, start)
     integrator.step(steps * len(program.parts))
     return phase_point(context)
 
@@ -83,7 +57,7 @@ def test_schemes_with_fast_forces_have_their_order(constrained, scheme, inner, o
 
 def test_fast_forces_may_be_in_several_groups():
     points = chains()
-    system = system_of(points)
+    system, _ = system_of(points)
     _, start = start_of(points)
     whole = native_program.write(SIER4G, 1, {FAST})
     _context = context_at(system, integrator := integrator_of(whole, 0.003), start)
@@ -107,25 +81,6 @@ def test_fast_forces_may_be_in_several_groups():
     other.step(20)
     # Sums in another order.
     assert phase_point(both)[0] == pytest.approx(phase_point(_context)[0], abs=1e-9)
-
-
-def spread(points: Points, program, h: float, steps: int) -> float:
-    """Standard deviation of the energy, kJ/mol."""
-    context = context_at(system_of(points), integrator := integrator_of(program, h), start_of(points)[1])
-    found = []
-    for _ in range(steps):
-        integrator.step(len(program.parts))
-        found.append(sum(energies(context)))
-    return np.std(found)
-
-
-def test_inner_steps_of_fourth_order_follow_fast_motion():
-    points = chains(field=False)
-    points.products *= 0
-    # Without slow forces a step is a drift. `constrained.nested_drift` has 0.0013 kJ/mol for one step of SIER4G in
-    # 3 fs, which takes three fast forces, 0.11 for two of velocity Verlet and 0.027 for four.
-    assert spread(points, native_program.write(SIER2, 1, {FAST}), 0.003, 200) < 0.003
-    assert 0.01 < spread(points, native_program.write(SIER2, 4, {FAST}, SIER2), 0.003, 200) < 0.06
 
 
 def test_program_prints_its_inner_step_once():

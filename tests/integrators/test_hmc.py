@@ -210,7 +210,7 @@ def test_dipoles_in_a_field_at_constant_pressure():
     nothing.setCutoffDistance(0.1)
     bonds, field = openmm.HarmonicBondForce(), openmm.CustomExternalForce("pull*z")
     field.addPerParticleParameter("pull")
-    for i in range(n):
+    for _ in range(n):
         atoms = [system.addParticle(mass) for mass in (16.0, 1.0, 2.0)]
         for a, b in ((0, 1), (1, 2), (0, 2)):
             system.addConstraint(atoms[a], atoms[b], np.linalg.norm(sites[a] - sites[b]))
@@ -218,7 +218,7 @@ def test_dipoles_in_a_field_at_constant_pressure():
         bonds.addBond(atoms[0], atoms[2], 0.1, 0.0)
         for atom, sign in zip(atoms[:2], (1, -1), strict=True):
             field.addParticle(atom, [sign * x * KT / 0.1])
-        for _ in atoms:
+        for _atom in atoms:
             nothing.addParticle(0, 1, 0)
     for force in (nothing, bonds, field):
         system.addForce(force)
@@ -227,7 +227,7 @@ def test_dipoles_in_a_field_at_constant_pressure():
     pressure = KT * unit.kilojoule_per_mole / unit.nanometer**3 / unit.AVOGADRO_CONSTANT_NA
     integrator = sampler(0.058, 2, SIER4G, pressure=pressure.in_units_of(unit.bar), rotation=mrdl)
     along = np.roll(sites, 2, axis=1)
-    points = np.concatenate([along + [0.2 * i, 0, 0] for i in range(n)])
+    points = np.concatenate([along + np.array([0.2 * i, 0, 0]) for i in range(n)])
     context = context_at(system, integrator, (points, 0 * points))
     rows = []
     for _ in range(2500):

@@ -39,21 +39,6 @@ def test_without_friction_it_is_the_nve_trajectory_bit_for_bit(cluster, scheme):
     assert np.array_equal(ends[0][1], ends[1][1])
 
 
-@pytest.mark.parametrize("make", [thermostat, lambda: SIERIntegrator(0.004, SIER4)], ids=["NVT", "NVE"])
-def test_chunks_of_steps_do_not_matter(cluster, make):
-    system, point = cluster
-    ends = []
-    for chunks in ([100], [1] * 100, [7] * 14 + [2]):
-        integrator = make()
-        context = context_at(system, integrator, point)
-        for count in chunks:
-            integrator.step(count)
-        ends.append(phase_point(context))
-    for end in ends[1:]:
-        assert np.array_equal(end[0], ends[0][0])
-        assert np.array_equal(end[1], ends[0][1])
-
-
 def test_restart_continues_the_same_noise(tmp_path, cluster):
     system, point = cluster
     integrator = thermostat(seed=0)

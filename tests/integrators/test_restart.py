@@ -186,45 +186,6 @@ def test_restart_at_constant_pressure(box, make):
 # --- what is believed -------------------------------------------------------------------------------------------
 
 
-def test_loaded_state_is_believed_only_where_the_atoms_are(cluster):
-    _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(10)
-    checkpoint = context.createCheckpoint()
-    saved = integrator.getBodyState()
-
-    other = SIER2Integrator(0.001)
-    changed = openmm.Context(system, other, platform())
-    changed.loadCheckpoint(checkpoint)
-    positions, _ = phase_point(changed)
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    molecule = other.bodies.atoms_of(2)
-    centre = saved.q[:, 2] + [0.3, 0.1, -0.2]
-    positions[molecule] = (positions[molecule] - saved.q[:, 2]) @ turn.T + centre
-    changed.setPositions(positions)
-    changed.computeVirtualSites()
-    found = other.getBodyState()
-    # Rounding of coordinates below 1 nm.
-    assert np.abs(found.q[:, 2] - centre).max() < 1e-15
-    assert np.abs(found.A[:, :, 2] - saved.A[:, :, 2] @ turn.T).max() < 1e-13
-    rest = np.arange(other.bodies.n) != 2
-    assert np.abs(found.q[:, rest] - saved.q[:, rest]).max() < 1e-15
-    assert np.abs(found.A[..., rest] - saved.A[..., rest]).max() < 1e-13
-    other.step(5)
-
-    fresh = SIER2Integrator(0.001)
-    reference = context_at(system, fresh, (positions, phase_point_of(system, checkpoint)[1]))
-    fresh.step(5)
-    assert np.abs(phase_point(changed)[0] - phase_point(reference)[0]).max() < 1e-13
-
-
-def phase_point_of(system, checkpoint):
-    context = openmm.Context(system, SIER2Integrator(0.001), platform())
-    context.loadCheckpoint(checkpoint)
-    return phase_point(context)
-
-
 @pytest.mark.parametrize("steps", [0, 3])
 @pytest.mark.parametrize("fresh", [True, False], ids=["fresh", "used"])
 def test_geometry_of_named_bodies_travels(cluster, steps, fresh):
@@ -249,19 +210,6 @@ def test_geometry_of_named_bodies_travels(cluster, steps, fresh):
     assert np.array_equal(one.bodies.species[0].sites, geometry)
     assert np.array_equal(two.bodies.species[0].sites, geometry)
     assert_same(phase_point(other), phase_point(context))
-
-
-def test_velocities_set_after_loading_count(cluster):
-    _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(10)
-    checkpoint = context.createCheckpoint()
-    other = SIER2Integrator(0.001)
-    changed = openmm.Context(system, other, platform())
-    changed.loadCheckpoint(checkpoint)
-    changed.setVelocities(2 * phase_point(changed)[1])
-    assert np.allclose(other.getBodyState().p, 2 * integrator.getBodyState().p, rtol=1e-12)
 
 
 @every_integrator

@@ -29,7 +29,6 @@ from openmm_sier import (
     SIERLangevinIntegrator,
     hooks,
 )
-from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics import rotation
 from openmm_sier.integrators import settings
 from tests.support.waters import array, cluster_system, context_at, platform, relaxed
@@ -166,12 +165,6 @@ def test_settled_bodies_come_back_to_the_bit(cluster):
             assert np.array_equal(getattr(one, name), getattr(two, name))
     # Copies in one process also know the names of residues, for messages.
     assert copy.deepcopy(SIER2Integrator(0.001, bodies))._settings.bodies is bodies
-
-
-def test_bodies_without_a_system_are_stored_like_those_of_one(cluster):
-    bodies = RigidBodies.from_system(cluster[1])
-    plain = dynamics.RigidBodies(bodies.species, bodies.n_particles)
-    assert serialize(SIER2Integrator(0.001, plain)) == serialize(SIER2Integrator(0.001, bodies))
 
 
 def test_a_run_from_xml_files_is_the_run(tmp_path, cluster):

@@ -76,8 +76,9 @@ class ExactEngine(Engine):
         self._starts_anew = False
         self._last_written: Snapshot | None = None
         self._state: BodyState | None = None
+        self._published: BodyState | None = None
         self._moves_volume = False
-        self.clock = Clock(0.0, 0)
+        self.clock = self._last_clock = Clock(0.0, 0)
         self.forces = BodyForces(context)
         self._in_kicks = CachedForces(self.forces.in_kicks)
         self._bodies: RigidBodies | None = None
@@ -167,6 +168,8 @@ class ExactEngine(Engine):
     def publish(self) -> None:
         """Write the bodies' state to the Context and to the variables that travel in checkpoints."""
         state, integrator, context = self._reached, self._integrator, self._context
+        if state is self._published and self.forces.is_at(state.q, state.A) and self._last_clock == self.clock:
+            return
         self.forces.place(state.q, state.A)
         context.setVelocities(self.bodies.move(state, self.forces.velocities))
         for name, values in zip(STATE_VARIABLES, packing.pack(self.bodies, state), strict=True):
@@ -175,11 +178,12 @@ class ExactEngine(Engine):
         integrator.setGlobalVariableByName(DRAWS, state.draws)
         context.setTime(self.clock.time)
         context.setStepCount(self.clock.steps)
-        self._last_written = Snapshot(context)
+        self._last_written, self._published, self._last_clock = Snapshot(context), state, self.clock
 
     def recover(self) -> None:
         if self._state is None:
             return
+        self._published = None
         self._forget_forces()
         self.forces.forget_place()
         self.publish()
@@ -365,8 +369,11 @@ class ExactEngine(Engine):
         self.forces.velocities[:] = now.velocities
         self.forces.select(integrator.getIntegrationForceGroups(), self._flow.fast_groups)
         heat, draws = map(integrator.getGlobalVariableByName, (HEAT, DRAWS))
-        self._state = replace(state, heat=heat, draws=int(draws))
-        self.clock, self._last_written = Clock(now.time, now.steps), now
+        if (heat, draws) != (state.heat, state.draws):
+            state = replace(state, heat=heat, draws=int(draws))
+        self._state = state
+        self.clock = self._last_clock = Clock(now.time, now.steps)
+        self._last_written = now
 
     def _take(self, now: Snapshot, before: Snapshot | None) -> None:
         """Take over positions, box and parameters of a snapshot where they differ from those of an earlier one."""

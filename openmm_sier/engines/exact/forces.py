@@ -64,7 +64,7 @@ class BodyForces:
 
         Where a position is not finite the Context keeps its positions.
         """
-        if self._placed[0] is q and self._placed[1] is A:
+        if self.is_at(q, A):
             return
         try:
             positions = self._bodies.place(q, A, self.positions)
@@ -75,6 +75,10 @@ class BodyForces:
         if self._has_virtual_sites:
             context.computeVirtualSites()
         self._placed = (q, A)
+
+    def is_at(self, q: np.ndarray, A: np.ndarray) -> bool:
+        """Whether the Context has the positions of bodies at (q, A)."""
+        return self._placed[0] is q and self._placed[1] is A
 
     def take_positions(self, now: Snapshot) -> None:
         """Take over positions that were changed in the Context."""

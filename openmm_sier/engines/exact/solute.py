@@ -97,6 +97,10 @@ class SoluteForces:
         # Other atoms stay anywhere, apart from each other.
         self._positions = np.random.default_rng(0).random((reduced.getNumParticles(), 3))
         self._values = np.empty_like(self._positions)
+        # The atoms of one molecule follow each other, and a slice of an array is no copy.
+        first, last = int(self.atoms.min()), int(self.atoms.max())
+        in_order = np.array_equal(self.atoms, np.arange(first, last + 1))
+        self._members = slice(first, last + 1) if in_order else self.atoms
 
     def __del__(self) -> None:
         # Delete it before its System and its integrator, even if the garbage collector deletes all of them.
@@ -105,10 +109,10 @@ class SoluteForces:
 
     def __call__(self, q: np.ndarray) -> np.ndarray:
         """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm."""
-        self._positions[self.atoms] = q.T
+        self._positions[self._members] = q.T
         self._context.setPositions(self._positions)
         found = read_vectors(self._context.getState(forces=True), openmm.State.Forces, self._values)
-        return np.ascontiguousarray(found[self.atoms].T)
+        return np.ascontiguousarray(found[self._members].T)
 
     def follow(self, context: openmm.Context) -> bool:
         """Take over the parameters and the box of the Context of all forces; returns whether any was different.

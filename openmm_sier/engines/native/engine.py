@@ -170,8 +170,10 @@ class NativeEngine(Engine):
         if steps and self._is_fresh:
             self._start_anew()
         self._potential = None
+        evaluations = flow.scheme.force_evaluations
         for _ in range(steps):
             clock = self._one_step(clock)
+            self.evaluations += evaluations
             act_on_pending()
 
     def _one_step(self, clock: Clock) -> Clock:
@@ -187,7 +189,6 @@ class NativeEngine(Engine):
             # Even after an error the clock must agree with the positions.
             if self._context.getStepCount() == clock.steps + parts:
                 self.clock = after
-        self.evaluations += self._flow.scheme.force_evaluations
         return after
 
     def publish(self) -> None:

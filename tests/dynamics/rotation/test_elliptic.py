@@ -72,10 +72,6 @@ def test_increments_match_scipy(rng):
         assert np.abs(D - expected[1]).max() < 4e-16
 
 
-def test_a_body_that_does_not_nutate():
-    assert increment(0.0, 0.0, 0.3) == (0.3, 0.09, 1.0, 1.0)
-
-
 def test_complete_integral_of_the_first_kind():
     """At moderate moduli SciPy's ellipk, and the logarithm ln(4/kc) as the complementary modulus vanishes."""
     kc = np.linspace(0.01, 1, 500)

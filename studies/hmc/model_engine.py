@@ -13,13 +13,13 @@ import numpy as np
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import MoleculeCentres, MonteCarloVolumeMove
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.protocol import Clock, Flow
+from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
 from openmm_sier.engines.variables import SEED
 from openmm_sier.ensembles.metropolis import ACCEPTED, ERROR, TRIALS, Metropolis
 
@@ -30,11 +30,14 @@ KT = GAS_CONSTANT * TEMPERATURE
 class Wells:
     """Points in harmonic wells of several frequencies: V = sum of k q^2/2."""
 
-    def __init__(self, n: int = 6):
+    def __init__(self, n: int = 6, farthest: float = math.inf) -> None:
         self.springs = 1000.0 * np.arange(1, n + 1)
         self.bodies = RigidBodies([Species(np.arange(n)[:, None], np.ones(1), np.zeros((3, 1)), np.zeros(3))], n)
+        self.farthest = farthest
 
     def forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not (self.energies(q) <= self.farthest).all():
+            raise NotFiniteError(np.where(self.energies(q) <= self.farthest, q, np.nan))
         return -self.springs * q, np.zeros_like(q)
 
     def energies(self, q: np.ndarray) -> np.ndarray:
@@ -58,7 +61,7 @@ class Dipoles(Wells):
 
     FIELD = 10.0  # In kT for each dipole.
 
-    def __init__(self, n: int = 6):
+    def __init__(self, n: int = 6) -> None:
         masses = np.array([16.0, 1.0, 2.0])
         sites = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [-0.02, 0.09, 0.0]])
         self.bodies = RigidBodies([Species.from_coordinates(np.arange(3 * n).reshape(n, 3), masses, sites)], 3 * n)
@@ -85,11 +88,16 @@ class Dipoles(Wells):
 class ModelEngine:
     """An engine without OpenMM: what ensembles need, for a model in a cubic box."""
 
-    removes_momentum = False
-
-    def __init__(self, model: Wells, rotation: operators.Rotation, volume: float, molecules: list[list[int]] | None):
+    def __init__(
+        self,
+        model: Wells,
+        rotation: operators.Rotation = exact,
+        removes_momentum: bool = False,
+        volume: float = 1.0,
+        molecules: list | None = None,
+    ) -> None:
         self.model, self.bodies = model, model.bodies
-        self.mass = float(model.bodies.masses.sum())
+        self.removes_momentum, self.mass = removes_momentum, float(model.bodies.masses.sum())
         self.reached, self.clock, self._volume = model.start(), Clock(0.0, 0), volume
         forces = operators.CachedForces(model.forces)
         self._operators = operators.body_operators(model.bodies, forces, rotation)
@@ -110,9 +118,12 @@ class ModelEngine:
 
     def follow(self, steps: int) -> None:
         step = operators.stepper(self._flow.scheme, self._operators, self._flow.step)
-        for _ in range(steps):
-            self.reached = step(self.reached)
-            self.clock = Clock(self.clock.time + self._flow.step, self.clock.steps + 1)
+        try:
+            for _ in range(steps):
+                self.reached = step(self.reached)
+                self.clock = Clock(self.clock.time + self._flow.step, self.clock.steps + 1)
+        except NotFiniteError as error:
+            raise TrajectoryError(str(error)) from error
 
     def potential_energy(self) -> float:
         return self.model.potential(self.reached)
@@ -126,10 +137,10 @@ class ModelEngine:
     def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
         self.reached = bath.operator(self.bodies)(self.reached, time)
 
-    def remember(self) -> tuple[BodyState, Clock, float]:
+    def remember(self) -> tuple:
         return self.reached, self.clock, self._volume
 
-    def go_back(self, memory: tuple[BodyState, Clock, float], reverse: bool = False) -> None:
+    def go_back(self, memory: tuple, reverse: bool = False) -> None:
         state, self.clock, self._volume = memory
         self.reached = replace(state, p=-state.p, L=-state.L) if reverse else state
 
@@ -178,18 +189,19 @@ class Chain:
     scheme: Scheme
     h: float
     steps: tuple[int, ...] = (2, 3, 4)
-    friction: float = math.inf
+    friction: float | None = None
+    at_rest: bool = False
     rotation: operators.Rotation = exact
     seed: int = 17
     volume_move: MonteCarloVolumeMove | None = None
-    molecules: list[list[int]] | None = None
+    molecules: list | None = None
     record: dict = field(init=False)
     engine: ModelEngine = field(init=False)
 
     def __post_init__(self) -> None:
         self.record = defaultdict(float, {SEED: self.seed})
         volume = float(len(self.molecules)) if self.molecules else 1.0
-        self.engine = ModelEngine(self.model, self.rotation, volume, self.molecules)
+        self.engine = ModelEngine(self.model, self.rotation, self.at_rest, volume, self.molecules)
 
     @property
     def flow(self) -> Flow:
@@ -200,7 +212,7 @@ class Chain:
 
     def samples(self, trials: int) -> Iterator[Sample]:
         """The samples after each of so many trials."""
-        # An engine has more methods than ensembles use.
+        # What a trial asks of an engine and of a record is here; what OpenMM and users ask is not.
         engine: Any = self.engine
         record: Any = self.record
         engine.begin(self.flow)
