@@ -91,7 +91,7 @@ def test_curvatures_of_known_potentials():
     for i, j in ((0, 1), (0, 2), (1, 2)):
         system.addConstraint(i, j, np.linalg.norm(arms[i] - arms[j]))
     system.addForce(force)
-    positions = np.vstack([arms + [0.5, 0.2, 0.1], [[0.3, -0.2, 0.1]]])
+    positions = np.vstack([arms + np.array([0.5, 0.2, 0.1]), [[0.3, -0.2, 0.1]]])
     curvature = Curvature(system, RigidBodies.from_system(system), 1, "Reference")
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
     context.setPositions(positions)
