@@ -157,7 +157,7 @@ class _Version(argparse.Action):
 
 def build_parser() -> argparse.ArgumentParser:
     """The parser of `openmm-sier`. What it returns has the name of the command as `command`."""
-    parser = Parser(prog=PROGRAM, description="Simulates rigid molecules with OpenMM, by splitting schemes with exact rotation.")
+    parser = Parser(prog=PROGRAM, description="Simulation of rigid molecules with OpenMM, with exact rotation.")
     parser.add_argument(
         "--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
     )

@@ -257,14 +257,14 @@ def test_error_after_a_signal_that_was_only_noted_is_an_error(box, signum, monke
 
 
 def test_ctrl_c_within_openmm_ends_every_command(box, monkeypatch, capsys):
-    def interrupted(*_):
+    def interrupted(**_):
         raise SystemError("<method> returned a result with an exception set") from KeyboardInterrupt()
 
     monkeypatch.setattr(info, "info", interrupted)
     assert main.main(["info", str(box)]) == 130
     assert capsys.readouterr().err == "openmm-sier: interrupted\n"
 
-    def broken(*_):
+    def broken(**_):
         raise SystemError("broken") from ValueError()
 
     monkeypatch.setattr(info, "info", broken)
