@@ -1,4 +1,4 @@
-"""Symplectic integrators of second and fourth order for rigid molecules in OpenMM."""
+"""Integrators of second and fourth order for rigid molecules in OpenMM."""
 
 from openmm_sier import hooks
 from openmm_sier.dynamics.bodies import BodyState, RigidityError

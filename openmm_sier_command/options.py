@@ -9,13 +9,12 @@ The command line, `--help`, plans of ensembles and the notes in checkpoints are 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from openmm_sier_command.parser import FORCEFIELD_HELP, reading
-from openmm_sier_command.values import TIME, Choice, File, Kind, Number, Several, Switch, Whole, Word, WrongValueError
+from openmm_sier_command.values import SWITCH, TIME, Kind, WrongValueError, choice, file, number, several, whole, word
 
 #: What moves the molecules, by the names that `--scheme` takes, and the usual step for rigid water, fs: the schemes of
 #: this package and, to compare them with, OpenMM's own integrators. The first scheme is the default.
@@ -43,8 +42,14 @@ CONSTRAINTS = ("none", "hbonds", "allbonds", "hangles")
 MOST_STEPS = 10**15
 
 #: What a restart does with an option: it keeps the value in the checkpoint, and refuses another; or it may have
-#: another. Options with "" are not in checkpoints.
-Restart = Literal["keeps", "may change", ""]
+#: another. Options that are "not noted" are not in checkpoints.
+Restart = Literal["keeps", "may change", "not noted"]
+
+FORCEFIELD_HELP = (
+    "force-field files, OpenMM's or your own (default: the file named in a record 'REMARK  99 FORCEFIELD file.xml' of "
+    "the PDB file; without such a record the water model whose geometry the file has, if only one has it. Otherwise "
+    "the error lists the models to choose from)"
+)
 
 
 class OptionError(ValueError):
@@ -63,6 +68,7 @@ class Option:
         otherwise: the default in words, where there is no single value.
         restart: see `Restart`.
         empty: whether a run may have none.
+        positional: whether the command line has the value alone.
     """
 
     name: str
@@ -70,23 +76,13 @@ class Option:
     help: str
     default: Any = None
     otherwise: str = ""
-    restart: Restart = ""
+    restart: Restart = "keeps"
     empty: bool = False
+    positional: bool = False
 
     @property
     def flag(self) -> str:
         return f"--{self.name.replace('_', '-')}"
-
-    @property
-    def reads(self) -> bool:
-        """Whether it names a file, or files, that a run reads."""
-        kind = self.kind.of if isinstance(self.kind, Several) else self.kind
-        return isinstance(kind, File) and not kind.output
-
-    @property
-    def writes(self) -> bool:
-        """Whether it names a file that a run writes."""
-        return isinstance(self.kind, File) and self.kind.output
 
     @property
     def described(self) -> str:
@@ -96,16 +92,23 @@ class Option:
         default = self.otherwise or (f"{self.default:g}" if isinstance(self.default, float) else str(self.default))
         return f"{self.help} (default: {default})"
 
-    def checked(self, source: str, value: object) -> Any:
-        """The value that a file has.
+    def words(self, value: Any) -> list[str]:
+        """The words of a command line that give it this value."""
+        if isinstance(value, bool):
+            return [self.flag] if value else [f"--no-{self.flag[2:]}"] if self.default is None else []
+        return [self.flag, *map(str, value if isinstance(value, list) else [value])]
 
-        Raises:
-            OptionError: it is not of the kind.
-        """
-        try:
-            return self.kind.check(value)
-        except WrongValueError as error:
-            raise OptionError(f"{source}: {self.name}: {error}") from None
+
+def checked(source: str, name: str, kind: Kind, value: object) -> Any:
+    """The value that a file has by a name.
+
+    Raises:
+        OptionError: it is not of the kind.
+    """
+    try:
+        return kind.check(value)
+    except WrongValueError as error:
+        raise OptionError(f"{source}: {name}: {error}") from None
 
 
 def _option(kind: Kind, help: str, default: Any = None, otherwise: str = "", **more: Any) -> Any:
@@ -125,151 +128,137 @@ class Options:
     """
 
     box: Path = _option(
-        File("BOX.pdb"), "whole molecules with hydrogens; virtual sites are added", restart="may change", empty=True
+        file("BOX.pdb"),
+        "whole molecules with hydrogens; virtual sites are added",
+        restart="may change",
+        empty=True,
+        positional=True,
     )
-    forcefield: list[Path] | None = _option(Several(File("XML")), FORCEFIELD_HELP, restart="keeps", empty=True)
+    forcefield: list[Path] | None = _option(several(file("XML")), FORCEFIELD_HELP, empty=True)
     rigid: list[str] | None = _option(
-        Several(Word("RESIDUE")),
+        several(word("RESIDUE")),
         "names of residues, besides water, to be held rigid in the geometry that they have in the PDB file, but for "
         "bonds that constraints hold",
         otherwise="none",
-        restart="keeps",
         empty=True,
     )
     constraints: str | None = _option(
-        Choice(CONSTRAINTS),
+        choice(*CONSTRAINTS),
         "constraints besides those of water: of bonds to hydrogen, of all bonds, or of bonds and angles of hydrogens",
         "hbonds",
-        restart="keeps",
         empty=True,
     )
     cutoff: float | None = _option(
-        Number("nm", 0.2, 10),
+        number("nm", 0.2, 10),
         "where the direct sum of PME and Lennard-Jones end",
         otherwise="0.9, less in a box that is too small for it",
-        restart="keeps",
         empty=True,
     )
     switch: float | None = _option(
-        Number("nm", 0, 10),
+        number("nm", 0, 10),
         "where Lennard-Jones starts to be switched off; 0 for a jump at the cut-off",
         otherwise="five sixths of the cut-off",
-        restart="keeps",
         empty=True,
     )
     tolerance: float | None = _option(
-        Number("", 1e-10, 1e-3),
-        "error tolerance of the sums of PME, which are balanced",
-        1e-4,
-        restart="keeps",
-        empty=True,
+        number("", 1e-10, 1e-3), "error tolerance of the sums of PME, which are balanced", 1e-4, empty=True
     )
     hydrogen_mass: float | None = _option(
-        Number("dalton", 1, 4),
+        number("dalton", 1, 4),
         "mass of hydrogens outside water, taken from the atoms that they are bonded to",
         otherwise="that of the force field",
-        restart="keeps",
         empty=True,
     )
     scheme: str = _option(
-        Choice(tuple(USUAL_STEPS)),
+        choice(*USUAL_STEPS),
         "scheme of this package, or for comparison one of OpenMM's own integrators: verlet, with an AndersenThermostat "
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
         RECOMMENDED,
-        restart="keeps",
     )
-    dt: float = _option(Number("fs", 1e-3, 1e3), "step", otherwise=_steps(), restart="keeps")
+    dt: float = _option(number("fs", 1e-3, 1e3), "step", otherwise=_steps())
     ensemble: str = _option(
-        Choice(ENSEMBLES),
-        "what is constant; hmc is hybrid Monte Carlo",
-        otherwise="nve; nvt for langevinmiddle",
-        restart="keeps",
+        choice(*ENSEMBLES), "what is constant; hmc is hybrid Monte Carlo", otherwise="nve; nvt for langevinmiddle"
     )
     friction: float = _option(
-        Number("1/ps", 0, 1e5),
+        number("1/ps", 0, 1e5),
         "of the heat bath, or the rate of collisions of verlet",
         otherwise="1; hmc draws all momenta for each trial without it",
-        restart="keeps",
     )
     pressure: float | None = _option(
-        Number("bar", -5000, 50000, hint=" (1 bar is 100000 Pa)"),
+        number("bar", -5000, 50000, hint=" (1 bar is 100000 Pa)"),
         "with npt or hmc",
         otherwise="1 with npt, constant volume with hmc",
-        restart="keeps",
         empty=True,
     )
     steps_per_trial: int = _option(
-        Whole(most=10**6),
+        whole(most=10**6),
         "of the scheme in a trial of hmc, which is then a step of the run",
         otherwise="10",
-        restart="keeps",
         empty=True,
     )
     steps: int = _option(
-        Whole(most=MOST_STEPS),
+        whole(most=MOST_STEPS),
         "length of the whole trajectory, of which a restart does what is left",
         otherwise="as --time says",
         restart="may change",
     )
-    time: float | None = _option(TIME, "the same in ps", otherwise="10; that of the checkpoint with --restart")
+    time: float | None = _option(
+        TIME, "the same in ps", otherwise="10; that of the checkpoint with --restart", restart="not noted"
+    )
     temperature: float = _option(
-        Number("K", 0, 3000), "of start and heat bath", otherwise="297, or that of the run of --start", restart="keeps"
+        number("K", 0, 3000), "of start and heat bath", otherwise="297, or that of the run of --start"
     )
     equilibrate: float | None = _option(
-        Number("ps", 0, 1e9),
+        number("ps", 0, 1e9),
         "how long",
         otherwise="until temperatures and potential energy have settled, 3 to 20; not at all with --start",
+        restart="not noted",
     )
     minimize: bool | None = _option(
-        Switch(), "minimize the energy first", otherwise="if the start has forces that a liquid has not"
+        SWITCH,
+        "minimize the energy first",
+        otherwise="if the start has forces that a liquid has not",
+        restart="not noted",
     )
     out: Path = _option(
-        File("FILE", output=True),
-        "trajectory, .dcd, .xtc or .h5",
-        otherwise="BOX.dcd, in the current directory",
-        restart="keeps",
+        file("FILE", "output"), "trajectory, .dcd, .xtc or .h5", otherwise="BOX.dcd, in the current directory"
     )
     unwrapped: bool = _option(
-        Switch(),
-        "frames have molecules where they went, not in the box",
-        False,
-        otherwise="in the box",
-        restart="keeps",
+        SWITCH, "frames have molecules where they went, not in the box", False, otherwise="in the box"
     )
-    report: Path = _option(File("CSV", output=True), "log", otherwise="as the trajectory, with .csv", restart="keeps")
-    every: float = _option(TIME, "between frames", 0.1, restart="keeps")
-    report_every: float = _option(TIME, "between rows of the log", 0.04, restart="keeps")
-    checkpoint_every: float = _option(TIME, "between checkpoints", 1.0, restart="keeps")
+    report: Path = _option(file("CSV", "output"), "log", otherwise="as the trajectory, with .csv")
+    every: float = _option(TIME, "between frames", 0.1)
+    report_every: float = _option(TIME, "between rows of the log", 0.04)
+    checkpoint_every: float = _option(TIME, "between checkpoints", 1.0)
     bodies: Path | None = _option(
-        File("FILE.h5", output=True),
+        file("FILE.h5", "output"),
         "write centres, quaternions and momenta of the bodies there",
         otherwise="they are not written",
-        restart="keeps",
         empty=True,
     )
-    bodies_every: float = _option(TIME, "between them", otherwise="as --every", restart="keeps")
+    bodies_every: float = _option(TIME, "between them", otherwise="as --every")
     pressure_tensor: Path | None = _option(
-        File("CSV", output=True),
+        file("CSV", "output"),
         "write the molecular pressure tensor there, for viscosity",
         otherwise="it is not written",
-        restart="keeps",
         empty=True,
     )
     # Sums over tensors mistake oscillations of the period of their interval, or a fraction of it, for slow ones; in
     # rigid water such oscillations have a thousandth of the power of the slow ones at 0.02 ps.
-    pressure_tensor_every: float = _option(
-        TIME, "between rows of it, each of which costs 12 energies", 0.02, restart="keeps"
-    )
-    seed: int = _option(Whole(), "of velocities, equilibration and heat bath", 1, restart="keeps")
-    platform: str | None = _option(Word(), "of OpenMM", otherwise="the fastest")
+    pressure_tensor_every: float = _option(TIME, "between rows of it, each of which costs 12 energies", 0.02)
+    seed: int = _option(whole(), "of velocities, equilibration and heat bath", 1)
+    platform: str | None = _option(word(), "of OpenMM", otherwise="the fastest", restart="not noted")
     start: Path | None = _option(
-        File(),
+        file(),
         "checkpoint (.chk) of any run, whose positions, velocities and box a new run begins with; unless given, the "
         "options that make the System, and --temperature, are those of that run",
         otherwise="none",
+        restart="not noted",
     )
-    restart: Path | None = _option(File(), "checkpoint (.chk) to go on from", otherwise="none")
-    overwrite: bool | None = _option(Switch(), "replace files of an earlier run", False, otherwise="refuse to")
+    restart: Path | None = _option(file(), "checkpoint (.chk) to go on from", otherwise="none", restart="not noted")
+    overwrite: bool | None = _option(
+        SWITCH, "replace files of an earlier run", False, otherwise="refuse to", restart="not noted"
+    )
 
     @property
     def equilibrates(self) -> bool:
@@ -282,39 +271,47 @@ OPTIONS = {option.name: option for option in (Option(entry.name, **entry.metadat
 
 #: Options that a restart keeps, and all those that stand in a checkpoint.
 CONTINUED = tuple(name for name, option in OPTIONS.items() if option.restart == "keeps")
-NOTED = tuple(name for name, option in OPTIONS.items() if option.restart)
+NOTED = tuple(name for name, option in OPTIONS.items() if option.restart != "not noted")
 
 #: Options that make the System. A run with `--start` takes them from the other run unless they are given.
 OF_THE_SYSTEM = ("forcefield", "rigid", "constraints", "cutoff", "switch", "tolerance", "hydrogen_mass")
+
+#: Options of `openmm-sier tune`: those that make the System and its start, and those with which the search begins.
+OF_TUNING = (
+    *("box", *OF_THE_SYSTEM, "scheme", "dt", "steps_per_trial", "friction", "pressure"),
+    *("temperature", "equilibrate", "minimize", "seed", "platform", "start"),
+)
 
 #: Options of which only one may be given.
 EXCLUSIVE = ("steps", "time")
 
 
-def add_options(parser: argparse.ArgumentParser, names: Iterable[str] = OPTIONS) -> None:
-    """Add options to a parser; `box` is a positional argument."""
-    names = list(names)
-    together = parser.add_mutually_exclusive_group() if set(EXCLUSIVE) <= set(names) else None
-    for name in names:
-        _add_option(together if together and name in EXCLUSIVE else parser, OPTIONS[name])
+def add_options(parser: argparse.ArgumentParser, options: Collection[Option], with_defaults: bool = False) -> None:
+    """Add options to a parser.
 
-
-def _add_option(parser: argparse._ActionsContainer, option: Option) -> None:
-    # A per cent sign has a meaning in argparse.
-    shared: dict[str, Any] = {"help": option.described.replace("%", "%%")}
-    if isinstance(option.kind, Switch):
-        action: Any = argparse.BooleanOptionalAction if option.default is None else "store_true"
-        parser.add_argument(option.flag, action=action, default=None, **shared)
-        return
-    shared |= {"type": reading(option.kind), "metavar": option.kind.metavar or "VALUE"}
-    if isinstance(option.kind, Several):
-        shared |= {"nargs": "+"}
-    parser.add_argument(option.name if option.name == "box" else option.flag, **shared)
-
-
-def given_options(namespace: argparse.Namespace) -> Options:
-    """The options that a command line gave."""
-    return Options(**{name: getattr(namespace, name) for name in OPTIONS})
+    Args:
+        parser: of a command.
+        options: to add.
+        with_defaults: whether options that are not given have their defaults; otherwise they are None.
+    """
+    excluding = {option.name for option in options} >= set(EXCLUSIVE)
+    one_of_them = parser.add_mutually_exclusive_group() if excluding else parser
+    for option in options:
+        group = one_of_them if option.name in EXCLUSIVE else parser
+        # A per cent sign has a meaning in argparse.
+        shared: dict[str, Any] = {"help": option.described.replace("%", "%%")}
+        if not option.positional:
+            shared |= {"default": option.default if with_defaults else None, "dest": option.name}
+        if option.kind is SWITCH:
+            shared |= {"action": argparse.BooleanOptionalAction if option.default is None else "store_true"}
+        else:
+            each = option.kind.each
+            shared |= {
+                "type": (each or option.kind).read,
+                "metavar": option.kind.metavar,
+                "nargs": "+" if each else None,
+            }
+        group.add_argument(option.name if option.positional else option.flag, **shared)
 
 
 def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:
@@ -333,6 +330,6 @@ def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:
     if len(both := [name for name in EXCLUSIVE if name in table]) > 1:
         raise OptionError(f"{source}: {' and '.join(both)} exclude each other")
     return {
-        name: None if value is None and OPTIONS[name].empty else OPTIONS[name].checked(source, value)
+        name: None if value is None and OPTIONS[name].empty else checked(source, name, OPTIONS[name].kind, value)
         for name, value in table.items()
     }

@@ -2,189 +2,148 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 
-class WrongValueError(ValueError):
+class WrongValueError(ArgumentTypeError, ValueError):
     """A value is not what was expected; the message says what that is, and what came."""
 
     def __init__(self, expected: str, got: object):
         super().__init__(f"expected {expected}, got {got!r}")
 
 
-class Kind(Protocol):
-    """What an option takes.
-
-    `read` takes a word of the command line, `check` what TOML or JSON hold; both raise `WrongValueError`.
-    """
-
-    @property
-    def metavar(self) -> str | None:
-        """Stands for a value in `--help`."""
-
-    def read(self, text: str) -> Any:
-        """The value that a word of the command line means."""
-
-    def check(self, value: object) -> Any:
-        """The value that a file holds."""
+def _same(value: Any) -> Any:
+    return value
 
 
 @dataclass(frozen=True)
-class Number:
-    """A number from `least` to `most`, in a unit.
+class Kind:
+    """What an option takes.
 
     Attributes:
+        expected: in words, for messages.
+        accepts: whether a value that TOML or JSON hold is of this kind.
+        made: what an accepted value is for the program.
+        parse: what a word of the command line would be in a file; a ValueError where it is nothing of the kind.
+        metavar: stands for a value in `--help`.
+        file: "input" or "output" for the name of a file that a command reads or writes.
+        each: the kind of each of several values, for which a command line has a word each; None for a single one.
+    """
+
+    expected: str
+    accepts: Callable[[Any], bool]
+    made: Callable[[Any], Any] = _same
+    parse: Callable[[str], Any] = _same
+    metavar: str = "VALUE"
+    file: str = ""
+    each: Kind | None = None
+
+    def check(self, value: object) -> Any:
+        """The value that a file holds.
+
+        Raises:
+            WrongValueError: it is not of this kind.
+        """
+        if not self.accepts(value):
+            raise WrongValueError(self.expected, value)
+        return self.made(value)
+
+    def read(self, text: str) -> Any:
+        """The value that a word of the command line means.
+
+        Raises:
+            WrongValueError: it is not of this kind.
+        """
+        try:
+            return self.check(self.parse(text))
+        except ValueError:
+            raise WrongValueError(self.expected, text) from None
+
+
+def number(unit: str, least: float, most: float, beyond: bool = False, hint: str = "") -> Kind:
+    """A number from `least` to `most`, in a unit.
+
+    Args:
+        unit, least, most: of the number.
         beyond: whether `least` itself is left out.
         hint: for whoever is out of range.
     """
+    within = f"above {least:g} and up to" if beyond else f"from {least:g} to"
 
-    unit: str
-    least: float
-    most: float
-    beyond: bool = False
-    hint: str = ""
-
-    @property
-    def metavar(self) -> str:
-        return self.unit.upper()
-
-    def read(self, text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            raise WrongValueError(self._expected, text) from None
-        return self._in_range(value, text)
-
-    def check(self, value: object) -> float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise WrongValueError(self._expected, value)
-        try:
-            return self._in_range(float(value), value)
-        except OverflowError:
-            raise WrongValueError(self._expected, value) from None
-
-    def _in_range(self, value: float, given: object) -> float:
+    def accepts(value: Any) -> bool:
         # NaN is not in any range.
-        if not self.least <= value <= self.most or (self.beyond and value == self.least):
-            raise WrongValueError(self._expected, given)
-        return value
+        return type(value) in (int, float) and least <= value <= most and not (beyond and value == least)
 
-    @property
-    def _expected(self) -> str:
-        within = f"above {self.least:g} and up to" if self.beyond else f"from {self.least:g} to"
-        return f"a number {within} {self.most:g} {self.unit}".rstrip() + self.hint
+    expected = f"a number {within} {most:g} {unit}".rstrip() + hint
+    return Kind(expected, accepts, float, float, unit.upper() or "VALUE")
 
 
-@dataclass(frozen=True)
-class Whole:
+def whole(least: int = 1, most: int = 2**31 - 1) -> Kind:
     """A whole number from `least` to `most`."""
 
-    least: int = 1
-    most: int = 2**31 - 1
-    metavar: str | None = "N"
+    def accepts(value: Any) -> bool:
+        return type(value) is int and least <= value <= most
 
-    def read(self, text: str) -> int:
-        # More digits than any range here has; Python refuses to convert thousands of them.
-        if not (text.isascii() and text.isdigit() and len(text) <= 20):
-            raise WrongValueError(self._expected, text)
-        return self.check(int(text))
-
-    def check(self, value: object) -> int:
-        if isinstance(value, bool) or not isinstance(value, int) or not self.least <= value <= self.most:
-            raise WrongValueError(self._expected, value)
-        return value
-
-    @property
-    def _expected(self) -> str:
-        return f"a whole number from {self.least} to {self.most}"
+    return Kind(f"a whole number from {least} to {most}", accepts, parse=int, metavar="N")
 
 
-@dataclass(frozen=True)
-class Choice:
+def choice(*names: str) -> Kind:
     """One of a few names."""
-
-    names: tuple[str, ...]
-
-    @property
-    def metavar(self) -> str:
-        return f"{{{','.join(self.names)}}}"
-
-    def read(self, text: str) -> str:
-        return self.check(text)
-
-    def check(self, value: object) -> str:
-        if not isinstance(value, str) or value not in self.names:
-            raise WrongValueError(f"one of {', '.join(self.names)}", value)
-        return value
+    return Kind(f"one of {', '.join(names)}", lambda value: value in names, metavar=f"{{{','.join(names)}}}")
 
 
-@dataclass(frozen=True)
-class Word:
+def word(metavar: str = "NAME") -> Kind:
     """A name, of a residue or a platform."""
 
-    metavar: str | None = "NAME"
+    def accepts(value: Any) -> bool:
+        return isinstance(value, str) and value.strip() != "" and value.isprintable()
 
-    def read(self, text: str) -> str:
-        return self.check(text)
-
-    def check(self, value: object) -> str:
-        if not isinstance(value, str) or not value.strip() or not value.isprintable():
-            raise WrongValueError("a name", value)
-        return value
+    return Kind("a name", accepts, metavar=metavar)
 
 
-@dataclass(frozen=True)
-class File:
-    """The name of a file that a run reads or, if `output`, writes."""
+def file(metavar: str = "FILE", use: str = "input") -> Kind:
+    """The name of a file that a command reads (`use` is "input") or writes ("output")."""
 
-    metavar: str | None = "FILE"
-    output: bool = False
+    def accepts(value: Any) -> bool:
+        return isinstance(value, str) and value != "" and "\0" not in value
 
-    def read(self, text: str) -> Path:
-        return self.check(text)
-
-    def check(self, value: object) -> Path:
-        if not isinstance(value, str) or not value or "\0" in value:
-            raise WrongValueError("the name of a file", value)
-        return Path(value)
+    return Kind("the name of a file", accepts, Path, metavar=metavar, file=use)
 
 
-@dataclass(frozen=True)
-class Switch:
-    """Yes or no."""
-
-    metavar: str | None = None
-
-    def read(self, text: str) -> bool:
-        raise WrongValueError("no value", text)
-
-    def check(self, value: object) -> bool:
-        if not isinstance(value, bool):
-            raise WrongValueError("true or false", value)
-        return value
-
-
-@dataclass(frozen=True)
-class Several:
+def several(kind: Kind) -> Kind:
     """One or more values of a kind."""
 
-    of: Kind
+    def accepts(value: Any) -> bool:
+        return isinstance(value, list) and value != []
 
-    @property
-    def metavar(self) -> str | None:
-        return self.of.metavar
+    def made(value: Any) -> list[Any]:
+        return [kind.check(item) for item in value]
 
-    def read(self, text: str) -> Any:
-        return self.of.read(text)
+    return Kind("a list with at least one value", accepts, made, metavar=kind.metavar, file=kind.file, each=kind)
 
-    def check(self, value: object) -> list[Any]:
-        if not isinstance(value, list) or not value:
-            raise WrongValueError("a list with at least one value", value)
-        return [self.of.check(item) for item in value]
+
+def table(entries: Mapping[str, Kind]) -> Kind:
+    """Values by their names, each of a kind of its own, and all of them."""
+
+    def made(value: Any) -> dict[str, Any]:
+        for name, kind in entries.items():
+            if not kind.accepts(value[name]):
+                raise WrongValueError(f"{kind.expected} as {name}", value[name])
+        return {name: kind.made(value[name]) for name, kind in entries.items()}
+
+    accepted = set(entries)
+    return Kind(
+        f"a table of {', '.join(entries)}", lambda value: isinstance(value, dict) and set(value) == accepted, made
+    )
 
 
 #: Kinds that several commands share.
-COUNT = Whole()
-TIME = Number("ps", 0, 1e9, beyond=True)
+COUNT = whole()
+TIME = number("ps", 0, 1e9, beyond=True)
+
+#: Yes or no; on a command line the option alone.
+SWITCH = Kind("true or false", lambda value: isinstance(value, bool))

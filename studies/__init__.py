@@ -14,6 +14,9 @@ STUDIES = {
     "studies.molecules": "",
     "studies.hmc.exactness": "7 min of one core",
     "studies.hmc.liquid": "",
+    "studies.hmc.solvated": "DOCS_A",
+    "studies.hmc.samples": "DOCS_B",
+    "studies.hmc.mixture": "DOCS_C",
     "studies.native.accuracy": "",
     "studies.native.ensembles": "",
     "studies.native.cost": "",
@@ -24,5 +27,8 @@ STUDIES = {
     "studies.checks.interrupts": "10 min of one core",
     "studies.checks.validate_water": "",
     "studies.checks.andersen_oscillators": "",
+    "studies.checks.net_force": "half a minute",
+    "studies.checks.repeatability": "seconds",
+    "studies.checks.pressure_tensors": "half a minute",
     "studies.figures": "seconds",
 }

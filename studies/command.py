@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -16,8 +16,10 @@ from tyro.conf import Positional
 
 from openmm_sier.cli.console import REPORT
 from openmm_sier.measure.ensemble import EnsembleError
-from openmm_sier.measure.forcefields import shipped_box
 from openmm_sier.measure.report import Report
+
+#: The boxes of the repository.
+SYSTEMS = Path(__file__).parents[1] / "systems"
 
 #: What a study says in one line; any other exception is a fault of the program and shows where.
 EXPECTED = (ValueError, OSError, ImportError, openmm.OpenMMException, EnsembleError)
@@ -63,7 +65,7 @@ class BoxSettings(Settings):
         platform: of OpenMM; None takes the fastest.
     """
 
-    box: Positional[Path] = field(default_factory=shipped_box)
+    box: Positional[Path] = SYSTEMS / "tip3p-512.pdb"
     forcefield: tuple[str, ...] = ()
     temperature: float = 297.0
     platform: str | None = None

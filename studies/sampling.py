@@ -18,8 +18,9 @@ from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure.report import SILENT, Report
-from openmm_sier.measure.starts import equilibrated, make_context
+from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
 from studies import boxes
@@ -111,7 +112,9 @@ def equilibrated_liquid(
     if kept is not None and kept.exists():
         start = openmm.XmlSerializer.deserialize(kept.read_text())
     else:
-        start = equilibrated(box, settings.temperature, settings.seed, time, settings.platform, report)
+        context = make_context(box.system, SIER2Integrator(0.001), settings.platform)
+        prepare(context, box.positions, settings.temperature, settings.seed, time, report=report)
+        start = context.getState(positions=True, velocities=True)
         if kept is not None:
             replace_file(kept, openmm.XmlSerializer.serialize(start))
     return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)

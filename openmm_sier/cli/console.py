@@ -10,9 +10,8 @@ from datetime import timedelta
 
 try:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn
     from rich.table import Table as RichTable
-    from rich.text import Text
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("the command needs rich; install it with: pip install 'openmm-sier[cli]'") from error
 
@@ -20,6 +19,9 @@ from openmm_sier.measure.report import Advance, Table
 
 PS_PER_NS = 1000.0
 SECONDS_PER_DAY = 86400.0
+
+#: Time in seconds, of which only differences mean anything.
+clock = time.perf_counter
 
 #: Seconds until the first line about progress where there is no terminal.
 LINE_AFTER = 30.0
@@ -52,30 +54,12 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
         Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 
 
-class _Amount(ProgressColumn):
-    """Steps done, or the fraction done where no steps are counted."""
-
-    def render(self, task: Task) -> Text:
-        if task.fields["ps"] is None:
-            return Text(f"{task.percentage:.0f} %")
-        return Text(f"{task.completed:.0f}/{task.total:.0f} steps")
-
-
-class _Rate(ProgressColumn):
-    """Simulated ns a day, from the time since the bar was started."""
-
-    def render(self, task: Task) -> Text:
-        if task.fields["ps"] is None or not task.elapsed or not task.completed:
-            return Text("")
-        ps_done = (task.completed - task.fields["begun_at"]) * task.fields["ps"]
-        return Text(f"{ps_done / PS_PER_NS / task.elapsed * SECONDS_PER_DAY:.2f} ns/day")
-
-
 class ProgressBar(AbstractContextManager[Advance]):
     """A progress bar on standard error, or occasional lines where that is not a terminal.
 
     A context manager. Its value is a function that takes how much has been done in all and, optionally, a new
-    description. A closed terminal does not stop the program.
+    description. The first line comes after `LINE_AFTER` s, later ones less often, but at least every ten minutes. A
+    closed terminal does not stop the program.
     """
 
     def __init__(self, description: str, total: float = 1.0, ps: float | None = None, done: int = 0):
@@ -87,66 +71,54 @@ class ProgressBar(AbstractContextManager[Advance]):
             done: how much was done before the bar is started, as after a restart.
         """
         console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), _Amount(), _Rate(), TimeRemainingColumn())
-        self._progress = Progress(*columns, console=console, disable=not console.is_terminal)
-        self._task = self._progress.add_task(description, total=total, completed=done, ps=ps, begun_at=done)
-        self._lines = None if console.is_terminal else _Lines(description, total, ps, done)
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
+        self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
+        self._task = self._bar.add_task(description, total=total, completed=done, state="")
+        self._description, self._total, self._ps, self._begun_at = description, total, ps, done
+        self._started = self._last = clock()
 
     def __enter__(self) -> Advance:
         with suppress(OSError):
-            self._progress.start()
+            self._bar.start()
         return self._advance
-
-    def _advance(self, done: float, description: str | None = None) -> None:
-        with suppress(OSError):
-            if self._lines is None:
-                self._progress.update(self._task, completed=done, description=description)
-            else:
-                self._lines.show(done, description)
 
     def __exit__(self, *_: object) -> None:
         with suppress(OSError):
-            self._progress.stop()
+            self._bar.stop()
 
-
-class _Lines:
-    """Lines about progress: the first after `LINE_AFTER` s, then less often, but at least every ten minutes."""
-
-    def __init__(self, description: str, total: float, ps: float | None, begun_at: float):
-        self._description, self._total, self._ps, self._begun_at = description, total, ps, begun_at
-        self._started = self._last = clock()
-
-    def show(self, done: float, description: str | None) -> None:
+    def _advance(self, done: float, description: str | None = None) -> None:
+        self._description = description or self._description
         now = clock()
         elapsed = now - self._started
-        self._description = description or self._description
-        if now - self._last < min(20 * LINE_AFTER, max(LINE_AFTER, elapsed / 20)) or done <= self._begun_at:
+        if done <= self._begun_at or not elapsed:
             return
-        self._last = now
+        with suppress(OSError):
+            if not self._bar.disable:
+                state = self._state(done, elapsed)
+                self._bar.update(self._task, completed=done, description=self._description, state=state)
+            elif now - self._last >= min(20 * LINE_AFTER, max(LINE_AFTER, elapsed / 20)):
+                self._last = now
+                print(f"{self._description}: {self._state(done, elapsed)}", file=sys.stderr, flush=True)
+
+    def _state(self, done: float, elapsed: float) -> str:
+        """How much is done, how fast and for how long still."""
         rate = (done - self._begun_at) / elapsed
-        parts = [f"{100 * done / self._total:.0f} %", f"{timedelta(seconds=round((self._total - done) / rate))} left"]
-        if self._ps is not None:
-            speed = f"{rate * self._ps / PS_PER_NS * SECONDS_PER_DAY:.2f} ns/day"
-            parts = [f"{done:.0f}/{self._total:.0f} steps", parts[0], speed, parts[1]]
-        print(f"{self._description}: {', '.join(parts)}", file=sys.stderr, flush=True)
+        percent = f"{100 * done / self._total:.0f} %"
+        left = f"{timedelta(seconds=round((self._total - done) / rate))} left"
+        if self._ps is None:
+            return f"{percent}, {left}"
+        speed = f"{rate * self._ps / PS_PER_NS * SECONDS_PER_DAY:.2f} ns/day"
+        return f"{done:.0f}/{self._total:.0f} steps, {percent}, {speed}, {left}"
 
 
 class ConsoleReport:
     """The `openmm_sier.measure.report.Report` of the commands."""
 
-    def note(self, message: str) -> None:
-        note(message)
+    note = staticmethod(note)
+    progress = ProgressBar
 
     def table(self, table_: Table) -> None:
         table(*table_)
 
-    def progress(self, description: str, total: float = 1.0, ps: float | None = None) -> ProgressBar:
-        return ProgressBar(description, total, ps)
-
 
 REPORT = ConsoleReport()
-
-
-def clock() -> float:
-    """Time in seconds, of which only differences mean anything."""
-    return time.perf_counter()

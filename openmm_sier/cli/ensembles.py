@@ -40,7 +40,6 @@ from openmm_sier.measure.ensemble import (
 )
 from openmm_sier.measure.forcefields import SHIPPED
 from openmm_sier_command.options import OPTIONS, Options, check_table
-from openmm_sier_command.values import Several
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -65,7 +64,7 @@ class PlanError(ValueError):
 
 
 def run(
-    plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, only_list: bool
+    plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, list: bool
 ) -> None:
     """Run `openmm-sier ensemble`.
 
@@ -79,7 +78,7 @@ def run(
     note(f"{plan}: {len(members)} members in {directory}, {sum(complete)} of them complete")
     for damage in (damage for member in members for damage in damaged_notes(member, directory)):
         note(damage)
-    if only_list:
+    if list:
         rows = [[m.name, "complete" if done else ""] for m, done in zip(members, complete, strict=True)]
         table(str(plan), ("member", ""), rows, 2)
         return
@@ -163,34 +162,31 @@ def _combinations(path: Path, shared: dict[str, Any], table: dict[str, Any]) -> 
 
 def _member(path: Path, options: dict[str, Any], varied: list[str]) -> Member:
     # A single name may stand for a list of one.
-    several = {key: [value] for key, value in options.items() if _takes_several(key) and not isinstance(value, list)}
-    options = {**options, **several}
+    options = {
+        key: [value] if key in OPTIONS and OPTIONS[key].kind.each and not isinstance(value, list) else value
+        for key, value in options.items()
+    }
     checked = check_table(str(path), options)
     if "box" not in options:
         raise PlanError(f"{path}: box is missing")
-    box = Path(_texts(path, "box", options["box"])[0])
-    # Members have directories of their own, where a relative path means another file.
-    if not (box.is_absolute() and box.is_file()):
+    box = _found(path, options["box"])
+    if not (Path(box).is_absolute() and Path(box).is_file()):
         raise PlanError(f"{path}: box {box} is neither a file beside the plan nor one of the project's own boxes")
     try:
         new_plan(Options(**checked))
     except RunError as error:
         raise PlanError(f"{path}: {error}") from None
     for key, value in checked.items():
-        if OPTIONS[key].writes:
+        if OPTIONS[key].kind.file == "output":
             _check_output(path, key, value)
-    arguments = [COMMAND, _texts(path, "box", options["box"])[0]]
+    arguments = [COMMAND, box]
     for key, value in options.items():
         if key != "box":
-            arguments += _arguments(path, key, value)
+            arguments += OPTIONS[key].words(_found(path, value) if OPTIONS[key].kind.file == "input" else value)
     name = "-".join(_label(key, options[key]) for key in varied) or COMMAND
     if len(name) > LONGEST_NAME:
         raise PlanError(f"{path}: a member's name would have {len(name)} characters: vary fewer options")
     return Member(name, tuple(arguments), checked.get("time") or 0.0)
-
-
-def _takes_several(key: str) -> bool:
-    return key in OPTIONS and isinstance(OPTIONS[key].kind, Several)
 
 
 def _check_output(path: Path, key: str, name: Path) -> None:
@@ -201,21 +197,13 @@ def _check_output(path: Path, key: str, name: Path) -> None:
         raise PlanError(f"{path}: {key}: {name} is a file of the ensemble itself: choose another name")
 
 
-def _arguments(path: Path, key: str, value: Any) -> list[str]:
-    flag = OPTIONS[key].flag
-    if isinstance(value, bool):
-        return [flag] if value else [f"--no-{flag[2:]}"] if OPTIONS[key].default is None else []
-    return [flag, *_texts(path, key, value)]
+def _found(path: Path, name: Any) -> Any:
+    """The absolute path of a file beside the plan or among the project's own; otherwise the name, of OpenMM's files.
 
-
-def _texts(path: Path, key: str, value: Any) -> list[str]:
-    """Values as arguments; input files by their absolute path, since members have directories of their own."""
-    texts = [str(item) for item in (value if isinstance(value, list) else [value])]
-    return [_found(path, text) for text in texts] if OPTIONS[key].reads else texts
-
-
-def _found(path: Path, name: str) -> str:
-    """The absolute path of a file beside the plan or among the project's own; otherwise the name, of OpenMM's files."""
+    Members have directories of their own, where a relative path means another file. Of a list, all of them.
+    """
+    if isinstance(name, list):
+        return [_found(path, each) for each in name]
     for directory in (path.parent, *SHIPPED):
         if (directory / name).is_file():
             return str((directory / name).resolve())

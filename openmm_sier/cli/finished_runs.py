@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.records import RecordError
 from openmm_sier.cli.plan import Plan, RunError, noted_plan
 from openmm_sier.measure.statistics import FEWEST
@@ -93,7 +93,7 @@ def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
     seen: dict[tuple, Path] = {}
     for path in paths:
         checkpoint = path / "run.chk" if path.is_dir() else path
-        _, notes = records.read_checkpoint(checkpoint)
+        _, notes = checkpoints.read_checkpoint(checkpoint)
         run = FinishedRun(checkpoint, noted_plan(checkpoint, notes["plan"]), notes)
         # No two runs arrive at one energy to all digits.
         end = (run.plan.seed, notes["step"], notes.get("potential_energy"), *run.settings().values())
@@ -156,21 +156,16 @@ def read_rows(path: Path, columns: Sequence[str], count: int, interval: int, fir
 
 
 def _numbers(path: Path, lines: Sequence[str], width: int) -> np.ndarray:
-    try:
-        rows = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2) if lines else np.empty((0, width))
-        # Empty lines are left out.
-        if rows.shape == (len(lines), width):
-            return rows
-    except ValueError:
-        pass
+    rows = []
     for number, line in enumerate(lines, 2):
         try:
-            if len([float(word) for word in line.split(",")]) == width:
-                continue
+            row = [float(word) for word in line.split(",")]
         except ValueError:
-            pass
-        raise RecordError(f"{path}, line {number}: expected {width} numbers, got {line[:60]!r}")
-    raise RecordError(f"{path} is no file of numbers")
+            row = []
+        if len(row) != width:
+            raise RecordError(f"{path}, line {number}: expected {width} numbers, got {line[:60]!r}")
+        rows.append(row)
+    return np.array(rows).reshape(-1, width)
 
 
 def _after(skip: float, path: Path, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -40,32 +40,32 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
 
 
 def info(
-    path: Path,
-    files: Sequence[str | Path] | None = None,
+    box: Path,
+    forcefield: Sequence[str | Path] | None = None,
     rigid: Sequence[str] | None = None,
     constraints: str | None = None,
 ) -> None:
     """Print the kinds of body of a PDB file, masses in dalton and moments in dalton nm^2.
 
     Args:
-        path: the PDB file.
-        files: force-field files; None picks one, see `forcefields.pick`.
+        box: the PDB file.
+        forcefield: force-field files; None picks one, see `forcefields.pick`.
         rigid: see `rigid_bodies`.
         constraints: besides those of water, see `forcefields.CONSTRAINTS`; None: as in a run.
 
     Raises:
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
-    box = read_box(path, files, constraints or OPTIONS["constraints"].default)
-    bodies = rigid_bodies(box, rigid)
-    atoms = list(box.topology.atoms())
-    riders = _riders(box.system, bodies)
+    read = read_box(box, forcefield, constraints or OPTIONS["constraints"].default)
+    bodies = rigid_bodies(read, rigid)
+    atoms = list(read.topology.atoms())
+    riders = _riders(read.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
-    table(f"{path}, {' '.join(box.choice.files)} ({box.choice.reason})", COLUMNS, rows)
+    table(f"{box}, {' '.join(read.choice.files)} ({read.choice.reason})", COLUMNS, rows)
     counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
     if count := len(bodies.constraints.pairs):
         counts += f", {count} constraints between bodies"
-    note(counts + _extent(box))
+    note(counts + _extent(read))
 
 
 def _row(species: Species, atoms: Sequence[app.topology.Atom], riders: dict[int, list[int]]) -> list[str]:

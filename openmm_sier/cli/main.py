@@ -7,14 +7,14 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
 from openmm_sier.cli import streams
 from openmm_sier.cli.stopping import interrupt_behind
 from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier_command.arguments import MISUSED as MISUSED
 from openmm_sier_command.arguments import parse
-from openmm_sier_command.options import given_options
-from openmm_sier_command.parser import MISUSED as MISUSED
 
 #: Exit codes. An error may have its own `exit_code`, and after signal n the code is 128 + n.
 FAILED, SIGNALLED = 1, 128
@@ -33,7 +33,7 @@ def carry_out(options: argparse.Namespace) -> int:
     # Otherwise OpenMM counts the cores of the machine, for the threads of PME even where a Context has fewer.
     os.environ.setdefault("OPENMM_CPU_THREADS", str(cores()))
     try:
-        _execute(options)
+        _execute(**vars(options))
     except KeyboardInterrupt as stop:
         streams.complain(str(stop) or "interrupted")
         return SIGNALLED + getattr(stop, "signum", signal.SIGINT)
@@ -50,54 +50,27 @@ def carry_out(options: argparse.Namespace) -> int:
     return 0
 
 
-def _execute(options: argparse.Namespace) -> None:
+def _execute(command: str, debug: bool, **given: Any) -> None:
+    """Carry out a command with its options."""
+    module, function = FUNCTIONS[command]
     with warnings.catch_warnings():
         warnings.showwarning = streams.note_warning
-        execute = COMMANDS.get(options.command) or options.execute
         try:
-            execute(options)
+            getattr(import_module(f"openmm_sier.cli.{module}"), function)(**given)
         except SystemError as error:
             if stop := interrupt_behind(error):
                 raise stop from None
             raise
 
 
-def _run(options: argparse.Namespace) -> None:
-    from openmm_sier.cli import run
-
-    run.run(given_options(options))
-
-
-def _ensemble(options: argparse.Namespace) -> None:
-    from openmm_sier.cli import ensembles
-
-    ensembles.run(options.plan, options.out, options.processes, options.threads, options.scheduler, options.list)
-
-
-def _properties(options: argparse.Namespace) -> None:
-    from openmm_sier.cli import properties
-
-    properties.properties_of(options.runs, options.box, options.skip, options.viscosity, options.out)
-
-
-def _validate(options: argparse.Namespace) -> None:
-    from openmm_sier.cli import validate
-
-    validate.validate(options.runs, options.skip, options.limit)
-
-
-def _info(options: argparse.Namespace) -> None:
-    from openmm_sier.cli import info
-
-    info.info(options.box, options.forcefield, options.rigid, options.constraints)
-
-
-COMMANDS: dict[str, Callable[[argparse.Namespace], None]] = {
-    "run": _run,
-    "ensemble": _ensemble,
-    "properties": _properties,
-    "validate": _validate,
-    "info": _info,
+#: Functions that carry out commands, by module and name. Their arguments are named like the options.
+FUNCTIONS = {
+    "run": ("run", "run"),
+    "ensemble": ("ensembles", "run"),
+    "properties": ("properties", "properties_of"),
+    "validate": ("validate", "validate"),
+    "tune": ("tune", "run"),
+    "info": ("info", "info"),
 }
 
 if __name__ == "__main__":

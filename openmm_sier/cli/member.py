@@ -48,13 +48,10 @@ def execute(arguments: list[str], command: Callable[[list[str]], int] | None = N
         if _noted(COMPLETE) == arguments:
             return 0
         identity = _identity(arguments)
-        try:
-            noted = read_arguments(Path(NOTES))
-        except DamagedNoteError as error:
-            # What the checkpoint belongs to is not known.
-            print(f"{error}: the member is done again")
+        noted = _noted(NOTES)
+        if noted is None and Path(NOTES).exists():
+            # It is damaged: what the checkpoint belongs to is not known.
             Path(CHECKPOINT).unlink(missing_ok=True)
-            noted = None
         if noted not in (None, identity):
             there = " ".join(sorted(set(noted) - set(identity))) or "fewer options"
             print(f"{Path.cwd()} has another member, with {there}: choose another directory", file=sys.stderr)
@@ -91,13 +88,8 @@ def _identity(arguments: list[str]) -> list[str]:
 
 
 def _write(path: str, content: list[str]) -> None:
-    """Replace a note: at any moment, after a power failure too, it is the old one or the new one."""
-    temporary = records.temporary_checkpoint(Path(path))
-    with open(temporary, "w") as file:
-        json.dump(content, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    with records.replacing(Path(path)) as made:
+        made.write_text(json.dumps(content, indent=1))
 
 
 def _end_with_parent() -> None:

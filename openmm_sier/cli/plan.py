@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from openmm_sier_command.options import (
     Options,
     check_table,
 )
-from openmm_sier_command.values import File
 
 #: K; the temperature of the systems that come with the project.
 DEFAULT_TEMPERATURE = 297.0
@@ -34,10 +33,10 @@ TRIAL = 10
 LONGEST_INTERVAL = 2**31 - 1
 
 #: Options that name one file each. A checkpoint notes them relative to itself.
-FILES = tuple(name for name in NOTED if isinstance(OPTIONS[name].kind, File))
+FILES = tuple(name for name in NOTED if OPTIONS[name].kind.file and not OPTIONS[name].kind.each)
 
 #: Those of them that a run writes.
-OUTPUTS = tuple(name for name in FILES if OPTIONS[name].writes)
+OUTPUTS = tuple(name for name in FILES if OPTIONS[name].kind.file == "output")
 
 
 class RunError(ValueError):
@@ -192,15 +191,13 @@ def _check_given(options: Options, ensemble: str) -> None:
 # --- from a checkpoint ---
 
 
-def noted_plan(checkpoint: Path, saved: object) -> Plan:
+def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan that a checkpoint notes, with paths of files relative to the current directory.
 
     Raises:
         OptionError, RunError: it is none; the message names the checkpoint and the field.
     """
     source = f"{checkpoint}: plan"
-    if not isinstance(saved, dict):
-        raise OptionError(f"{source}: expected options by name, got {saved!r}")
     if unknown := [name for name in saved if name not in NOTED]:
         raise OptionError(f"{source}: there is no option {unknown[0]}")
     if missing := [name for name in NOTED if saved.get(name) is None and not OPTIONS[name].empty]:
@@ -216,7 +213,7 @@ def noted_plan(checkpoint: Path, saved: object) -> Plan:
     return plan
 
 
-def continued_plan(options: Options, checkpoint: Path, saved: object) -> Plan:
+def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan of a checkpoint, with another length if one is given.
 
     Raises:

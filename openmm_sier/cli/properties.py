@@ -150,13 +150,11 @@ ROWS = (
 )
 
 
-def properties_of(
-    checkpoints: Sequence[Path], box: Path | None, skip: float, viscosity: float | None, out: Path
-) -> None:
+def properties_of(runs: Sequence[Path], box: Path | None, skip: float, viscosity: float | None, out: Path) -> None:
     """Run `openmm-sier properties`.
 
     Args:
-        checkpoints: of the runs, or their directories.
+        runs: their checkpoints or directories.
         box: the PDB file; None takes that of the checkpoints.
         skip: ps to leave out at the beginning of each run.
         viscosity: mPa s, for the size correction of diffusion; None takes that of the runs, if they give one.
@@ -166,19 +164,19 @@ def properties_of(
         RunError: runs differ in more than the seed and the length.
         RecordError, NoLiquidError, OSError: as their messages say.
     """
-    runs = read_runs(open_runs(checkpoints), box, skip)
-    moving = runs[0].plan.ensemble != "hmc"
+    found = read_runs(open_runs(runs), box, skip)
+    moving = found[0].plan.ensemble != "hmc"
     if not moving:
         REPORT.note("trials of hybrid Monte Carlo are no motion: they give no diffusion, viscosity and rotation")
-    rows, stressed = _rows(runs, None if viscosity is None else Estimate(viscosity, 0.0))
-    plan = runs[0].plan
-    length = sum(float(np.ptp(run.log["Time (ps)"])) for run in runs)
-    number = f"{len(runs)} runs" if len(runs) > 1 else "one run"
+    rows, stressed = _rows(found, None if viscosity is None else Estimate(viscosity, 0.0))
+    plan = found[0].plan
+    length = sum(float(np.ptp(run.log["Time (ps)"])) for run in found)
+    number = f"{len(found)} runs" if len(found) > 1 else "one run"
     title = f"{plan.title}, {number}, {length:.4g} ps in all"
     table(title, ("", "", "water, 298.15 K, 1 bar"), rows)
     if can_draw(REPORT):
         out.mkdir(parents=True, exist_ok=True)
-        samples = [run.samples for run in _written_as_often(runs)]
+        samples = [run.samples for run in _written_as_often(found)]
         property_figure(samples, title, out / "properties.png", _integrals(_written_as_often(stressed)), moving)
         REPORT.note(f"wrote {out / 'properties.png'}")
 

@@ -46,26 +46,34 @@ class Cost:
         ]
 
 
-def conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+def rows(log: dict[str, np.ndarray], moves_volume: bool) -> list[tuple[str, str]]:
     """Names and values for the table at the end.
 
     H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added.
 
     Args:
-        log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`.
+        log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
+        moves_volume: whether the pressure was constant.
     """
-    time, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
     momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
-    return [
-        *_energy_rows(time, H, V),
-        ("T_trans", _value(mean_and_error(log["Translational Temperature (K)"]), "K")),
-        ("T_rot", _value(mean_and_error(log["Rotational Temperature (K)"]), "K")),
-        *_flexible_rows(log),
-        ("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"),
-    ]
+    found = _energy_rows(log)
+    for name, kind in (("T_trans", "Translational"), ("T_rot", "Rotational"), ("T of flexible molecules", "Flexible")):
+        values = log[f"{kind} Temperature (K)"]
+        if kind != "Flexible" or not np.isnan(values).all():
+            found.append((name, _value(mean_and_error(values), "K")))
+    found.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
+    if moves_volume:
+        found.append(("density", _value(mean_and_error(log["Density (g/mL)"]), "g/ml")))
+    if "Acceptance" in log:
+        errors = log["Energy Error (kT)"]
+        spread = float(np.std(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else math.nan
+        found.append(("trials accepted", f"{100 * log['Acceptance'][-1]:.1f} %"))
+        found.append(("their energy errors", f"{spread:.2g} kT (sd)"))
+    return found
 
 
-def _energy_rows(time: np.ndarray, H: np.ndarray, V: np.ndarray) -> list[tuple[str, str]]:
+def _energy_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    time, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
     if np.isnan(H).any():
         return [("conserved energy H", "not known: OpenMM does not count the heat of its baths")]
     return [
@@ -73,30 +81,6 @@ def _energy_rows(time: np.ndarray, H: np.ndarray, V: np.ndarray) -> list[tuple[s
         ("fluctuation rms(H)", _value(energy_fluctuation(time, H), "kJ/mol")),
         ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), "%")),
     ]
-
-
-def _flexible_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    values = log["Flexible Temperature (K)"]
-    if np.isnan(values).all():
-        return []
-    return [("T of flexible molecules", _value(mean_and_error(values), "K"))]
-
-
-def acceptance_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    """The fraction of accepted trials, where the log has it; the argument is that of `conservation_rows`."""
-    if "Acceptance" not in log:
-        return []
-    errors = log["Energy Error (kT)"]
-    spread = float(np.std(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else math.nan
-    return [
-        ("trials accepted", f"{100 * log['Acceptance'][-1]:.1f} %"),
-        ("their energy errors", f"{spread:.2g} kT (sd)"),
-    ]
-
-
-def density_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    """The density, for the table after a run at constant pressure; the argument is that of `conservation_rows`."""
-    return [("density", _value(mean_and_error(log["Density (g/mL)"]), "g/ml"))]
 
 
 def _value(found: Estimate | float, unit: str) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,11 +47,8 @@ class Point:
         return validation.sampled(self.logs, self.plan.temperature, pressure)
 
 
-class Checked(NamedTuple):
-    """A check and the runs that it concerns."""
-
-    runs: str
-    verdict: Verdict
+#: The runs that a check concerns, and what it found.
+Checked = tuple[str, Verdict]
 
 
 def validate(runs: Sequence[Path], skip: float, limit: float) -> None:
@@ -75,19 +71,17 @@ def validate(runs: Sequence[Path], skip: float, limit: float) -> None:
             "nothing can be checked: runs at constant energy need a second one with another step, and all need more "
             "samples"
         )
-    rows = [
-        [one.runs, one.verdict.check, str(one.verdict.samples), one.verdict.detail, f"{one.verdict.distance:.1f}",
-         "FAILS" if one.verdict.distance > limit else "passes"]
-        for one in found
-    ]  # fmt: skip
+    rows, failed = [], []
+    for title, verdict in found:
+        # NaN fails too.
+        passes = verdict.distance <= limit
+        how_far, outcome = f"{verdict.distance:.1f}", "passes" if passes else "FAILS"
+        rows.append([title, verdict.check, str(verdict.samples), verdict.detail, how_far, outcome])
+        failed += [] if passes else [(verdict.distance, f"{verdict.check} of {title} by {how_far} standard errors")]
     table("Validation", ("runs", "check", "samples", "found", "standard errors", ""), rows, 2)
     note(f"a check fails beyond {limit:g} standard errors")
-    if failed := [one for one in found if not one.verdict.distance <= limit]:
-        worst = max(failed, key=lambda one: one.verdict.distance)
-        raise InvalidError(
-            f"{len(failed)} of {len(found)} checks failed, {worst.verdict.check} of {worst.runs} by "
-            f"{worst.verdict.distance:.1f} standard errors"
-        )
+    if failed:
+        raise InvalidError(f"{len(failed)} of {len(found)} checks failed, {max(failed)[1]}")
 
 
 def _at_constant_temperature(points: Sequence[Point]) -> Iterator[Checked]:
@@ -117,12 +111,12 @@ def _at_constant_energy(points: Sequence[Point]) -> Iterator[Checked]:
     for two, one in _pairs(still, ("dt",)):
         steps = one.plan.dt, two.plan.dt
         found = validation.fluctuation(one.logs), validation.fluctuation(two.logs)
-        yield Checked(f"{one.plan.method.name}, NVE", validation.order_verdict(steps, found, one.plan.method.order))
+        yield (f"{one.plan.method.name}, NVE", validation.order_verdict(steps, found, one.plan.method.order))
 
 
 def _tried(title: str, check: Callable[[], list[Verdict]]) -> list[Checked]:
     try:
-        return [Checked(title, verdict) for verdict in check()]
+        return [(title, verdict) for verdict in check()]
     except TooFewError as error:
         note(f"{title}: {error}")
         return []

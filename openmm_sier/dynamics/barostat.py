@@ -27,11 +27,15 @@ class MonteCarloVolumeMove:
 
     Attributes:
         pressure: kJ/mol/nm^3.
-        interval: steps from one attempted move to the next; with hybrid Monte Carlo, trials.
+        interval: steps from one attempted move to the next, at least 1; with hybrid Monte Carlo, trials.
     """
 
     pressure: float
     interval: int
+
+    def __post_init__(self) -> None:
+        if self.interval < 1:
+            raise ValueError(f"barostatInterval must be at least 1, got {self.interval}")
 
     def proposal(self, seed: int, draw: int, molecules: int) -> Proposal:
         """A move to be tried.

@@ -7,6 +7,7 @@ Arrays of atoms have OpenMM's shape (N, 3).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,11 +16,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from openmm_sier.dynamics import backend, fitting
-from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics import fitting
+from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame, combine, displacing_rotation
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
+from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import Species
 
 
@@ -117,7 +119,7 @@ class RigidBodies:
         counts = [s.atoms.shape[0] for s in self.species]
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        self._sites = [backend.Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
+        self._sites = [Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
@@ -296,13 +298,15 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(forces, A, [s.ones for s in self._sites])
+        return self._sum_over_sites(forces, A, [np.ones(len(s.masses)) for s in self.species])
 
     def _sum_over_sites(
         self, vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        total, moment, finite = backend.active().collect(self._sites, vectors, A, weights)
-        if not finite:
+        total, moment = np.empty((2, 3, self.n))
+        for sites, own in zip(self._sites, weights, strict=True):
+            sites.collect(vectors, A, own, total, moment)
+        if not (_are_finite(total) and _are_finite(moment)):
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
 
@@ -314,15 +318,32 @@ class RigidBodies:
         Raises:
             NotFiniteError: a position is not finite. All have been written then.
         """
-        if not backend.active().place(self._sites, q, A, positions):
+        for sites in self._sites:
+            sites.place(q, A, positions)
+        if not _are_finite(q):
             raise NotFiniteError(q)
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
-        inverses = self.inverse_masses, self.inverse_moments
-        backend.active().move(self._sites, state.p, state.A, state.L, *inverses, velocities)
+        v, omega = state.p * self.inverse_masses, self.angular_velocities(state)
+        for sites in self._sites:
+            sites.move(v, state.A, omega, velocities)
         return velocities
+
+    def displaced(
+        self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Centres and attitudes of bodies displaced by `shift` times the accelerations by forces and torques.
+
+        Args:
+            q, F, tau: (3, n).
+            A: (3, 3, n).
+            shift: half the square of a time, ps^2.
+        """
+        x, y, z = A
+        rows = displacing_rotation(x, y, z, tau, self.inverse_moments, shift)
+        return q + (shift * self.inverse_masses) * F, np.stack([combine(row, x, y, z) for row in rows])
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:
         """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""
@@ -368,3 +389,8 @@ class RigidBodies:
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
+
+
+def _are_finite(vectors: np.ndarray) -> bool:
+    """Whether all components (3, n) are finite, as their sum shows if it does not overflow; einsum does not warn."""
+    return math.isfinite(np.einsum("ij->", vectors)) or bool(np.isfinite(vectors).all())

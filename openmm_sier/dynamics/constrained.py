@@ -21,7 +21,7 @@ The algebra of kicks is unchanged too: kicks commute, and T is quadratic in the 
 Schemes have the order that `Scheme.order` derives, provided that the geodesic has this order too.
 
 Forces at displaced points exert a torque about the points before displacement that differs in second order in s from
-that about the displaced ones. `GroupTorques` corrects for this by a rigid rotation of each group of atoms, so that the
+that about the displaced ones. `DisplacedKick` corrects for this by a rigid rotation of each group of atoms, so that the
 total angular momentum is exact.
 """
 
@@ -34,17 +34,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics import backend, operators
-from openmm_sier.dynamics.backend.formulas import cross
+from openmm_sier.dynamics import operators
+from openmm_sier.dynamics.backend.formulas import LINE, cross, spin
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP, Composition
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
-
-#: Free motion of some of the bodies, (q, p, h) -> (q, p), each (3, m).
-Advance = Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 
 
 def constrained_operators(
@@ -63,14 +60,12 @@ def constrained_operators(
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
         composition: of the geodesic.
-        groups: of `GroupTorques`; None: one for each connected component of the constraints.
+        groups: of `DisplacedKick`; None: one for each connected component of the constraints.
     """
-    members = constraints.members
-    drift = operators.drift(bodies, rotation)
     return {
         KICK: constrained_kick(operators.kick(forces), constraints),
         GRADIENT_KICK: constrained_gradient_kick(bodies, forces, constraints, groups),
-        DRIFT: flexible_drift(drift, members, geodesic(constraints.restricted(members), composition)),
+        DRIFT: constrained_drift(operators.drift(bodies, rotation), constraints, composition),
     }
 
 
@@ -112,139 +107,101 @@ def constrained_gradient_kick(
 
     The operator raises ConstraintError where no positions near the displaced ones satisfy the constraints.
     """
-    groups = component_groups(constraints) if groups is None else np.asarray(groups)
-    grouped, lost = groups >= 0, GroupTorques(constraints.masses, groups)
+    displaced_kick = DisplacedKick(constraints, groups)
 
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
         F, tau = forces(state)
         F = constraints.project(state.q, F)
-        q, A = backend.active().displace(state.q, state.A, F, tau, shift, bodies.inverse_masses, bodies.inverse_moments)
+        q, A = bodies.displaced(state.q, state.A, F, tau, shift)
         part = constraints.members
         q[:, part] = constraints.displaced(state.q, F, shift)[:, part]
         F, tau = forces.at(q, A)
-        F = constraints.project(q, F)
-        arm = q - state.q
-        turn = np.array(cross(arm, F))
-        F = lost.restore(state.q, turn, F)
-        turn[:, grouped] = 0.0
-        p = constraints.project(state.q, state.p + h * F)
-        return BodyState(state.q, p, state.A, state.L + h * (tau + turn), state.heat, state.draws)
+        p, torques = displaced_kick(state, q, F, h)
+        return BodyState(state.q, p, state.A, state.L + h * (tau + torques), state.heat, state.draws)
 
     return apply
 
 
-def component_groups(constraints: Constraints) -> np.ndarray:
-    """For each body the number of its connected component of the constraints, -1 if it has none."""
-    groups = np.full(len(constraints.masses), -1)
-    for number, pairs in enumerate(constraints.components):
-        groups[constraints.pairs[pairs]] = number
-    return groups
+class DisplacedKick:
+    """A kick by forces at displaced positions, which satisfy all constraints between members of a group of points."""
 
-
-class GroupTorques:
-    """Torques on groups of points, exerted by forces that satisfy all constraints between members of a group."""
-
-    def __init__(self, masses: np.ndarray, groups: ArrayLike):
+    def __init__(self, constraints: Constraints, groups: ArrayLike | None):
         """
         Args:
-            masses: (n,).
-            groups: number of each point's group, (n,); -1 for those that are in none.
+            constraints: in the numbering of the bodies.
+            groups: number of each point's group, (n,); -1 for those that are in none. None: one for each connected
+                component of the constraints.
         """
+        groups = constraints.groups if groups is None else np.asarray(groups)
         numbers, group, size = np.unique(groups, return_inverse=True, return_counts=True)
         part = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
+        self._constraints, self._grouped = constraints, groups >= 0
         self._part = part[np.argsort(group[part], kind="stable")]
-        self._edges = np.append(np.flatnonzero(np.diff(group[self._part], prepend=-1)), len(part))
-        self._masses = masses[self._part]
+        self._starts = np.flatnonzero(np.diff(group[self._part], prepend=-1))
+        self._group = np.cumsum(np.isin(np.arange(len(part)), self._starts)) - 1
+        self._masses = constraints.masses[self._part]
 
-    def restore(self, q: np.ndarray, torques: np.ndarray, F: np.ndarray) -> np.ndarray:
-        """Forces (3, n), plus those of a rigid rotation of each group, which exert the group's torque.
+    def __call__(self, state: BodyState, q: np.ndarray, F: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """New momenta, and the torques about the centres that bodies in no group take up themselves, (3, n) each.
+
+        Args:
+            state: before the kick.
+            q: displaced positions, (3, n).
+            F: forces there, (3, n).
+            h: time.
+        """
+        F = self._constraints.project(q, F)
+        torques = np.array(cross(q - state.q, F))
+        if len(self._part):
+            F[:, self._part] += self._turning_forces(state.q[:, self._part], torques[:, self._part])
+        torques[:, self._grouped] = 0.0
+        return self._constraints.project(state.q, state.p + h * F), torques
+
+    def _turning_forces(self, q: np.ndarray, torques: np.ndarray) -> np.ndarray:
+        """Forces that turn each group rigidly and exert the torques of its members, (3, m) each.
 
         There is no such rotation about a line that the whole group lies on, and the torque of a single point is lost;
         both errors are of second order in the displacement.
-
-        Args:
-            q: positions, (3, n).
-            torques: on each body, (3, n).
-            F: forces, (3, n).
         """
-        if not len(self._part):
-            return F
-        F = F.copy()
-        backend.active().turn_groups(self._edges, self._part, self._masses, q, torques, F)
-        return F
+        m, starts, group = self._masses, self._starts, self._group
+        x, y, z = (row - (np.add.reduceat(m * row, starts) / np.add.reduceat(m, starts))[group] for row in q)
+        products = m * np.array([x * x, y * y, z * z, x * y, y * z, z * x])
+        torque = np.add.reduceat(torques, starts, axis=1)
+        turned, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
+        line = determinant <= LINE * half**3
+        rates = np.where(line, torque / half, np.array(turned) / np.where(line, 1.0, determinant))
+        return m * np.array(cross(rates[:, group], (x, y, z)))
 
 
 # --- drifts ---
 
 
-def flexible_drift(drift: Operator, members: ArrayLike, advance: Advance) -> Operator:
-    """The drift of all bodies, some of which move in another way.
+def constrained_drift(drift: Operator, constraints: Constraints, composition: Composition = SUZUKI) -> Operator:
+    """The drift of all bodies, of which constrained ones follow geodesics.
 
-    Args:
-        drift: of all bodies.
-        members: columns of those that move in another way, (m,).
-        advance: their motion.
+    The operator raises ConstraintError where momenta are far too large for the time.
     """
-    members = np.asarray(members)
+    fractions = np.array(composition.fractions)
 
     def apply(state: BodyState, h: float) -> BodyState:
-        moved = drift(state, h)
-        p = state.p.copy()
-        q = moved.q
-        q[:, members], p[:, members] = advance(state.q[:, members], state.p[:, members], h)
-        return replace(moved, q=q, p=p)
+        q, p = constraints.drift(state.q, state.p, h, fractions)
+        return replace(drift(state, h), q=q, p=p)
 
     return apply
 
 
-def geodesic(constraints: Constraints, composition: Composition = SUZUKI) -> Advance:
-    """Free motion with constraints; it raises ConstraintError where momenta are far too large for the time."""
-    fractions = np.array(composition.fractions)
-
-    def advance(q: np.ndarray, p: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        return constraints.drift(q, p, h, fractions)
-
-    return advance
-
-
-class FastForces:
+class FastForces(CachedForces):
     """Forces on point bodies that are recomputed only for a new array of positions.
 
     Args:
         compute: q -> F, each (3, m).
-
-    Attributes:
-        evaluations: how often `compute` was called.
     """
 
     def __init__(self, compute: Callable[[np.ndarray], np.ndarray]):
-        self._compute = compute
-        self.evaluations = 0
-        self.invalidate()
+        super().__init__(lambda q: (compute(q),))
 
-    def invalidate(self) -> None:
-        """Compute anew next time: the potential has changed."""
-        self._where: np.ndarray | None = None
-        self._value = np.empty(0)
-
-    def __call__(self, q: np.ndarray) -> np.ndarray:
-        if self._where is not q:
-            self.invalidate()
-            self._value = self.at(q)
-            self._where = q
-        return self._value
-
-    def at(self, q: np.ndarray) -> np.ndarray:
-        """Forces at other positions, which are not kept.
-
-        Raises:
-            ValueError: their shape is not that of the positions.
-        """
-        self.evaluations += 1
-        F = self._compute(q)
-        if F.shape != q.shape:
-            raise ValueError(f"fast forces must have the shape {q.shape} of the positions, got {F.shape}")
-        return F
+    def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
+        return self._latest(state.q)
 
 
 def point_operators(
@@ -261,28 +218,25 @@ def point_operators(
         constraints: in the numbering of the points, with the masses of all of them.
         forces: on the points.
         composition: of the geodesic.
-        groups: of `GroupTorques`; None: one for each connected component of the constraints.
+        groups: of `DisplacedKick`; None: one for each connected component of the constraints.
     """
-    groups = component_groups(constraints) if groups is None else np.asarray(groups)
-    advance, lost = geodesic(constraints, composition), GroupTorques(constraints.masses, groups)
-
-    def moved(state: BodyState, q: np.ndarray, p: np.ndarray) -> BodyState:
-        return BodyState(q, p, state.A, state.L, state.heat, state.draws)
+    displaced_kick = DisplacedKick(constraints, groups)
 
     def kick(state: BodyState, h: float) -> BodyState:
-        return moved(state, state.q, constraints.project(state.q, state.p + h * forces(state.q)))
+        (F,) = forces(state)
+        return replace(state, p=constraints.project(state.q, state.p + h * F))
 
     def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
-        q = constraints.displaced(state.q, constraints.project(state.q, forces(state.q)), shift)
-        F = constraints.project(q, forces.at(q))
-        torques = np.array(cross(q - state.q, F))
-        F = lost.restore(state.q, torques, F)
-        return moved(state, state.q, constraints.project(state.q, state.p + h * F))
+        (F,) = forces(state)
+        q = constraints.displaced(state.q, constraints.project(state.q, F), shift)
+        (F,) = forces.at(q)
+        return replace(state, p=displaced_kick(state, q, F, h)[0])
 
-    def drift(state: BodyState, h: float) -> BodyState:
-        return moved(state, *advance(state.q, state.p, h))
-
-    return {KICK: kick, GRADIENT_KICK: gradient_kick, DRIFT: drift}
+    return {
+        KICK: kick,
+        GRADIENT_KICK: gradient_kick,
+        DRIFT: constrained_drift(lambda state, h: state, constraints, composition),
+    }
 
 
 def nested_drift(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from openmm_sier.dynamics.backend.formulas import combine, displacing_rotation
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 
@@ -85,10 +86,7 @@ def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -
 
 
 def _turned(A: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Attitudes turned by lab vectors (3, n); the Cayley form, which differs from the rotation in third order."""
-    x, y, z = t = 0.5 * angle
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-    square = np.einsum("abn,bcn->acn", cross, cross)
-    rotation = np.eye(3)[:, :, None] + (2 / (1 + (t**2).sum(axis=0))) * (cross + square)
-    return np.einsum("xyn,ayn->axn", rotation, A)
+    """Attitudes turned by lab vectors (3, n), up to the third order."""
+    x, y, z = A
+    rows = displacing_rotation(x, y, z, angle, (1.0, 1.0, 1.0), 1.0)
+    return np.stack([combine(row, x, y, z) for row in rows])

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend.top import top
+from openmm_sier.dynamics.backend.formulas import cross
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.rotation.exact import EXACT
+from openmm_sier.dynamics.rotation.arguments import axes_of
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
 #: (state, time) -> state; a gradient kick also takes its displacement per acceleration.
@@ -23,9 +23,6 @@ Operator = Callable[..., BodyState]
 
 #: A function that makes a whole step.
 Stepper = Callable[[BodyState], BodyState]
-
-#: (q, A) -> (F, tau)
-ForceFunction = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 #: A free-rotation map (A, L, moments, h) -> (A, L), such as `rotation.exact`.
 Rotation = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
@@ -41,34 +38,38 @@ class CachedForces:
         evaluations: how often `compute` was called.
     """
 
-    def __init__(self, compute: ForceFunction):
+    def __init__(self, compute: Callable[..., tuple[np.ndarray, ...]]):
         self._compute = compute
         self.evaluations = 0
         self.invalidate()
 
     def invalidate(self) -> None:
         """Compute anew next time: the potential has changed."""
-        self._where: tuple = (None, None)
-        self._value: tuple = ()
+        self._where: tuple[np.ndarray, ...] = ()
+        self._value: tuple[np.ndarray, ...] = ()
 
-    def __call__(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
-        if self._where[0] is not state.q or self._where[1] is not state.A:
+    def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
+        return self._latest(state.q, state.A)
+
+    def _latest(self, *where: np.ndarray) -> tuple[np.ndarray, ...]:
+        if [id(array) for array in where] != [id(array) for array in self._where]:
             self.invalidate()
-            self._value = self.at(state.q, state.A)
-            self._where = (state.q, state.A)
+            self._value = self.at(*where)
+            self._where = where
         return self._value
 
-    def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces and torques at other positions, which are not kept.
+    def at(self, *where: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Forces and torques at other positions and attitudes, which are not kept.
 
         Raises:
-            ValueError: their shape is not that of the positions, (3, n), on which compiled loops rely.
+            ValueError: their shape is not that of the positions, (3, n).
         """
         self.evaluations += 1
-        F, tau = self._compute(q, A)
-        if not F.shape == tau.shape == q.shape:
-            raise ValueError(f"forces and torques must have the shape {q.shape} of q, got {F.shape} and {tau.shape}")
-        return F, tau
+        found = self._compute(*where)
+        if any(vectors.shape != where[0].shape for vectors in found):
+            shapes = " and ".join(str(vectors.shape) for vectors in found)
+            raise ValueError(f"forces must have the shape {where[0].shape} of the positions, got {shapes}")
+        return found
 
 
 def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
@@ -81,8 +82,7 @@ def kick(forces: CachedForces) -> Operator:
 
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
-        p, L = backend.active().kick(state.p, state.L, F, tau, h)
-        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
+        return BodyState(state.q, state.p + h * F, state.A, state.L + h * tau, state.heat, state.draws)
 
     return apply
 
@@ -101,11 +101,11 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
     """
 
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
-        execute, inverses = backend.active(), (bodies.inverse_masses, bodies.inverse_moments)
-        q, A = execute.displace(state.q, state.A, *forces(state), shift, *inverses)
+        F, tau = forces(state)
+        q, A = bodies.displaced(state.q, state.A, F, tau, shift)
         F, tau = forces.at(q, A)
-        p, L = execute.kick_from(state.p, state.L, F, tau, q - state.q, h)
-        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
+        L = state.L + h * (tau + cross(q - state.q, F))
+        return BodyState(state.q, state.p + h * F, state.A, L, state.heat, state.draws)
 
     return apply
 
@@ -115,7 +115,8 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
 
     The operator raises ValueError for a state with another number of bodies.
     """
-    free_motion = _exact_drift(bodies) if rotation is exact else _drift_by(bodies, rotation)
+    in_order = all((np.diff(species.moments) >= 0).all() for species in bodies.species)
+    free_motion = _exact_drift(bodies) if rotation is exact and in_order else _drift_by(bodies, rotation)
 
     def apply(state: BodyState, h: float) -> BodyState:
         if state.q.shape != (3, bodies.n):
@@ -126,11 +127,11 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
 
 
 def _exact_drift(bodies: RigidBodies) -> Operator:
-    kinds = [(top(species.moments), part) for species, part in zip(bodies.species, bodies.parts, strict=True)]
+    kinds = [(axes_of(species.moments).rates, part) for species, part in zip(bodies.species, bodies.parts, strict=True)]
 
     def apply(state: BodyState, h: float) -> BodyState:
-        phase_point = state.q, state.p, state.A, state.L
-        q, A = backend.active().drift(EXACT, kinds, *phase_point, h, bodies.inverse_masses)
+        A = backend.active().rotate(kinds, state.A, state.L, h)
+        q = state.q + (h * bodies.inverse_masses) * state.p
         return BodyState(q, state.p, A, state.L, state.heat, state.draws)
 
     return apply

@@ -10,6 +10,9 @@ from openmm_sier.engines.native.program import Program
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.system.arguments import Bodies
 
+#: Engines by the names by which users ask for them.
+ENGINES = {engine.name: engine for engine in (ExactEngine, NativeEngine)}
+
 #: The platforms on which "auto" takes the exact engine, since their forces are in memory that Python can read.
 EXACT_PLATFORMS = ("CPU", "Reference")
 

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import openmm
 
+from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.temperature import Temperatures
+from openmm_sier.engines.temperature import MomentumConservation, Temperatures
+from openmm_sier.system import checks
+from openmm_sier.system.vibrations import Vibrations
 
 
 class TrajectoryError(openmm.OpenMMException):
@@ -51,7 +57,7 @@ class Clock(NamedTuple):
     steps: int
 
 
-class Engine(Protocol):
+class Engine(ABC):
     """Binding of an integrator to a Context.
 
     Between `begin` and `publish` an engine may keep the bodies' state to itself; after `publish` the Context has it.
@@ -64,23 +70,69 @@ class Engine(Protocol):
         draws: number of draws of random numbers so far.
     """
 
-    name: str
-    repeats_noise: bool
+    name: ClassVar[str]
+    repeats_noise: ClassVar[bool]
+    evaluations: int
     clock: Clock
     draws: int
 
-    @property
-    def evaluations(self) -> int: ...
+    _vibrations: Vibrations
+
+    def __init__(self, integrator: openmm.CustomIntegrator, context: openmm.Context, flow: Flow):
+        """
+        Args:
+            integrator: openmm.CustomIntegrator.
+            context: openmm.Context.
+            flow: what will be followed.
+        """
+        # The Context owns its integrator, and that its engine: a strong reference back would keep all of them alive.
+        self._integrator_ref, self._context_ref = weakref.ref(integrator), weakref.ref(context)
+        self._flow = flow
+        self._checked: tuple[Any, ...] = ()
 
     @property
+    def _context(self) -> openmm.Context:
+        if (context := self._context_ref()) is None:
+            raise openmm.OpenMMException("The Context of this integrator no longer exists")
+        return context
+
+    @property
+    def _integrator(self) -> openmm.CustomIntegrator:
+        if (integrator := self._integrator_ref()) is None:
+            raise openmm.OpenMMException("The integrator of this Context no longer exists")
+        return integrator
+
+    @property
+    @abstractmethod
     def bodies(self) -> RigidBodies:
         """The rigid and point bodies of the System."""
 
+    @property
+    def _movers(self) -> RigidBodies:
+        """What moves, by the numbers of which the engine knows it."""
+        return self.bodies
+
+    def _check_step(self) -> None:
+        """Refuse steps that are too long for bonds and librations."""
+        flow, groups = self._flow, self._integrator.getIntegrationForceGroups()
+        checked = flow.scheme, flow.step, flow.substeps, flow.fast_groups, groups, self._vibrations
+        if checked != self._checked:
+            self._vibrations.check(flow.scheme, flow.step, groups & ~flow.fast_groups)
+            inner, fast = self._inner_step(), groups & flow.fast_groups
+            self._vibrations.check_nested(WITHIN_DRIFTS, inner, flow.step, fast)
+            self._checked = checked
+
+    @abstractmethod
+    def _inner_step(self) -> float:
+        """The longest step within drifts, ps."""
+
     # --- one call of the integrator's step ---
 
+    @abstractmethod
     def begin(self, flow: Flow) -> None:
         """Take over what was changed in the Context from outside, and check that the flow can be followed."""
 
+    @abstractmethod
     def follow(self, steps: int) -> None:
         """Advance by steps of the scheme, and the clock with them.
 
@@ -88,43 +140,50 @@ class Engine(Protocol):
             TrajectoryError: a force or a position is not finite, or constraints cannot be satisfied.
         """
 
+    @abstractmethod
     def publish(self) -> None:
         """Write the last completed step to the Context."""
 
+    @abstractmethod
     def recover(self) -> None:
         """After an error: write the last completed step to the Context as far as the engine still has it."""
 
     # --- what ensembles need between flows ---
 
+    @abstractmethod
     def potential_energy(self) -> float:
         """Potential energy of the forces that move the bodies, kJ/mol."""
 
+    @abstractmethod
     def kinetic_energy(self) -> float:
         """Kinetic energy, kJ/mol."""
 
+    @abstractmethod
     def positions(self) -> np.ndarray:
         """Positions of all particles, (N, 3), nm."""
 
+    @abstractmethod
     def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
         """Let a bath act for a time in ps; it takes a draw and its heat is counted."""
 
+    @abstractmethod
     def remember(self) -> Any:
         """Everything that `go_back` restores: positions, momenta, box, clock, heat and draws."""
 
+    @abstractmethod
     def go_back(self, memory: Any, reverse: bool = False) -> None:
         """Restore what was remembered; `reverse` reverses all momenta."""
 
     @property
     def mass(self) -> float:
         """Mass of all that moves, dalton."""
+        return float(self._movers.masses.sum())
 
-    @property
-    def removes_momentum(self) -> bool:
-        """Whether the System has a CMMotionRemover."""
-
+    @abstractmethod
     def centre_velocity(self) -> np.ndarray:
         """Velocity of the centre of mass, (3,), nm/ps."""
 
+    @abstractmethod
     def shift_velocities(self, velocity: np.ndarray) -> None:
         """Add a velocity, (3,), nm/ps, to all bodies, and its energy to the heat."""
 
@@ -134,34 +193,62 @@ class Engine(Protocol):
         Raises:
             openmm.OpenMMException: it cannot.
         """
+        checks.refuse_constant_pressure(self._context.getSystem(), self._movers)
+
+    def _forget_movers(self) -> None:
+        """Find out anew next time what depends on the numbers of what moves."""
+        for name in ("_centres", "_momentum"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def _centres(self) -> MoleculeCentres:
+        return MoleculeCentres(self._movers, self._context.getMolecules())
 
     @property
     def molecules(self) -> int:
         """Number of molecules, each of which moves as a whole with the volume."""
+        return self._centres.count
 
     def volume(self) -> float:
         """Volume of the box, nm^3."""
+        return self._context.getState().getPeriodicBoxVolume()._value
 
+    @abstractmethod
     def scale(self, factor: float) -> None:
         """Multiply the edges of the box and the centres of mass of all molecules; the clock stays."""
 
+    @abstractmethod
     def heat(self) -> float:
         """Energy that was given to the bodies by baths and moves, and not by forces, kJ/mol."""
 
+    @abstractmethod
     def add_heat(self, energy: float) -> None:
         """Count energy as heat, kJ/mol."""
 
     # --- what users ask ---
 
+    @abstractmethod
     def state(self) -> BodyState:
         """The bodies' phase point, brought up to date with the Context."""
 
+    @abstractmethod
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`."""
 
+    @cached_property
+    def _momentum(self) -> MomentumConservation:
+        return MomentumConservation.of_system(self._context.getSystem(), self._movers)
+
+    @property
+    def removes_momentum(self) -> bool:
+        """Whether the System has a CMMotionRemover."""
+        return self._momentum.removed
+
     def conserves_momentum(self) -> bool:
         """Whether the total momentum is conserved, see `MomentumConservation`."""
+        return self._momentum.holds(self._integrator)
 
+    @abstractmethod
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         """Minimize the energy and keep bodies rigid; see `openmm.LocalEnergyMinimizer` for the arguments.
 
@@ -171,14 +258,17 @@ class Engine(Protocol):
 
     # --- news from outside ---
 
-    def atoms_moved(self) -> None:
+    def atoms_moved(self) -> None:  # noqa: B027 - an engine may find it out by itself
         """Somebody set positions or velocities."""
 
+    @abstractmethod
     def forces_changed(self) -> None:
         """Somebody changed the potential."""
 
+    @abstractmethod
     def groups_changed(self) -> None:
         """Somebody changed the integration force groups."""
 
+    @abstractmethod
     def start_anew(self) -> None:
         """Make the next step depend on nothing but what the Context holds, so that a restart repeats it bit for bit."""

@@ -12,13 +12,17 @@ PREFIX = "sier_"
 #: Global variables: heat, kJ/mol; number of draws of random numbers so far; seed, 0 if none was chosen.
 HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 
+#: Global variable: the next native step of the program. If it is negative, OpenMM updates the Context's state and does
+#: nothing else.
+PART = PREFIX + "part"
+
 #: Per-atom variables in which the exact engine stores the bodies' state, see `exact.packing`, and their geometry.
 STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
 SITES = PREFIX + "sites"
 
 
 class Record:
-    """Global variables that travel in checkpoints, beside the values that they had after the last step."""
+    """Global variables by name that travel in checkpoints, beside the values that they had after the last step."""
 
     def __init__(self, integrator: openmm.CustomIntegrator, names: tuple[str, ...]):
         """
@@ -30,39 +34,26 @@ class Record:
         self._integrator, self._names = weakref.ref(integrator), (HEAT, DRAWS, *names)
         self._known: dict[str, float] = {}
 
-    @property
-    def _globals(self) -> Globals:
-        integrator = self._integrator()
-        assert integrator is not None
-        return Globals(integrator)
+    def __getitem__(self, name: str) -> float:
+        return self._integrator().getGlobalVariableByName(name)  # type: ignore[union-attr]
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self._integrator().setGlobalVariableByName(name, value)  # type: ignore[union-attr]
 
     def clear(self) -> None:
         """Set all to zero but the seed."""
         for name in self._names:
-            self._globals[name] = 0.0
+            self[name] = 0.0
 
     def keep(self) -> None:
         """Note the values that they have."""
-        self._known = {name: self._globals[name] for name in (SEED, *self._names)}
+        self._known = {name: self[name] for name in (SEED, *self._names)}
 
     def restore(self) -> None:
         """Restore the noted values if somebody wrote the variables of another integrator over ours.
 
         openmmtools' ContextCache does so. Noise must not be used twice.
         """
-        if self._known.get(SEED) and self._globals[SEED] == 0:
+        if self._known.get(SEED) and self[SEED] == 0:
             for name, value in self._known.items():
-                self._globals[name] = value
-
-
-class Globals:
-    """The global variables of a CustomIntegrator by name."""
-
-    def __init__(self, integrator: openmm.CustomIntegrator):
-        self._integrator = integrator
-
-    def __getitem__(self, name: str) -> float:
-        return self._integrator.getGlobalVariableByName(name)
-
-    def __setitem__(self, name: str, value: float) -> None:
-        self._integrator.setGlobalVariableByName(name, value)
+                self[name] = value

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import openmm
 
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.variables import Record
 
 
-class Record(Protocol):
-    """The global variables of an integrator by name: what must travel in checkpoints."""
+@dataclass(frozen=True)
+class Ensemble:
+    """What an integrator holds besides its scheme. Without changes of a subclass it adds nothing to the flow.
 
-    def __getitem__(self, name: str, /) -> float: ...
-
-    def __setitem__(self, name: str, value: float, /) -> None: ...
-
-
-class Ensemble(Protocol):
-    """What an integrator holds besides its scheme.
+    The fields of a subclass are stored in XML by their types, see `integrators.settings`.
 
     Attributes:
-        name: by which settings are stored.
         record: names of the global variables that it keeps besides heat, draws and seed.
         steps: number of steps of the scheme in one step of the integrator.
         is_random: whether it draws random numbers.
@@ -33,42 +28,6 @@ class Ensemble(Protocol):
         needs_package: whether the program of the scheme alone would do less.
     """
 
-    name: ClassVar[str]
-    record: ClassVar[tuple[str, ...]]
-    is_random: ClassVar[bool]
-    updates_context: ClassVar[bool]
-
-    @property
-    def steps(self) -> int: ...
-
-    @property
-    def needs_package(self) -> bool: ...
-
-    def executed(self, scheme: Scheme) -> Scheme:
-        """The scheme to execute now."""
-
-    def bath(self, seed: int) -> OrnsteinUhlenbeck | None:
-        """What executes the bath of the scheme."""
-
-    def check(self, system: openmm.System, engine: Engine) -> None:
-        """Prepare an engine.
-
-        Raises:
-            openmm.OpenMMException: the System has a Force with which the ensemble cannot be sampled.
-        """
-
-    def advance(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
-        """Advance by steps of the integrator, from what `Engine.begin` found.
-
-        After an error the engine is at the last completed step.
-        """
-
-
-@dataclass(frozen=True)
-class ConstantEnergy:
-    """Nothing but the flow."""
-
-    name: ClassVar[str] = "constant energy"
     record: ClassVar[tuple[str, ...]] = ()
     is_random: ClassVar[bool] = False
     updates_context: ClassVar[bool] = True
@@ -82,13 +41,28 @@ class ConstantEnergy:
         return False
 
     def executed(self, scheme: Scheme) -> Scheme:
+        """The scheme to execute now."""
         return scheme
 
     def bath(self, seed: int) -> OrnsteinUhlenbeck | None:
+        """What executes the bath of the scheme."""
         return None
 
     def check(self, system: openmm.System, engine: Engine) -> None:
-        """Every System will do."""
+        """Prepare an engine.
+
+        Raises:
+            openmm.OpenMMException: the System has a Force with which the ensemble cannot be sampled.
+        """
 
     def advance(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
+        """Advance by steps of the integrator, from what `Engine.begin` found.
+
+        After an error the engine is at the last completed step.
+        """
         engine.follow(steps)
+
+
+@dataclass(frozen=True)
+class ConstantEnergy(Ensemble):
+    """Nothing but the flow."""

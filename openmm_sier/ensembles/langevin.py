@@ -11,13 +11,13 @@ from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Engine, Flow
-from openmm_sier.engines.variables import SEED
-from openmm_sier.ensembles.ensemble import Record
+from openmm_sier.engines.variables import SEED, Record
+from openmm_sier.ensembles.ensemble import Ensemble
 from openmm_sier.ensembles.volume import is_due, move_volume
 
 
 @dataclass(frozen=True)
-class Langevin:
+class Langevin(Ensemble):
     """Constant temperature, and constant pressure where volume moves are given.
 
     Attributes:
@@ -32,19 +32,18 @@ class Langevin:
     rotational_friction: float | None = None
     volume_move: MonteCarloVolumeMove | None = None
 
-    name: ClassVar[str] = "langevin"
-    record: ClassVar[tuple[str, ...]] = ()
     is_random: ClassVar[bool] = True
-    updates_context: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        values = self.temperature, self.friction, self.turning
+        for name, value in zip(("temperature", "frictionCoeff", "rotationalFriction"), values, strict=True):
+            if value < 0:
+                raise ValueError(f"{name} must not be negative, got {value} {'K' if name == 'temperature' else '1/ps'}")
 
     @property
     def turning(self) -> float:
         """Friction of rotation, 1/ps."""
         return self.friction if self.rotational_friction is None else self.rotational_friction
-
-    @property
-    def steps(self) -> int:
-        return 1
 
     @property
     def needs_package(self) -> bool:

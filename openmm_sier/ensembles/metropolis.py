@@ -13,11 +13,10 @@ from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.metropolis import is_accepted
 from openmm_sier.dynamics.noise import generator
-from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
-from openmm_sier.engines.variables import PREFIX, SEED
-from openmm_sier.ensembles.ensemble import Record
+from openmm_sier.engines.variables import PREFIX, SEED, Record
+from openmm_sier.ensembles.ensemble import Ensemble
 from openmm_sier.ensembles.volume import is_due, move_volume
 from openmm_sier.system import checks
 
@@ -34,7 +33,7 @@ REVERSIBLE = 1e-4
 
 
 @dataclass(frozen=True)
-class Metropolis:
+class Metropolis(Ensemble):
     """The canonical ensemble without time-step error, and the one of constant pressure where volume moves are given.
 
     The ends of trials are samples, see `dynamics.metropolis`. Everything that a step does is undone where it cannot be
@@ -42,20 +41,27 @@ class Metropolis:
 
     Attributes:
         temperature: K.
-        friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; infinite to draw all anew.
+        friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew.
         steps_per_trial: number of steps of the scheme in a trial.
         volume_move: between trials; None keeps the volume.
     """
 
     temperature: float
-    friction: float
+    friction: float | None
     steps_per_trial: int
     volume_move: MonteCarloVolumeMove | None = None
 
-    name: ClassVar[str] = "metropolis"
     record: ClassVar[tuple[str, ...]] = (TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL)
     is_random: ClassVar[bool] = True
     updates_context: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        if not self.temperature > 0:
+            raise ValueError(f"temperature must be above zero for hybrid Monte Carlo, got {self.temperature} K")
+        if self.friction is not None and not self.friction > 0:
+            raise ValueError(f"frictionCoeff must be above zero, got {self.friction}: momenta would never be drawn")
+        if self.steps_per_trial < 1:
+            raise ValueError(f"stepsPerTrial must be at least 1, got {self.steps_per_trial}")
 
     @property
     def steps(self) -> int:
@@ -65,12 +71,6 @@ class Metropolis:
     def needs_package(self) -> bool:
         """OpenMM alone would accept every trial."""
         return True
-
-    def executed(self, scheme: Scheme) -> Scheme:
-        return scheme
-
-    def bath(self, seed: int) -> None:
-        """There is none within trajectories."""
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         for force in system.getForces():
@@ -123,11 +123,12 @@ class Metropolis:
         # Infinite friction has no meaning for steps of zero length, in which nothing moves.
         if not time:
             return
-        if engine.removes_momentum and math.isfinite(self.friction):
+        if engine.removes_momentum and self.friction is not None:
             # The centre of mass was stopped after the last trial. Its momentum is drawn anew, the rest in part.
             spread = math.sqrt(GAS_CONSTANT * self.temperature / engine.mass)
             engine.shift_velocities(spread * generator(seed, engine.draws, stream=3).standard_normal(3))
-        engine.draw_momenta(OrnsteinUhlenbeck(self.temperature, self.friction, self.friction, seed), time)
+        friction = math.inf if self.friction is None else self.friction
+        engine.draw_momenta(OrnsteinUhlenbeck(self.temperature, friction, friction, seed), time)
 
     def _check_reversal(self, engine: Engine, flow: Flow, record: Record) -> None:
         """Follow a trajectory there and back, once for each step size.

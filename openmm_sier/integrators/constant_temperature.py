@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -28,18 +29,12 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
 
     def setTemperature(self, temp: Any) -> None:
         """Set the temperature of the bath, a quantity or a number in K."""
-        self._change_ensemble(temperature=self._checked_temperature(temp))
-
-    @staticmethod
-    def _checked_temperature(value: Any) -> float:
-        value = quantity_to_float("temperature", value, unit.kelvin, "K")
-        if value < 0:
-            raise ValueError(f"temperature must not be negative, got {value} K")
-        return value
+        self._change_ensemble(temperature=in_kelvin(temp))
 
     def getFriction(self) -> unit.Quantity:
-        """Friction of the translation, a quantity in 1/ps."""
-        return self._ensemble.friction / unit.picosecond
+        """Friction of the translation, a quantity in 1/ps; infinite where momenta are drawn anew."""
+        friction = self._ensemble.friction
+        return (math.inf if friction is None else friction) / unit.picosecond
 
     def getPressure(self) -> unit.Quantity | None:
         """Pressure that is kept, a quantity in bar; None if the volume is kept."""
@@ -71,18 +66,20 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
 
 def volume_move(pressure: Any, interval: Any) -> MonteCarloVolumeMove | None:
     """The volume move for the arguments `pressure` and `barostatInterval`; None keeps the volume."""
-    if (interval := whole_number("barostatInterval", interval)) == 0:
-        raise ValueError("barostatInterval must be at least 1, got 0")
-    return None if pressure is None else MonteCarloVolumeMove(_pressure(pressure), interval)
+    given = 0.0 if pressure is None else _pressure(pressure)
+    move = MonteCarloVolumeMove(given, whole_number("barostatInterval", interval))
+    return None if pressure is None else move
 
 
 def _pressure(value: Any) -> float:
     return BAR * quantity_to_float("pressure", value, unit.bar, "bar")
 
 
-def checked_friction(name: str, value: Any) -> float:
+def in_kelvin(temperature: Any) -> float:
+    """A temperature in K, from a quantity or a number."""
+    return quantity_to_float("temperature", temperature, unit.kelvin, "K")
+
+
+def per_picosecond(name: str, friction: Any) -> float:
     """A friction in 1/ps, from a quantity or a number."""
-    value = quantity_to_float(name, value, unit.picosecond**-1, "1/ps")
-    if value < 0:
-        raise ValueError(f"{name} must not be negative, got {value} 1/ps")
-    return value
+    return quantity_to_float(name, friction, unit.picosecond**-1, "1/ps")

@@ -12,7 +12,12 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
-from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator, checked_friction, volume_move
+from openmm_sier.integrators.constant_temperature import (
+    ConstantTemperatureIntegrator,
+    in_kelvin,
+    per_picosecond,
+    volume_move,
+)
 from openmm_sier.system.arguments import Bodies, step_size, whole_number
 
 
@@ -77,18 +82,12 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         if isinstance(scheme, Scheme):
             _check_scheme(scheme)
         ensemble = Metropolis(
-            self._checked_temperature(temperature),
+            in_kelvin(temperature),
             _friction(frictionCoeff),
-            _trial_length(stepsPerTrial),
+            whole_number("stepsPerTrial", stepsPerTrial),
             volume_move(pressure, barostatInterval),
         )
         super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
-
-    @staticmethod
-    def _checked_temperature(value: Any) -> float:
-        if (found := ConstantTemperatureIntegrator._checked_temperature(value)) == 0:
-            raise ValueError("temperature must be above zero for hybrid Monte Carlo, got 0 K")
-        return found
 
     # --- what users ask ---
 
@@ -98,10 +97,10 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
 
     def setStepsPerTrial(self, steps: int) -> None:
         """Set the steps of each trial; the step of the scheme stays."""
-        steps = _trial_length(steps)
-        if steps > self._ensemble.steps_per_trial:
+        before = self._ensemble.steps_per_trial
+        self._change_ensemble(steps_per_trial=whole_number("stepsPerTrial", steps))
+        if self._ensemble.steps_per_trial > before:
             self.setGlobalVariableByName(CHECKED_STEP, 0)
-        self._change_ensemble(steps_per_trial=steps)
 
     def getSchemeStepSize(self) -> unit.Quantity:
         """The step of the scheme, a quantity in ps."""
@@ -112,7 +111,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         self._change(step=step_size(size))
 
     def setFriction(self, coeff: Any) -> None:
-        """Set the friction, a quantity or a number in 1/ps; None, an infinite friction, draws all momenta anew."""
+        """Set the friction, a quantity or a number in 1/ps; None draws all momenta anew."""
         self._change_ensemble(friction=_friction(coeff))
 
     @property
@@ -156,19 +155,8 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             self.setGlobalVariableByName(name, 0)
 
 
-def _friction(value: Any) -> float:
-    """Friction in 1/ps; infinite where momenta are drawn anew."""
-    if value is None:
-        return math.inf
-    if (friction := checked_friction("frictionCoeff", value)) == 0:
-        raise ValueError("frictionCoeff must be above zero, got 0: momenta would never be drawn")
-    return friction
-
-
-def _trial_length(steps: Any) -> int:
-    if (steps := whole_number("stepsPerTrial", steps)) == 0:
-        raise ValueError("stepsPerTrial must be at least 1, got 0")
-    return steps
+def _friction(value: Any) -> float | None:
+    return None if value is None else per_picosecond("frictionCoeff", value)
 
 
 def _check_scheme(scheme: Scheme) -> None:

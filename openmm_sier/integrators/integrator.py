@@ -20,15 +20,15 @@ from openmm_sier.engines.choice import engine_for
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.engine import TOLERANCE
-from openmm_sier.engines.native.program import PART, VECTORS, WORK, Program
+from openmm_sier.engines.native.program import VECTORS, WORK, Program
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.rewriting import rewrite
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.temperature import Temperatures
-from openmm_sier.engines.variables import DRAWS, HEAT, SEED, SITES, STATE_VARIABLES, Globals, Record
+from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_VARIABLES, Record
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators import copies, settings
-from openmm_sier.integrators.settings import ENGINES, Settings
+from openmm_sier.integrators.settings import Settings
 from openmm_sier.prepare.close_pairs import fast_force_groups
 from openmm_sier.prepare.limits import tell_of_pme
 from openmm_sier.system import checks
@@ -38,7 +38,7 @@ from openmm_sier.system.unchanged import UnchangedSystem
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
-    """Symplectic integrator for rigid bodies that uses the exact solution of free rotation.
+    """Integrator for rigid bodies by splitting schemes, with the exact solution of free rotation.
 
     A drop-in replacement for OpenMM's integrators: pass it to a `Simulation` or a `Context`; nothing else has to be
     called. Rigid molecules are found in the System's constraints when the Context is created. The atoms of other
@@ -89,18 +89,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
             TypeError: the step is not a time, `scheme` is not a Scheme, or `bodies` or `fastForceGroups` have the
                 wrong type.
         """
-        if not isinstance(scheme, Scheme):
-            raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {scheme!r}")
-        if engine not in ENGINES:
-            raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
-        if substeps is not None and (substeps := whole_number("substeps", substeps)) == 0:
-            raise ValueError("substeps must be at least 1, got 0")
         given = Settings(
             kind=settings.place_of(type(self)),
             scheme=scheme,
             step=step_size(stepSize),
             engine=engine,
-            substeps=substeps,
+            substeps=None if substeps is None else whole_number("substeps", substeps),
             fast_groups=group_mask("fastForceGroups", fastForceGroups),
             finds_fast_groups=fastForceGroups is None,
             bodies=checked_bodies(bodies),
@@ -262,7 +256,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             flow = self._flow()
             engine.begin(flow)
             try:
-                self._ensemble.advance(engine, flow, Globals(self), count)
+                self._ensemble.advance(engine, flow, self._record, count)
                 engine.publish()
             except BaseException:
                 engine.recover()

@@ -11,7 +11,12 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.langevin import Langevin
-from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator, checked_friction, volume_move
+from openmm_sier.integrators.constant_temperature import (
+    ConstantTemperatureIntegrator,
+    in_kelvin,
+    per_picosecond,
+    volume_move,
+)
 from openmm_sier.system.arguments import Bodies
 
 
@@ -65,16 +70,17 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             TypeError: a quantity has the wrong dimension.
         """
         scheme = scheme.with_bath() if isinstance(scheme, Scheme) else scheme
-        friction = checked_friction("frictionCoeff", frictionCoeff)
-        turning = None if rotationalFriction is None else checked_friction("rotationalFriction", rotationalFriction)
         ensemble = Langevin(
-            self._checked_temperature(temperature), friction, turning, volume_move(pressure, barostatInterval)
+            in_kelvin(temperature),
+            per_picosecond("frictionCoeff", frictionCoeff),
+            None if rotationalFriction is None else per_picosecond("rotationalFriction", rotationalFriction),
+            volume_move(pressure, barostatInterval),
         )
         super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
 
     def setFriction(self, coeff: Any) -> None:
         """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
-        self._change_ensemble(friction=checked_friction("coeff", coeff))
+        self._change_ensemble(friction=per_picosecond("coeff", coeff))
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Friction of the rotation, a quantity in 1/ps."""
@@ -82,4 +88,4 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
 
     def setRotationalFriction(self, coeff: Any) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""
-        self._change_ensemble(rotational_friction=checked_friction("coeff", coeff))
+        self._change_ensemble(rotational_friction=per_picosecond("coeff", coeff))

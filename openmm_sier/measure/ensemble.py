@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.measure.report import SILENT, Advance, Report
@@ -120,14 +120,16 @@ def ensemble(
         return _sorted(members, _carry_out(executor, members, place, threads, report))
     processes = processes or max(1, min(cores(), len(members)))
     threads = threads or max(1, cores() // processes)
-    with _CHILDREN, ThreadPoolExecutor(processes) as pool:
+    with ThreadPoolExecutor(processes) as pool:
         try:
             return _sorted(members, _carry_out(pool, members, place, threads, report))
         except BaseException:
             # Children end before the pool is left; members can go on from their last checkpoints.
-            _CHILDREN.stop()
-            pool.shutdown(wait=False, cancel_futures=True)
+            _stop_children()
+            pool.shutdown(cancel_futures=True)
             raise
+        finally:
+            _STOPPED.clear()
 
 
 def _sorted(members: Sequence[Member], found: dict[str, Outcome]) -> list[Outcome]:
@@ -236,43 +238,21 @@ def fraction_done(member: Member, place: Path) -> float:
 # --- on a worker ---
 
 
-class _Children:
-    """The processes of members that this process has started, so that it can stop them."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._running: set[subprocess.Popen[bytes]] = set()
-        self.stopped = False
-
-    def __enter__(self) -> _Children:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stopped = False
-
-    def start(self, command: Sequence[str], **settings: Any) -> subprocess.Popen[bytes] | None:
-        """Start a process, unless all have been told to stop."""
-        with self._lock:
-            if self.stopped:
-                return None
-            child = subprocess.Popen(command, stdin=subprocess.PIPE, **settings)
-            self._running.add(child)
-            return child
-
-    def forget(self, child: subprocess.Popen[bytes]) -> None:
-        with self._lock:
-            self._running.discard(child)
-
-    def stop(self) -> None:
-        """Tell all children to stop, and start no more: they end when their standard input does."""
-        with self._lock:
-            self.stopped = True
-            for child in self._running:
-                if child.stdin is not None:
-                    child.stdin.close()
+#: The processes of members that this process has started, and whether they are to end.
+_RUNNING: set[subprocess.Popen[bytes]] = set()
+_STOPPED = threading.Event()
 
 
-_CHILDREN = _Children()
+def _stop_children() -> None:
+    """End all processes of members, and those that are being started: they end when their standard input does."""
+    _STOPPED.set()
+    for child in tuple(_RUNNING):
+        _end(child)
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    assert child.stdin is not None
+    child.stdin.close()
 
 
 def carry_out(member: Member, place: str, threads: int | None) -> Outcome:
@@ -288,47 +268,48 @@ def carry_out(member: Member, place: str, threads: int | None) -> Outcome:
     """
     directory = Path(place) / member.name
     directory.mkdir(parents=True, exist_ok=True)
-    begun, restarts, kills, reached = monotonic(), 0, 0, -1.0
     command = [sys.executable, "-m", member.module, *member.arguments]
     environment = {"OPENMM_CPU_THREADS": "1"} | os.environ
     # A member finds the modules that this process finds, though it has another current directory.
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     if threads is not None:
         environment["OPENMM_CPU_THREADS"] = str(threads)
-    while True:
+    begun, restarts, kills, reached = monotonic(), 0, 0, -1.0
+    error: str | None = "stopped" if _STOPPED.is_set() else None
+    while error is None:
         code = _wait_for(command, directory, environment)
         if code == 0:
-            return Outcome(member.name, "", restarts, monotonic() - begun)
-        if code is None:
-            return Outcome(member.name, "stopped", restarts, monotonic() - begun)
-        if not _was_killed(code):
-            return Outcome(member.name, _last_line(directory / OUTPUT), restarts, monotonic() - begun)
-        restarts += 1
-        now = fraction_done(member, Path(place))
-        kills = 0 if now > reached else kills + 1
-        reached = now
-        if kills == MOST_KILLS:
-            error = f"ended {MOST_KILLS} times without getting further, the last time with exit code {code}"
-            return Outcome(member.name, error, restarts, monotonic() - begun)
+            error = ""
+        elif _STOPPED.is_set():
+            error = "stopped"
+        elif 0 < code <= 128:
+            error = _last_line(directory / OUTPUT)
+        else:
+            # A signal ended it, at once or after it had written its files.
+            restarts += 1
+            now = fraction_done(member, Path(place))
+            kills = 0 if now > reached else kills + 1
+            reached = now
+            if kills == MOST_KILLS:
+                error = f"ended {MOST_KILLS} times without getting further, the last time with exit code {code}"
+    return Outcome(member.name, error, restarts, monotonic() - begun)
 
 
-def _wait_for(command: Sequence[str], directory: Path, environment: dict[str, str]) -> int | None:
-    """Exit code of a process in a directory; None if processes are to stop and it was not started."""
+def _wait_for(command: Sequence[str], directory: Path, environment: dict[str, str]) -> int:
+    """Exit code of a process in a directory."""
     with open(directory / OUTPUT, "ab") as output:
-        child = _CHILDREN.start(command, cwd=directory, env=environment, stdout=output, stderr=subprocess.STDOUT)
-        if child is None:
-            return None
+        child = subprocess.Popen(
+            command, cwd=directory, env=environment, stdin=subprocess.PIPE, stdout=output, stderr=subprocess.STDOUT
+        )
+        _RUNNING.add(child)
         try:
+            if _STOPPED.is_set():
+                _end(child)
             return child.wait()
         finally:
-            _CHILDREN.forget(child)
+            _RUNNING.discard(child)
             child.kill()
             child.wait()
-
-
-def _was_killed(code: int) -> bool:
-    """Whether a signal ended a process, at once or after it had written its files."""
-    return code < 0 or code > 128
 
 
 def _last_line(path: Path) -> str:

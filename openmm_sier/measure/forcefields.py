@@ -13,16 +13,13 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.measure.pdb_files import read_pdb
+from openmm_sier.measure.pdb_files import first_line, read_pdb
 from openmm_sier.measure.water_models import ForceFieldError, WaterModel, recognize
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
 SHIPPED = (PACKAGE / "systems", PACKAGE.parent / "systems")
-
-#: The box where none is given, one of the project's own.
-DEFAULT_BOX = "tip3p-512.pdb"
 
 #: A PDB file names its force field in records that begin like this; one file name follows.
 REMARK = "REMARK  99 FORCEFIELD"
@@ -203,7 +200,8 @@ def _cut_off(box: Quantity | None, interactions: Interactions) -> dict[str, Any]
         if interactions.cutoff is not None or interactions.switch is not None:
             raise ForceFieldError("a cut-off or switch needs a periodic box, which the PDB file does not have")
         return {"nonbondedMethod": app.NoCutoff}
-    width = _narrowest_width(box)
+    # In OpenMM's reduced form, a is along x and b in the xy plane.
+    width = float(np.diag(np.array(box.value_in_unit(unit.nanometer))).min())
     cutoff = interactions.cutoff or min(CUTOFF, LARGEST_CUTOFF * width)
     if 2 * cutoff >= width:
         raise ForceFieldError(f"a cut-off of {cutoff:g} nm needs a box wider than {2 * cutoff:g} nm, got {width:.4g}")
@@ -287,18 +285,6 @@ def read_box(
     return Box(topology, positions, system, choice, listed)
 
 
-def shipped_box(name: str = DEFAULT_BOX) -> Path:
-    """One of the project's own boxes.
-
-    Raises:
-        ForceFieldError: it did not come with this installation.
-    """
-    for directory in SHIPPED:
-        if (directory / name).is_file():
-            return directory / name
-    raise ForceFieldError(f"the box {name} did not come with this installation; name a PDB file")
-
-
 def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
     """Positions (N, 3) in nm, every atom at the periodic image that is nearest to the first one of its residue."""
     box = topology.getPeriodicBoxVectors()
@@ -313,12 +299,6 @@ def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
     return positions[first] + arms
 
 
-def _narrowest_width(box: Quantity) -> float:
-    """Smallest width in nm of a box in OpenMM's reduced form: a along x, b in the xy plane."""
-    lengths = np.array(box.value_in_unit(unit.nanometer))
-    return float(np.diag(lengths).min())
-
-
 def describe(box: Box) -> str:
     """Size and treatment of the interactions, in words."""
     vectors = box.topology.getPeriodicBoxVectors()
@@ -331,8 +311,3 @@ def describe(box: Box) -> str:
         f"{residues} in {' x '.join(f'{edge:.4f}' for edge in edges)} nm, "
         f"PME with a cut-off of {cutoff.value_in_unit(unit.nanometer):.3g} nm"
     )
-
-
-def first_line(error: BaseException) -> str:
-    """An error's message on one line."""
-    return " ".join(str(error).split()) or type(error).__name__

@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 from openmm import app, unit
 
+from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.measure.water_models import ForceFieldError
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom"
-
-#: g/cm3 in dalton/nm3.
-GRAM_PER_ML = 602.214076
 
 #: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
@@ -38,13 +36,18 @@ def read_pdb(path: str | Path) -> app.PDBFile:
             warnings.filterwarnings("error", TWICE)
             pdb = app.PDBFile(str(path))
     except Exception as error:
-        message = " ".join(str(error).split()) or type(error).__name__
+        message = first_line(error)
         if message.startswith(TWICE):
             raise ForceFieldError(f"{path} has an atom twice: {message.removeprefix(TWICE).strip()}") from None
         raise ForceFieldError(f"cannot read {path} as a PDB file: {message}") from error
     _refuse_coincident(path, pdb)
     _refuse_dense(path, pdb)
     return pdb
+
+
+def first_line(error: BaseException) -> str:
+    """An error's message on one line."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _check_edges(path: str | Path, record: str) -> None:
@@ -82,7 +85,7 @@ def _refuse_dense(path: str | Path, pdb: app.PDBFile) -> None:
         return
     volume = abs(float(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer)))))
     mass = sum(atom.element.mass._value for atom in pdb.topology.atoms() if atom.element is not None)
-    if not mass < DENSEST * GRAM_PER_ML * volume:
+    if not mass < DENSEST * GRAM_PER_CM3 * volume:
         raise ForceFieldError(
             f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave out the "
             "record CRYST1 where there is no box"

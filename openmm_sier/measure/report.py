@@ -65,11 +65,7 @@ class Silent:
     def progress(
         self, description: str, total: float = 1.0, ps: float | None = None
     ) -> AbstractContextManager[Advance]:
-        return nullcontext(_ignore)
-
-
-def _ignore(done: float, description: str | None = None) -> None:
-    pass
+        return nullcontext(lambda done, description=None: None)
 
 
 SILENT = Silent()

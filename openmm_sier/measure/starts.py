@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import openmm
@@ -15,17 +14,13 @@ from openmm import unit
 from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.engines.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
 from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator
-from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.measure.report import SILENT, Advance, Report
 from openmm_sier.system import tables
 from openmm_sier.system.vibrations import Vibrations
-
-if TYPE_CHECKING:
-    from openmm_sier.measure.forcefields import Box
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized. Among 512 molecules of water at 297 K the
 #: largest is 1000 to 2200.
@@ -89,21 +84,6 @@ def _usual_platform() -> openmm.Platform:
     return openmm.Context(particle, openmm.VerletIntegrator(0.001)).getPlatform()
 
 
-def equilibrated(
-    box: Box, temperature: float, seed: int, time: float | None, platform: str | None = None, report: Report = SILENT
-) -> openmm.State:
-    """State of a box (`openmm_sier.measure.forcefields.Box`) from which constant-energy runs have a given temperature.
-
-    Args:
-        box: what to equilibrate.
-        temperature, seed, time, report: see `prepare`.
-        platform: of OpenMM; None takes the fastest.
-    """
-    context = make_context(box.system, SIERIntegrator(0.001, SIER2), platform)
-    prepare(context, box.positions, temperature, seed, time, report=report)
-    return context.getState(positions=True, velocities=True)
-
-
 def prepare(
     context: openmm.Context,
     positions: np.ndarray,
@@ -142,7 +122,7 @@ def prepare(
     context.setVelocities(found.state.getVelocities())
     stop_centre_of_mass(context)
     if found.settled and not isinstance(context.getIntegrator(), ConstantTemperatureIntegrator):
-        _set_energy(context, temperature, found.potential)
+        _set_energy(context, temperature, found.means.potential)
     context.setTime(0)
     context.setStepCount(0)
 
@@ -161,25 +141,28 @@ def _strongest_force(context: openmm.Context) -> float:
     return float(np.linalg.norm([np.bincount(bodies.molecules, row) for row in F], axis=0).max())
 
 
-@dataclass(frozen=True)
-class Equilibration:
+class Means(NamedTuple):
+    """Means over some time: temperatures in K, NaN where nothing moves so, and the potential energy in kJ/mol."""
+
+    translation: float
+    rotation: float
+    flexible: float
+    potential: float
+
+
+class Equilibration(NamedTuple):
     """The end of an equilibration.
 
     Attributes:
         state: positions, velocities and box.
         time: that it took, ps.
-        translation, rotation, flexible: mean temperatures in K over the last two windows, see
-            `openmm_sier.engines.temperature`; NaN where there is no such motion.
-        potential: mean potential energy over the same time, kJ/mol.
+        means: over the last two windows.
         settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
     """
 
     state: openmm.State
     time: float
-    translation: float
-    rotation: float
-    flexible: float
-    potential: float
+    means: Means
     settled: bool
 
 
@@ -217,7 +200,7 @@ def equilibrate(
     steps = round((LONGEST if time is None else time) / step)
     # Windows have nearly equal lengths, so that no short one counts as much as a long one.
     each = math.ceil(steps / max(1, round(steps * step / WINDOW)))
-    windows: list[_Window] = []
+    windows: list[Means] = []
     done, settled = 0, False
     with report.progress(f"equilibration at {temperature:g} K", steps, step) as advance:
         while done < steps and not (settled and time is None):
@@ -225,9 +208,8 @@ def equilibrate(
             windows.append(_window(bath, length, advance, done))
             done += length
             settled = _has_settled(windows, temperature, dof)
-    last = _Window(*np.mean(windows[-2:], axis=0)) if windows else _Window(*4 * [math.nan])
-    state = bath.getState(positions=True, velocities=True)
-    found = Equilibration(state, done * step, *last, settled=settled)
+    last = Means(*np.mean(windows[-2:], axis=0)) if windows else Means(*4 * [math.nan])
+    found = Equilibration(bath.getState(positions=True, velocities=True), done * step, last, settled)
     _tell(found, temperature, dof, time, report)
     return found
 
@@ -262,16 +244,7 @@ def _step_of(context: openmm.Context) -> float:
     return min(STEP, SHARE_OF_LONGEST * vibrations.longest_step(SCHEME, groups & ~fast, groups & fast))
 
 
-class _Window(NamedTuple):
-    """Means over a window: temperatures in K, potential energy in kJ/mol."""
-
-    translation: float
-    rotation: float
-    flexible: float
-    potential: float
-
-
-def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> _Window:
+def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> Means:
     """Run for a number of steps after those already done, and average."""
     integrator, samples = bath.getIntegrator(), []
     for begin in range(0, steps, EVERY):
@@ -280,17 +253,19 @@ def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> _W
         potential = bath.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
         samples.append((*integrator.computeTemperatures()[1:], potential))
         advance(done + begin + taken)
-    return _Window(*np.mean(samples, axis=0).tolist())
+    return Means(*np.mean(samples, axis=0).tolist())
 
 
-def _has_settled(windows: list[_Window], temperature: float, dof: DegreesOfFreedom) -> bool:
+def _has_settled(windows: list[Means], temperature: float, dof: DegreesOfFreedom) -> bool:
     if len(windows) < FEWEST_WINDOWS:
         return False
-    (*before, earlier), (*after, later) = windows[-2:]
-    for first, second, number in zip(before, after, dof, strict=True):
+    earlier, later = windows[-2:]
+    for first, second, number in zip(earlier[:3], later[:3], dof, strict=True):
         if number and not abs((first + second) / 2 - temperature) <= bound(temperature, number):
             return False
-    return abs(later - earlier) <= 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(sum(dof) / 2)
+    return abs(later.potential - earlier.potential) <= 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(
+        sum(dof) / 2
+    )
 
 
 def bound(temperature: float, dof: float) -> float:
@@ -301,9 +276,7 @@ def bound(temperature: float, dof: float) -> float:
 def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time: float | None, report: Report) -> None:
     if not found.time:
         return
-    means = zip(
-        ("T_trans", "T_rot", "T_flexible"), (found.translation, found.rotation, found.flexible), dof, strict=True
-    )
+    means = zip(("T_trans", "T_rot", "T_flexible"), found.means[:3], dof, strict=True)
     shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in means if n]
     averaged = min(2 * WINDOW, found.time)
     message = f"{found.time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {averaged:.2g} ps"

@@ -1,4 +1,4 @@
-"""Estimates: values with standard errors. Of means of series, of slopes and medians, by the jackknife, over runs."""
+"""Estimates: values with standard errors. Of means of series, of slopes, by the jackknife, over runs."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GRO
     return Estimate(value, math.sqrt(k - 1) * float(np.std(left_out)))
 
 
-# --- slopes and medians ---
+# --- slopes ---
 
 
 def block_means(values: np.ndarray, blocks: int) -> np.ndarray:
@@ -175,14 +175,3 @@ def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> Estimate:
     means = block_means(x, blocks), block_means(y, blocks)
     (slope, _), covariance = np.polyfit(*means, 1, cov=True)
     return Estimate(float(slope), math.sqrt(covariance[0, 0]))
-
-
-def median_and_error(values: np.ndarray) -> Estimate:
-    """Median of independent values and its standard error, NaN for a single one.
-
-    The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the
-    distance of the quartiles, 1.349 sigma, so that outliers do not count.
-    """
-    low, median, high = np.percentile(values, [25, 50, 75])
-    error = float(0.929 * (high - low) / math.sqrt(len(values))) if len(values) > 1 else math.nan
-    return Estimate(float(median), error)

@@ -107,24 +107,19 @@ def sampled(logs: Sequence[Mapping[str, np.ndarray]], temperature: float, pressu
         temperature: K, of the ensemble.
         pressure: bar; None at constant volume.
     """
+    columns = ["Potential Energy (kJ/mole)"] + ([] if pressure is None else ["Box Volume (nm^3)"])
     found: dict[str, list[Group]] = {}
-    ends, volumes = [], []
     for log in logs:
         groups = kinetic_groups(log)
         # Groups exchange heat with the same bath: the slowest of them decides how far samples must be apart.
         kept = independent(*(group.energies for group in groups))
         for group, energies in zip(groups, kept, strict=True):
             found.setdefault(group.name, []).append(group._replace(energies=energies))
-        if pressure is None:
-            ends.append(independent(log["Potential Energy (kJ/mole)"])[0])
-        else:
-            energy, volume = independent(log["Potential Energy (kJ/mole)"], log["Box Volume (nm^3)"])
-            ends.append(energy)
-            volumes.append(volume)
     together = tuple(
-        Group(name, parts[0].dof, np.concatenate([part.energies for part in parts])) for name, parts in found.items()
+        parts[0]._replace(energies=np.concatenate([p.energies for p in parts])) for parts in found.values()
     )
-    return Sampled(temperature, pressure, together, np.concatenate(ends), np.concatenate(volumes) if volumes else None)
+    ends = np.concatenate([independent(*(log[name] for name in columns)) for log in logs], axis=1)
+    return Sampled(temperature, pressure, together, ends[0], None if pressure is None else ends[1])
 
 
 def kinetic_groups(log: Mapping[str, np.ndarray]) -> list[Group]:
@@ -209,27 +204,24 @@ def ensemble_verdict(one: Sampled, two: Sampled) -> Verdict:
     """
     pv = _package()
     temperatures, pressures = (one.temperature, two.temperature), (one.pressure, two.pressure)
-    hotter, pressed = len(set(temperatures)) == 2, len(set(pressures)) == 2
-    if hotter == pressed:
+    pressed = pressures[0] != pressures[1]
+    if pressed == (temperatures[0] != temperatures[1]):
         raise ValueError(f"two runs must differ in temperature or pressure, got {temperatures} K and {pressures} bar")
     n = min(len(one.potential), len(two.potential))
     if n < FEWEST:
         raise TooFewError(f"there are {n} independent samples, {FEWEST} are needed: longer runs, or more")
     quantity = "volume" if pressed else "potential energy" if one.pressure is None else "enthalpy"
-    points = (
-        f"{pressures[0]:g} and {pressures[1]:g} bar" if pressed else f"{temperatures[0]:g} and {temperatures[1]:g} K"
-    )
+    values, unit, interval = (pressures, "bar", "dP") if pressed else (temperatures, "K", "dT")
+    check = f"{quantity} at {values[0]:g} and {values[1]:g} {unit}"
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             quantiles = pv.ensemble.check(
                 _data(pv, one), _data(pv, two), verbosity=0, data_is_uncorrelated=True, bootstrap_seed=BOOTSTRAP_SEED
             )
     except pv.util.error.InputError as error:
-        raise TooFewError(f"{quantity} at {points}: {error.message}") from error
-    best = suggested_interval(one)["dP" if pressed else "dT"]
-    unit = "bar" if pressed else "K"
-    detail = f"slope of ln(P2/P1); the best interval is {best:.3g} {unit}"
-    return Verdict(f"{quantity} at {points}", abs(float(quantiles[0])), len(one.potential) + len(two.potential), detail)
+        raise TooFewError(f"{check}: {error.message}") from error
+    detail = f"slope of ln(P2/P1); the best interval is {suggested_interval(one)[interval]:.3g} {unit}"
+    return Verdict(check, abs(float(quantiles[0])), len(one.potential) + len(two.potential), detail)
 
 
 def suggested_interval(sample: Sampled) -> dict[str, float]:
@@ -240,16 +232,12 @@ def suggested_interval(sample: Sampled) -> dict[str, float]:
 
 
 def _data(pv: Any, sample: Sampled) -> Any:
-    constant: dict[str, dict[str, Any]] = {"NVT": {"volume": 1.0}, "NPT": {"pressure": sample.pressure}}
-    name = "NVT" if sample.pressure is None else "NPT"
-    observables: dict[str, np.ndarray] = {"potential_energy": sample.potential} | (
-        {} if sample.volume is None else {"volume": sample.volume}
-    )
-    return pv.data.SimulationData(
-        units=pv.data.UnitData.units("GROMACS"),
-        ensemble=pv.data.EnsembleData(name, natoms=1, temperature=sample.temperature, **constant[name]),
-        observables=pv.data.ObservableData(**observables),
-    )
+    if sample.pressure is None:
+        ensemble = pv.data.EnsembleData("NVT", natoms=1, temperature=sample.temperature, volume=1.0)
+    else:
+        ensemble = pv.data.EnsembleData("NPT", natoms=1, temperature=sample.temperature, pressure=sample.pressure)
+    observables = pv.data.ObservableData(potential_energy=sample.potential, volume=sample.volume)
+    return pv.data.SimulationData(pv.data.UnitData.units("GROMACS"), ensemble=ensemble, observables=observables)
 
 
 # --- the order of the integrator ---

@@ -112,8 +112,9 @@ def recognize(waters: Sequence[app.topology.Residue], positions: np.ndarray, ion
             f"the water ({sites} sites, {shown} nm) has the geometry of several models{added}: {names}. Name a force "
             "field"
         )
-    nearest = sorted(candidates, key=lambda model: _distance(means, model))[:NEAREST]
-    names = ", ".join(f"{model.suggestion(ions)}, {_distance(means, model):.5f} nm off" for model in nearest)
+    off = {model: float(np.abs(means - model.distances[: len(means)]).max()) for model in candidates}
+    nearest = sorted(candidates, key=off.__getitem__)[:NEAREST]
+    names = ", ".join(f"{model.suggestion(ions)}, {off[model]:.5f} nm off" for model in nearest)
     raise ForceFieldError(
         f"the water ({sites} sites, {shown} nm) has the geometry of no known model. Name a force field; the nearest "
         f"are {names}"
@@ -148,11 +149,6 @@ def _fits(measured: np.ndarray, model: WaterModel) -> bool:
     of_mean = 4 * PDB_RESOLUTION / math.sqrt(6 * len(measured)) + CONSTRAINT_ERROR
     of_each = math.sqrt(3) * PDB_RESOLUTION + CONSTRAINT_ERROR
     return bool((np.abs(errors.mean(axis=0)) <= of_mean).all() and (np.abs(errors) <= of_each).all())
-
-
-def _distance(means: np.ndarray, model: WaterModel) -> float:
-    """The largest difference between a mean distance and the model's, nm."""
-    return float(np.abs(means - model.distances[: len(means)]).max())
 
 
 def _distances(residue: app.topology.Residue, positions: np.ndarray) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""Self-describing HDF5 files of the bodies' phase points. Needs h5py and scipy, an extra.
+"""Self-describing HDF5 files of the bodies' phase points. Needs h5py, an extra.
 
 Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3), L (T, n, 3),
 heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies: species (n,),
@@ -72,15 +72,16 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
 
     Raises:
         TypeError: the Context has another integrator.
-        ModuleNotFoundError: h5py or scipy is missing.
     """
-    _, Rotation = import_extras()
     motion = conservation.sier_integrator(context).getBodyState()
     periodic = context.getSystem().usesPeriodicBoundaryConditions()
     frame = np.zeros(1, frame_type(motion.q.shape[1], periodic))
     frame["step"] = state.getStepCount()
     frame["time"] = state.getTime().value_in_unit(unit.picosecond)
     frame["q"], frame["p"], frame["L"], frame["heat"] = motion.q.T, motion.p.T, motion.L.T, motion.heat
+    # SciPy, which MDTraj brings, is slow to import.
+    from scipy.spatial.transform import Rotation
+
     turns = Rotation.from_matrix(motion.A.transpose(2, 1, 0))
     frame["quaternion"] = turns.as_quat(canonical=True, scalar_first=True)
     if periodic:
@@ -145,10 +146,10 @@ class BodyStateFile:
             title: of a new file, an attribute of its root.
 
         Raises:
-            ModuleNotFoundError: h5py or scipy is missing.
+            ModuleNotFoundError: h5py is missing.
             ValueError: the file to be continued has another layout or wrapping, or is of other bodies.
         """
-        h5py, _ = import_extras()
+        h5py = import_h5py()
         # The oldest file format does not mark files as open for writing; the mark would lock readers out after a kill.
         self._file = h5py.File(path, "r+" if append else "w", libver="earliest")
         if append:
@@ -203,18 +204,17 @@ def check_same(file: h5py.File, path: Path, bodies: RigidBodies, periodic: bool,
         raise ValueError(f"{path} cannot be continued: its centres are wrapped: {there}, expected: {wrapping}")
 
 
-def import_extras() -> tuple[Any, Any]:
-    """The module h5py and the class scipy.spatial.transform.Rotation.
+def import_h5py() -> Any:
+    """The module h5py.
 
     Raises:
-        ModuleNotFoundError: one of them is missing.
+        ModuleNotFoundError: it is missing.
     """
     try:
         import h5py
-        from scipy.spatial.transform import Rotation
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("body states need h5py and scipy: pip install 'openmm-sier[hdf5]'") from error
-    return h5py, Rotation
+        raise ModuleNotFoundError("body states need h5py: pip install 'openmm-sier[hdf5]'") from error
+    return h5py
 
 
 def wrapped(points: np.ndarray, box: np.ndarray) -> np.ndarray:

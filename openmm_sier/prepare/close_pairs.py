@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 import openmm
@@ -31,14 +31,6 @@ OPPOSITE = "openmm_sier: close pairs, subtracted"
 
 #: Coulomb's law and Lennard-Jones by powers of r alone, which take half as long as with sigma and epsilon.
 ENERGY = "coulomb*u + (repulsion*u6 - attraction)*u6; u6 = u^6; u = 1/r"
-
-
-class Pair(NamedTuple):
-    """Parameters of an interaction, e^2, nm and kJ/mol."""
-
-    q: float
-    sigma: float
-    epsilon: float
 
 
 def own_forces(system: openmm.System) -> list[int]:
@@ -74,7 +66,7 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, movable: np.ndarra
     for force in forces:
         if opposite is None:
             opposite = _pair_force(OPPOSITE, "-", force.getForceGroup(), periodic)
-        for (a, b), (q, sigma, epsilon) in _interactions(force, close):
+        for a, b, (q, sigma, epsilon) in _interactions(force, close):
             parameters = [COULOMB * q, 4 * epsilon * sigma**12, 4 * epsilon * sigma**6]
             fast.addBond(a, b, parameters)
             opposite.addBond(a, b, parameters)
@@ -95,51 +87,39 @@ def _pair_force(name: str, sign: str, group: int, periodic: bool) -> openmm.Cust
     return force
 
 
-def _interactions(force: openmm.NonbondedForce, close: list[tuple[int, int]]) -> Iterator[tuple[tuple[int, int], Pair]]:
-    """The close pairs that a NonbondedForce lets interact, and how."""
-    exceptions, atoms = _exceptions(force, set(close)), _atoms(force, {atom for pair in close for atom in pair})
-    for a, b in close:
-        pair = exceptions.get((a, b)) or _combined(atoms[a], atoms[b])
-        if pair.q or pair.epsilon:
-            yield (a, b), pair
-
-
-def _combined(one: Pair, other: Pair) -> Pair:
-    return Pair(one.q * other.q, (one.sigma + other.sigma) / 2, math.sqrt(max(0.0, one.epsilon * other.epsilon)))
-
-
-def _atoms(force: openmm.NonbondedForce, wanted: set[int]) -> dict[int, Pair]:
-    """Charge, sigma and epsilon of some particles."""
-    offsets = _offsets(force, force.getNumParticleParameterOffsets(), openmm.NonbondedForce.getParticleParameterOffset)
-    return {i: _shifted(_numbers(force.getParticleParameters(i)), offsets[i]) for i in wanted}
-
-
-def _exceptions(force: openmm.NonbondedForce, wanted: set[tuple[int, int]]) -> dict[tuple[int, int], Pair]:
-    """The exceptions among some pairs."""
-    offsets = _offsets(
-        force, force.getNumExceptionParameterOffsets(), openmm.NonbondedForce.getExceptionParameterOffset
-    )
-    found = {}
+def _interactions(force: openmm.NonbondedForce, close: list[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
+    """The close pairs that a NonbondedForce lets interact: both atoms, and charge product, sigma and epsilon."""
+    offsets = _offsets(force, force.getNumParticleParameterOffsets(), force.getParticleParameterOffset)
+    atoms = {i: _numbers(force.getParticleParameters(i)) + offsets[i] for i in {i for pair in close for i in pair}}
+    offsets = _offsets(force, force.getNumExceptionParameterOffsets(), force.getExceptionParameterOffset)
+    exceptions, wanted = {}, set(close)
     for number in range(force.getNumExceptions()):
         a, b, *parameters = force.getExceptionParameters(number)
         if (pair := (min(a, b), max(a, b))) in wanted:
-            found[pair] = _shifted(_numbers(parameters), offsets[number])
-    return found
+            exceptions[pair] = _numbers(parameters) + offsets[number]
+    for a, b in close:
+        found = exceptions.get((a, b))
+        if found is None:
+            (q, sigma, epsilon), (other_q, other_sigma, other_epsilon) = atoms[a], atoms[b]
+            found = np.array([q * other_q, (sigma + other_sigma) / 2, math.sqrt(max(0.0, epsilon * other_epsilon))])
+        if found[0] or found[2]:
+            yield a, b, found
 
 
-def _offsets(force: openmm.NonbondedForce, count: int, get: Any) -> dict[int, np.ndarray]:
+def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[int, np.ndarray]:
     """What global parameters, at their defaults, add to the parameters of particles or exceptions."""
     names = range(force.getNumGlobalParameters())
     defaults = {force.getGlobalParameterName(i): force.getGlobalParameterDefaultValue(i) for i in names}
     found: dict[int, np.ndarray] = defaultdict(lambda: np.zeros(3))
-    for number in range(count):
-        parameter, index, *scales = get(force, number)
-        found[index] += defaults[parameter] * np.array(_numbers(scales))
+    for parameter, index, *scales in map(get, range(count)):
+        found[index] += defaults[parameter] * _numbers(scales)
     return found
 
 
-def _shifted(parameters: Iterable[float], offset: np.ndarray) -> Pair:
-    return Pair(*(np.array(tuple(parameters)) + offset).tolist())
+def _numbers(parameters: Iterable[Any]) -> np.ndarray:
+    """Charge, sigma and epsilon in e, nm and kJ/mol."""
+    md = unit.md_unit_system
+    return np.array([p.value_in_unit_system(md) if unit.is_quantity(p) else float(p) for p in parameters])
 
 
 def _close(edges: np.ndarray, movable: np.ndarray) -> Iterator[tuple[int, int]]:
@@ -156,8 +136,3 @@ def _close(edges: np.ndarray, movable: np.ndarray) -> Iterator[tuple[int, int]]:
             front = {other for atom in front for other in neighbours[atom]} - seen
             seen |= front
         yield from ((start, other) for other in sorted(seen) if other > start and movable[other])
-
-
-def _numbers(parameters: Iterable[Any]) -> tuple[float, ...]:
-    md = unit.md_unit_system
-    return tuple(p.value_in_unit_system(md) if unit.is_quantity(p) else float(p) for p in parameters)

@@ -14,7 +14,7 @@ from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, whole_number
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
-from openmm_sier.system.find_bodies import BodyPlan, constraint_lengths, tied
+from openmm_sier.system.find_bodies import BodyPlan, tied
 from openmm_sier.system.links import Links
 
 
@@ -78,14 +78,18 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     owner, point = _owners(system, bodies)
     # Terms between frozen atoms do no work, like those inside one body.
     owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
-    fast = [force for force in acting if _is_fast(force, owner, point)]
+    bonded = [(force, between) for force in acting if len(between := _between(force, owner))]
+    fast = [force for force, between in bonded if point[between].all()]
     for force in acting:
         if force.getForceGroup() == group and force not in fast:
             raise ValueError(
                 f"{force.getName()} is in force group {group}, which is to be that of the fast forces: give another "
                 "fastForceGroup"
             )
-    done = [_balanced(system)] if meshed_forces(system) else []
+    done = []
+    if meshed_forces(system):
+        balance_pme(system)
+        done.append("The sums of PME are balanced.")
     for i in reversed(own):
         system.removeForce(i)
     for force in fast:
@@ -100,23 +104,15 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
             )
     else:
         done.append("No bonded force acts on a molecule that is not rigid.")
-    left = [
-        force.getName() for force in acting if force not in fast and bonded_kind(force) and _has_terms(force, owner)
-    ]
-    if left:
+    if left := [force.getName() for force, _ in bonded if force not in fast]:
         why = "they act on rigid bodies, virtual sites or frozen atoms"
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     return Preparation(frozenset({group} if fast else ()), tuple(done), energy_limits(system))
 
 
-def _balanced(system: openmm.System) -> str:
-    balance_pme(system)
-    return "The sums of PME are balanced."
-
-
 def _add_close_pairs(system: openmm.System, point: np.ndarray, group: int, periodic: bool) -> int:
-    links = Links(system, constraint_lengths(system))
-    edges = np.concatenate([links.pairs, links.bonds, links.custom])
+    links = Links(system)
+    edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
     return close_pairs.add_close_pairs(system, edges[point[edges].all(axis=1)], point, group, periodic)
 
 
@@ -133,19 +129,10 @@ def _owners(system: openmm.System, bodies: RigidBodies | None) -> tuple[np.ndarr
     return owner, point
 
 
-def _between(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """The terms that do not lie in one body."""
+def _between(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
+    """The terms of a Force that do not lie in one body; none if it is not a bonded one."""
+    if bonded_kind(force) is None:
+        return np.empty((0, 0), dtype=np.int64)
+    terms = bonded_terms(force)
     found = owner[terms]
     return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]
-
-
-def _has_terms(force: openmm.Force, owner: np.ndarray) -> bool:
-    return bool(len(_between(bonded_terms(force), owner)))
-
-
-def _is_fast(force: openmm.Force, owner: np.ndarray, point: np.ndarray) -> bool:
-    """Whether a Force is a bonded one, and all of its terms between bodies are between points."""
-    if bonded_kind(force) is None:
-        return False
-    between = _between(bonded_terms(force), owner)
-    return bool(len(between)) and bool(point[between].all())

@@ -20,15 +20,16 @@ TERMS = {
     openmm.CustomTorsionForce: ("Torsion", _FOUR),
 }
 
-#: These exert no forces, whatever their group.
-WITHOUT_FORCES = (
-    openmm.CMMotionRemover,
-    openmm.AndersenThermostat,
+#: These change the box and positions together, and neither read nor change velocities.
+BAROSTATS = (
     openmm.MonteCarloBarostat,
     openmm.MonteCarloAnisotropicBarostat,
     openmm.MonteCarloMembraneBarostat,
     openmm.MonteCarloFlexibleBarostat,
 )
+
+#: These exert no forces, whatever their group.
+WITHOUT_FORCES = (openmm.CMMotionRemover, openmm.AndersenThermostat, *BAROSTATS)
 
 
 def bonded_kind(force: openmm.Force) -> type | None:

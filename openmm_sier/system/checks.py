@@ -10,23 +10,17 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import BAROSTATS, TERMS
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.notices import tell
 
 #: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
 PASSIVE_FORCES = (
+    *TERMS,
     openmm.NonbondedForce,
-    openmm.HarmonicBondForce,
-    openmm.HarmonicAngleForce,
-    openmm.PeriodicTorsionForce,
-    openmm.RBTorsionForce,
-    openmm.CMAPTorsionForce,
     openmm.GBSAOBCForce,
     openmm.GayBerneForce,
     openmm.RMSDForce,
-    openmm.CustomBondForce,
-    openmm.CustomAngleForce,
-    openmm.CustomTorsionForce,
     openmm.CustomExternalForce,
     openmm.CustomCompoundBondForce,
     openmm.CustomCentroidBondForce,
@@ -36,14 +30,6 @@ PASSIVE_FORCES = (
     openmm.CustomManyParticleForce,
     # It has an effect, which the exact engine takes over: a sum over bodies is cheaper than reading atoms back.
     openmm.CMMotionRemover,
-)
-
-#: These change the box and positions together, and neither read nor change velocities.
-BAROSTATS = (
-    openmm.MonteCarloBarostat,
-    openmm.MonteCarloAnisotropicBarostat,
-    openmm.MonteCarloMembraneBarostat,
-    openmm.MonteCarloFlexibleBarostat,
 )
 
 
@@ -67,10 +53,7 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
             raise openmm.OpenMMException(
                 f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
             )
-    alone = np.ones(bodies.n_particles, dtype=bool)
-    for species in bodies.species:
-        alone[species.atoms] = False
-    for i in np.flatnonzero(alone).tolist():
+    for i in np.flatnonzero(bodies.owners < 0).tolist():
         if not system.isVirtualSite(i):
             raise openmm.OpenMMException(
                 f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
@@ -135,7 +118,7 @@ def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None
     lines = [s for s in bodies.species if s.atoms.shape[1] > 2 and s.moments[0] == 0]
     if not lines:
         return
-    pairs = tables.constraints(system).pair_set()
+    pairs = tables.constraints(system).by_pair()
     for species in lines:
         for row in species.atoms.tolist():
             if all(pair in pairs for pair in combinations(sorted(row), 2)):

@@ -16,7 +16,7 @@ from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import Bodies
-from openmm_sier.system.geometries import EMBEDDING_TOLERANCE, Cluster, Kind, KindCollector, Sharing
+from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.links import Links, joins_a_body
 from openmm_sier.system.notices import tell
 
@@ -25,9 +25,6 @@ HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 
 #: Values of the argument `rigid`.
 Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
-
-#: Constraint lengths in nm by ascending pairs of particles.
-Lengths = dict[tuple[int, int], float]
 
 
 class RigidBodies(dynamics.RigidBodies):
@@ -89,10 +86,10 @@ class BodyPlan:
         self._n = n
         self._describe = RigidBodies([], n, self._labels).describe_atoms
         self._masses = tables.masses(system)
-        lengths = constraint_lengths(system)
-        self._links = Links(system, lengths)
+        self._links = Links(system)
+        lengths = self._links.constraints.by_pair()
         named = self._checked(_named(topology, rigid, lengths, self._links), system)
-        self.kinds = self._collect(named, lengths)
+        self.kinds = geometries.kinds(self._clusters(named, lengths), self._masses.tolist(), self._describe)
 
     @property
     def needs_positions(self) -> bool:
@@ -169,22 +166,17 @@ class BodyPlan:
             clusters.append(cluster)
         return clusters
 
-    def _collect(self, named: list[Cluster], lengths: Lengths) -> list[Kind]:
+    def _clusters(self, named: list[Cluster], lengths: Lengths) -> Iterator[tuple[Cluster, Lengths]]:
+        """All bodies, with the constraints inside them."""
         inside, loose = _inside(named, lengths)
-        collector = KindCollector()
+        constrained = [cluster for cluster, rigid in _constrained_clusters(loose, self._links) if rigid]
         free = self._masses > 0
-        for cluster, constraints in zip(named, inside, strict=True):
-            collector.add(cluster, self._masses[list(cluster)], constraints)
-            free[list(cluster)] = False
-        for cluster, rigid in _constrained_clusters(loose, self._links):
-            if rigid:
-                pairs = {pair: lengths[pair] for pair in combinations(cluster, 2)}
-                collector.add(cluster, self._masses[list(cluster)], pairs)
-                free[list(cluster)] = False
-        masses = self._masses.tolist()
+        free[[i for cluster in (*named, *constrained) for i in cluster]] = False
+        yield from zip(named, inside, strict=True)
+        for cluster in constrained:
+            yield cluster, {pair: lengths[pair] for pair in combinations(cluster, 2)}
         for atom in np.flatnonzero(free).tolist():
-            collector.add((atom,), (masses[atom],), {})
-        return collector.kinds(self._describe)
+            yield (atom,), {}
 
     def _demand_extent(self, kind: Kind, positions: np.ndarray) -> None:
         for cluster in kind.clusters:
@@ -286,24 +278,6 @@ def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str
 # --- constraints ------------------------------------------------------------------------------------------------------
 
 
-def constraint_lengths(system: openmm.System) -> Lengths:
-    """Lengths in nm by ascending pairs of particles.
-
-    Raises:
-        RigidityError: a pair has two lengths, or only one atom of a pair has mass.
-    """
-    lengths: Lengths = {}
-    found = tables.constraints(system)
-    for pair, length in zip(map(tuple, np.sort(found.pairs, axis=1).tolist()), found.lengths.tolist(), strict=True):
-        other = lengths.setdefault(pair, length)
-        if abs(other - length) > EMBEDDING_TOLERANCE:
-            raise RigidityError(
-                f"the constraints of atoms {pair[0]} and {pair[1]} contradict each other: they are to be {other:.4f} "
-                f"and {length:.4f} nm apart"
-            )
-    return lengths
-
-
 def _inside(named: Sequence[Cluster], lengths: Lengths) -> tuple[list[Lengths], Lengths]:
     """The constraints inside each named body, and those of other particles.
 
@@ -348,7 +322,7 @@ def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidB
     if bodies.n_particles != n:
         raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {n}")
     _refuse_other_masses(system, bodies)
-    return Links(system, constraint_lengths(system)).tie(bodies)
+    return Links(system).tie(bodies)
 
 
 def _refuse_other_masses(system: openmm.System, bodies: dynamics.RigidBodies) -> None:

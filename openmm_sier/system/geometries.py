@@ -6,7 +6,7 @@ rounded, and would make every molecule a kind of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +34,9 @@ SHARING_TOLERANCE = 0.01
 ROUNDING = 1e-6
 
 Cluster = tuple[int, ...]
+
+#: Constraint lengths in nm by pairs of particles, the smaller first.
+Lengths = dict[tuple[int, int], float]
 
 
 class Sharing(NamedTuple):
@@ -75,48 +78,33 @@ class Kind(NamedTuple):
         return self.model is None or self.model.mirror_distance > 0
 
 
-class KindCollector:
-    """Sorts clusters into kinds."""
+def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], describe: Callable) -> list[Kind]:
+    """Clusters of particles sorted into kinds, in the order in which the first of each kind comes.
 
-    def __init__(self) -> None:
-        self._members: dict[tuple, tuple[list[Cluster], list[list[float]]]] = {}
+    Args:
+        clusters: particle indices, and the constraints between them.
+        masses: of all particles, dalton.
+        describe: gives a name to particle indices, for messages.
 
-    def add(
-        self, cluster: Cluster, masses: Sequence[float] | np.ndarray, lengths: Mapping[tuple[int, int], float]
-    ) -> None:
-        """Add a cluster.
-
-        Args:
-            cluster: particle indices.
-            masses: dalton.
-            lengths: constraint lengths in nm by pairs of particles.
-        """
-        numbered: list = []
-        if lengths:
-            number = {particle: i for i, particle in enumerate(cluster)}
-            numbered = sorted((*sorted((number[a], number[b])), length) for (a, b), length in lengths.items())
-        pairs = tuple((i, j) for i, j, _ in numbered)
-        clusters, rows = self._members.setdefault((tuple(masses), pairs), ([], []))
-        clusters.append(cluster)
+    Raises:
+        RigidityError: constraint lengths contradict each other.
+    """
+    members: dict[tuple, tuple[list[Cluster], list[list[float]]]] = {}
+    for cluster, lengths in clusters:
+        number = {particle: i for i, particle in enumerate(cluster)}
+        numbered = sorted((*sorted((number[a], number[b])), length) for (a, b), length in lengths.items())
+        key = tuple(masses[i] for i in cluster), tuple((i, j) for i, j, _ in numbered)
+        same, rows = members.setdefault(key, ([], []))
+        same.append(cluster)
         rows.append([length for _, _, length in numbered])
-
-    def kinds(self, describe: Callable) -> list[Kind]:
-        """The kinds, in the order in which their first clusters were added.
-
-        Args:
-            describe: gives a name to particle indices, for messages.
-
-        Raises:
-            RigidityError: constraint lengths contradict each other.
-        """
-        found = []
-        for (masses, pairs), (clusters, lengths) in self._members.items():
-            rows = np.array(lengths).reshape(len(clusters), len(pairs))
-            for same in _alike(rows):
-                kind = _kind(masses, np.array(clusters)[same], pairs, rows[same])
-                complete = len(pairs) == len(masses) * (len(masses) - 1) // 2
-                found.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
-        return found
+    found = []
+    for (mine, pairs), (same, lists) in members.items():
+        table = np.array(lists).reshape(len(same), len(pairs))
+        for alike in _alike(table):
+            kind = _kind(mine, np.array(same)[alike], pairs, table[alike])
+            complete = len(pairs) == len(mine) * (len(mine) - 1) // 2
+            found.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
+    return found
 
 
 def _alike(rows: np.ndarray) -> Iterator[np.ndarray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -10,6 +10,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms
 
 #: Forces whose terms join their atoms into a molecule, besides bonds.
@@ -23,23 +24,16 @@ class Links:
 
     Attributes:
         n_particles: of the System.
-        pairs: constrained particles, (c, 2).
-        lengths: (c,), nm.
+        constraints: that act in it.
         bonds: pairs of particles that a harmonic bond joins, (b, 2).
         terms: pairs that an angle or a torsion joins, (t, 2); those of an improper torsion need not be bonded.
         custom: pairs that a CustomBondForce joins, (d, 2). It may be a restraint: molecules that it joins count as one,
             as in OpenMM, but rigid ones stay rigid.
     """
 
-    def __init__(self, system: openmm.System, lengths: Mapping[tuple[int, int], float]):
-        """
-        Args:
-            system: openmm.System.
-            lengths: of its constraints, nm, by pairs of particles.
-        """
+    def __init__(self, system: openmm.System):
         self.n_particles = system.getNumParticles()
-        self.pairs = np.array(list(lengths), dtype=np.int64).reshape(-1, 2)
-        self.lengths = np.array(list(lengths.values()), dtype=float)
+        self.constraints = tables.constraints(system)
         self.bonds = _pairs(system, openmm.HarmonicBondForce)
         self.terms = _pairs(system, _JOINING)
         self.custom = _pairs(system, openmm.CustomBondForce)
@@ -61,19 +55,16 @@ class Links:
             RigidityError: a constraint joins a body to a particle of no body, or a body of several atoms to another
                 body.
         """
-        ends = bodies.owners[self.pairs]
+        pairs, lengths = self.constraints
+        ends = bodies.owners[pairs]
         between = np.flatnonzero(ends[:, 0] != ends[:, 1])
-        joined = ends[between]
         extended = (bodies.moments > 0).max(axis=0, initial=False)
-        for pair, body in zip(self.pairs[between].tolist(), joined.tolist(), strict=True):
+        for pair, body in zip(pairs[between].tolist(), ends[between].tolist(), strict=True):
             if min(body) < 0 or extended[body].any():
                 raise joins_a_body(*pair)
-        links = joined, self.lengths[between]
-        return bodies.tied(links, self._molecules(bodies))
-
-    def _molecules(self, bodies: RigidBodies) -> np.ndarray:
-        edges = bodies.owners[np.concatenate([self.pairs, self.bonds, self.terms, self.custom])]
-        return joined(bodies.n, edges[(edges >= 0).all(axis=1)])
+        edges = bodies.owners[np.concatenate([pairs, self.bonds, self.terms, self.custom])]
+        molecules = joined(bodies.n, edges[(edges >= 0).all(axis=1)])
+        return bodies.tied((ends[between], lengths[between]), molecules)
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:

@@ -18,7 +18,7 @@ from openmm_sier.system.notices import tell
 #: A temperature in K that rigid molecules are not meant for. Runs of the comparisons of integrators end there too.
 HOTTEST = 3000.0
 
-#: A few bodies may be hotter by chance. They exceed what `by_chance` allows with a probability below exp(-this).
+#: A few bodies may be hotter by chance. They exceed what `hottest` allows with a probability below exp(-this).
 UNLIKELY = 50.0
 
 #: The watch looks after at least so many steps, which cost as many forces or more. Reading the velocities of 24,000
@@ -36,21 +36,17 @@ GROWTH = 2.0
 def hottest(temperature: float, freedoms: float) -> float:
     """A temperature in K that so many degrees of freedom do not exceed unless a run has broken down.
 
+    It is `HOTTEST`, or more where a few of them may be so hot by chance: Laurent and Massart, Ann. Statist. 28, 1302
+    (2000), Lemma 1, for the chi-squared distribution.
+
     Args:
         temperature: of the equilibrium, K.
         freedoms: number of degrees of freedom; 0 where there are none.
     """
-    return max(HOTTEST, by_chance(temperature, freedoms))
-
-
-def by_chance(temperature: float, freedoms: float) -> float:
-    """A temperature in K that this many degrees of freedom practically never exceed in equilibrium.
-
-    Laurent and Massart, Ann. Statist. 28, 1302 (2000), Lemma 1, for the chi-squared distribution.
-    """
     if freedoms < 1:
-        return 0.0
-    return temperature * (1 + 2 * math.sqrt(UNLIKELY / freedoms) + 2 * UNLIKELY / freedoms)
+        return HOTTEST
+    excess = UNLIKELY / freedoms
+    return max(HOTTEST, temperature * (1 + 2 * math.sqrt(excess) + 2 * excess))
 
 
 class Bathed(Protocol):

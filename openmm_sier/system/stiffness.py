@@ -51,15 +51,9 @@ def stiffest_force(context: openmm.Context, positions: np.ndarray, atoms: Sequen
     A second Context is made for it, and the given one is left alone.
     """
     system = openmm.XmlSerializer.clone(context.getSystem())
-    masses = tables.masses(system)
-    names = _one_group_each(system)
-    state = context.getState(parameters=True)
+    masses, names = tables.masses(system), _one_group_each(system)
     other = openmm.Context(system, openmm.VerletIntegrator(0.001), context.getPlatform())
-    present = dict(state.getParameters())
-    for name in other.getParameters():
-        if name in present:
-            other.setParameter(name, present[name])
-    other.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    other.setState(context.getState(parameters=True))
     found = []
     for atom in [i for i in atoms if masses[i] > 0][:MOST_ATOMS]:
         for group, (name, theirs) in enumerate(names):
@@ -70,12 +64,10 @@ def stiffest_force(context: openmm.Context, positions: np.ndarray, atoms: Sequen
 
 
 def _one_group_each(system: openmm.System) -> list[tuple[str, int]]:
-    """Leave the Forces that exert forces, each in a group of its own; returns their names and former groups."""
-    for i in reversed(range(system.getNumForces())):
-        if isinstance(system.getForce(i), WITHOUT_FORCES):
-            system.removeForce(i)
+    """Give each Force that exerts forces a group of its own; returns their names and former groups."""
     names = []
-    for group, force in enumerate(system.getForces()[:GROUPS]):
+    acting = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES)]
+    for group, force in enumerate(acting[:GROUPS]):
         kind, name = type(force).__name__, force.getName()
         names.append((kind if name == kind else f"{name} ({kind})", force.getForceGroup()))
         force.setForceGroup(group)

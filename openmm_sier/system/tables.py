@@ -11,22 +11,23 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.system.geometries import EMBEDDING_TOLERANCE
 
 
 class Constraints(NamedTuple):
     """Distances that are held fixed.
 
     Attributes:
-        pairs: particle indices, (c, 2).
+        pairs: particle indices, the smaller first, (c, 2); no pair is there twice.
         lengths: (c,), nm.
     """
 
     pairs: np.ndarray
     lengths: np.ndarray
 
-    def pair_set(self) -> set[tuple[int, int]]:
-        """The pairs, the smaller particle first."""
-        return set(map(tuple, np.sort(self.pairs, axis=1).tolist()))
+    def by_pair(self) -> dict[tuple[int, int], float]:
+        """Lengths in nm by pairs of particles, the smaller first."""
+        return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
 
 
 def masses(system: openmm.System) -> np.ndarray:
@@ -38,10 +39,11 @@ def constraints(system: openmm.System) -> Constraints:
     """The constraints that act, in the System's order: those between two frozen atoms do not, as in OpenMM.
 
     Raises:
-        RigidityError: a constraint joins an atom with mass to one without, which OpenMM refuses too.
+        RigidityError: a constraint joins an atom with mass to one without, which OpenMM refuses too, or a pair of atoms
+            has two lengths.
     """
     found = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
-    pairs = np.array([(a, b) for a, b, _ in found], dtype=np.int64).reshape(-1, 2)
+    pairs = np.sort(np.array([(a, b) for a, b, _ in found], dtype=np.int64).reshape(-1, 2), axis=1)
     lengths = np.array([length._value for *_, length in found], dtype=float)
     frozen = masses(system)[pairs] == 0
     if (wrong := np.flatnonzero(frozen[:, 0] != frozen[:, 1])).size:
@@ -51,8 +53,18 @@ def constraints(system: openmm.System) -> Constraints:
             f"a constraint joins atom {moving} to atom {still}, which has no mass, and OpenMM refuses such: give both "
             "a mass, or freeze both by the mass 0, or remove the constraint, which a virtual site needs none of"
         )
-    act = ~frozen.any(axis=1)
-    return Constraints(pairs[act], lengths[act])
+    acting = ~frozen.any(axis=1)
+    pairs, lengths = pairs[acting], lengths[acting]
+    _, first, same = np.unique(pairs @ [system.getNumParticles(), 1], return_index=True, return_inverse=True)
+    others = lengths[first[same]]
+    if (wrong := np.flatnonzero(np.abs(lengths - others) > EMBEDDING_TOLERANCE)).size:
+        (a, b), other, length = pairs[wrong[0]], others[wrong[0]], lengths[wrong[0]]
+        raise RigidityError(
+            f"the constraints of atoms {a} and {b} contradict each other: they are to be {other:.4f} and {length:.4f} "
+            "nm apart"
+        )
+    kept = np.sort(first)
+    return Constraints(pairs[kept], lengths[kept])
 
 
 def frozen_atoms(system: openmm.System) -> np.ndarray:

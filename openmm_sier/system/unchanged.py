@@ -3,25 +3,9 @@
 from __future__ import annotations
 
 import weakref
-from typing import NamedTuple
+from typing import Any
 
 import openmm
-
-
-class _Force(NamedTuple):
-    """What is compared of a Force; PME parameters are () for one that has none."""
-
-    kind: type
-    group: int
-    pme: tuple[float, ...]
-
-
-class _Outline(NamedTuple):
-    """What is compared of a System."""
-
-    particles: int
-    constraints: int
-    forces: tuple[_Force, ...]
 
 
 class UnchangedSystem:
@@ -49,10 +33,11 @@ class UnchangedSystem:
         if changes == self._changes and _counts(system) == self._counts:
             return
         if (now := _outline(system)) != self._then:
+            name = next(name for name in self._then if now.get(name) != self._then[name])
             raise openmm.OpenMMException(
-                f"The System was changed after its Context was created, which OpenMM takes no notice of: "
-                f"{_difference(self._then, now)}. Change a System, by prepare_system too, before the Context is "
-                "created; or create a new one"
+                f"The System was changed after its Context was created, which OpenMM takes no notice of: its {name} "
+                f"was {self._then[name]} and is {now[name]}. Change a System, by prepare_system too, before the "
+                "Context is created; or create a new one"
             )
         self._changes = changes
 
@@ -61,28 +46,14 @@ def _counts(system: openmm.System) -> tuple[int, int, int]:
     return system.getNumParticles(), system.getNumConstraints(), system.getNumForces()
 
 
-def _outline(system: openmm.System) -> _Outline:
-    particles, constraints, forces = _counts(system)
-    return _Outline(particles, constraints, tuple(_described(system.getForce(i)) for i in range(forces)))
-
-
-def _described(force: openmm.Force) -> _Force:
-    pme: tuple[float, ...] = ()
-    if isinstance(force, openmm.NonbondedForce):
-        alpha, *mesh = force.getPMEParameters()
-        pme = (alpha._value, *mesh)
-    return _Force(type(force), force.getForceGroup(), pme)
-
-
-def _difference(then: _Outline, now: _Outline) -> str:
-    for name in ("particles", "constraints"):
-        if (before := getattr(then, name)) != (after := getattr(now, name)):
-            return f"it had {before} {name} and has {after}"
-    if len(then.forces) != len(now.forces):
-        return f"it had {len(then.forces)} Forces and has {len(now.forces)}"
-    pairs = enumerate(zip(then.forces, now.forces, strict=True))
-    number, (one, other) = next((i, pair) for i, pair in pairs if pair[0] != pair[1])
-    if one.kind != other.kind:
-        return f"its Force {number} was a {one.kind.__name__} and is a {other.kind.__name__}"
-    what = "force group" if one.group != other.group else "PME parameters"
-    return f"the {what} of its Force {number}, a {one.kind.__name__}"
+def _outline(system: openmm.System) -> dict[str, Any]:
+    """What is compared of a System, by names for messages."""
+    names = ("number of particles", "number of constraints", "number of Forces")
+    found: dict[str, Any] = dict(zip(names, _counts(system), strict=True))
+    for number, force in enumerate(system.getForces()):
+        found[f"Force {number}"] = kind = type(force).__name__
+        found[f"force group of Force {number}, a {kind},"] = force.getForceGroup()
+        if isinstance(force, openmm.NonbondedForce):
+            alpha, *mesh = force.getPMEParameters()
+            found[f"PME parameters of Force {number}, a {kind},"] = (alpha._value, *mesh)
+    return found

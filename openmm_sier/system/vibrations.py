@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import openmm
@@ -62,14 +62,8 @@ class Vibrations:
             bodies: its bodies. Bonds inside them do not count, nor do those that constraints hold.
         """
         self._bodies = bodies
-        forces = [force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
-        forces = [force for force in forces if force.getNumBonds()]
-        self._bonds: list[Bond] = []
         mobility = mobilities(bodies)
-        if forces:
-            held = tables.constraints(system).pair_set()
-            found = [_fastest(force, bodies.owners, mobility, held) for force in forces]
-            self._bonds = sorted(bond for bond in found if bond is not None)
+        self._bonds = list(_fastest_bonds(system, bodies, mobility))
         self._librations = fastest_librations(system, bodies, mobility)
         self._warned = False
 
@@ -107,7 +101,7 @@ class Vibrations:
             openmm.OpenMMException: the inner step is beyond the inner scheme's stability limit.
         """
         self._check("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
-        bond = self._fastest_of(groups)
+        bond = _fastest(self._bonds, groups)
         if bond is not None and h > RESONANCE * bond.period:
             self._tell_once(
                 f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
@@ -123,13 +117,13 @@ class Vibrations:
             groups: bit mask of the force groups that act in its kicks.
             fast: bit mask of those that act within its drifts, with inner steps that are short enough.
         """
-        slow = self._fastest_of(groups), self._fastest_libration_of(groups)
+        slow = _fastest(self._bonds, groups), _fastest(self._librations, groups)
         limits = [_limits(scheme, motion.period)[1] for motion in slow if motion is not None]
-        within = self._fastest_of(fast)
+        within = _fastest(self._bonds, fast)
         return min([*limits, *([RESONANCE * within.period] if within else [])], default=math.inf)
 
     def _check(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
-        bond = self._fastest_of(groups)
+        bond = _fastest(self._bonds, groups)
         if bond is None:
             return
         stable, accurate = _limits(scheme, bond.period)
@@ -144,7 +138,7 @@ class Vibrations:
             self._tell_once(f"{what} of {_fs(h)} is long: {described}")
 
     def _check_libration(self, scheme: Scheme, h: float, groups: int) -> None:
-        libration = self._fastest_libration_of(groups)
+        libration = _fastest(self._librations, groups)
         if libration is None:
             return
         stable, accurate = _limits(scheme, libration.period)
@@ -160,15 +154,10 @@ class Vibrations:
         if h > accurate:
             self._tell_once(f"A step of {_fs(h)} is long: {described}. Take a shorter step")
 
-    def _fastest_of(self, groups: int) -> Bond | None:
-        return next((bond for bond in self._bonds if groups >> bond.group & 1), None)
-
-    def _fastest_libration_of(self, groups: int) -> Libration | None:
-        acting = [libration for libration in self._librations if groups >> libration.group & 1]
-        return min(acting, default=None)
-
     def _name(self, bond: Bond) -> str:
-        return f"the bond between {_names(bond.atoms, self._bodies.labels)}"
+        labels = self._bodies.labels
+        residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in bond.atoms))})"
+        return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}"
 
     def _tell_once(self, message: str) -> None:
         if not self._warned:
@@ -181,28 +170,31 @@ def _limits(scheme: Scheme, period: float) -> tuple[float, float]:
     return scheme.stability_limit * period / (2 * math.pi), scheme.accuracy_limit * period / (2 * math.pi)
 
 
-def _names(atoms: tuple[int, int], labels: Sequence[str] | None) -> str:
-    residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in atoms))})"
-    return f"atoms {atoms[0]} and {atoms[1]}{residues}"
-
-
 def _fs(time: float) -> str:
     return f"{1000 * time:.3g} fs" if time < 1 else f"{time:.4g} ps"
 
 
-def _fastest(
-    force: openmm.HarmonicBondForce, owner: np.ndarray, mobility: np.ndarray, held: set[tuple[int, int]]
-) -> Bond | None:
-    """The bond of shortest period between two bodies whose ends are not a pair in `held`; None if there is none."""
-    ends, strength = harmonic_bonds(force)
-    apart = (owner[ends[:, 0]] != owner[ends[:, 1]]) | (owner[ends[:, 0]] < 0)
-    apart &= np.array([pair not in held for pair in map(tuple, np.sort(ends, axis=1).tolist())])
-    squares = apart * strength * mobility[ends].sum(axis=1)
-    fastest = int(squares.argmax())
-    if not squares[fastest] > 0:
-        return None
-    a, b = ends[fastest].tolist()
-    return Bond(2 * math.pi / math.sqrt(squares[fastest]), (a, b), force.getForceGroup())
+Motion = TypeVar("Motion", Bond, Libration)
+
+
+def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
+    """The motion of shortest period in force groups, a bit mask; None if there is none."""
+    return min((motion for motion in motions if groups >> motion.group & 1), default=None)
+
+
+def _fastest_bonds(system: openmm.System, bodies: RigidBodies, mobility: np.ndarray) -> Iterator[Bond]:
+    """Of each HarmonicBondForce the bond of shortest period between two bodies that no constraint holds."""
+    forces = [force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
+    for force in [force for force in forces if force.getNumBonds()]:
+        ends, strength = harmonic_bonds(force)
+        held, owner = tables.constraints(system).by_pair(), bodies.owners[ends]
+        apart = (owner[:, 0] != owner[:, 1]) | (owner[:, 0] < 0)
+        apart &= np.array([pair not in held for pair in map(tuple, np.sort(ends, axis=1).tolist())])
+        squares = apart * strength * mobility[ends].sum(axis=1)
+        fastest = int(squares.argmax())
+        if squares[fastest] > 0:
+            a, b = ends[fastest].tolist()
+            yield Bond(2 * math.pi / math.sqrt(squares[fastest]), (a, b), force.getForceGroup())
 
 
 def mobilities(bodies: RigidBodies) -> np.ndarray:

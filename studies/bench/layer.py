@@ -16,9 +16,8 @@ import pandas as pd
 from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.report import Report, Table
-from openmm_sier.measure.statistics import median_and_error
 from studies import records
-from studies.bench.timing import BenchSettings, apart
+from studies.bench.timing import BenchSettings, apart, median_and_error
 
 STEP = 1e-3
 STEPS = 20

@@ -16,11 +16,10 @@ from openmm_sier.dynamics.schemes import SIER2, SIER4G, SIER4P
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import median_and_error
 from studies import boxes, records
 from studies.bench import accuracy
 from studies.bench.accuracy import LEVELS
-from studies.bench.timing import BenchSettings, interleaved
+from studies.bench.timing import BenchSettings, interleaved, median_and_error
 from studies.sampling import equilibrated_liquid
 
 #: ps for each force evaluation in the runs that are timed.

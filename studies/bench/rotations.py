@@ -13,9 +13,8 @@ from openmm_sier.dynamics import backend, rotation
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure.report import Report, Table
-from openmm_sier.measure.statistics import median_and_error
 from studies import records
-from studies.bench.timing import BenchSettings, interleaved
+from studies.bench.timing import BenchSettings, interleaved, median_and_error
 
 STEP = 1e-3
 WATER_MOMENTS = (0.0061, 0.0115, 0.0176)

@@ -19,9 +19,8 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import median_and_error
 from studies import boxes, records
-from studies.bench.timing import BenchSettings, apart, interleaved
+from studies.bench.timing import BenchSettings, apart, interleaved, median_and_error
 
 #: Step per force evaluation of every method, ps.
 STEP = 1e-3

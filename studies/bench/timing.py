@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from openmm_sier.measure.force_clock import ForceClock
+from openmm_sier.measure.statistics import Estimate
 from studies.command import BoxSettings
 
 
@@ -65,3 +67,14 @@ def apart(clock: ForceClock, action: Callable[[], object]) -> tuple[float, float
     action()
     total, inside = time.perf_counter() - start, clock.seconds - before
     return total - inside, inside
+
+
+def median_and_error(values: np.ndarray) -> Estimate:
+    """Median of independent values and its standard error, NaN for a single one.
+
+    The standard error of the median of a normal distribution is sqrt(pi/2) sigma/sqrt(n), and sigma is taken from the
+    distance of the quartiles, 1.349 sigma, so that outliers do not count.
+    """
+    low, median, high = np.percentile(values, [25, 50, 75])
+    error = float(0.929 * (high - low) / math.sqrt(len(values))) if len(values) > 1 else math.nan
+    return Estimate(float(median), error)

@@ -25,7 +25,7 @@ import h5py
 import mdtraj
 import numpy as np
 
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.measure.report import SILENT, Report
 from studies.boxes import write_lattice
 from studies.command import Settings, execute
@@ -120,7 +120,7 @@ def trace(directory: Path, out: str) -> dict[str, int]:
     checkpoint = (directory / out).with_suffix(".chk")
     if not checkpoint.exists():
         return {"before the first checkpoint": 1}
-    _, notes = records.read_checkpoint(checkpoint)
+    _, notes = checkpoints.read_checkpoint(checkpoint)
     growing = directory / (out + ".dcd" if out.endswith(".h5") else out)
     return {
         "with something written after the checkpoint": int(growing.stat().st_size > notes["trajectory"]["size"]),
@@ -130,7 +130,7 @@ def trace(directory: Path, out: str) -> dict[str, int]:
 
 def last_step(directory: Path, out: str) -> int:
     checkpoint = (directory / out).with_suffix(".chk")
-    return records.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
+    return checkpoints.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
 
 
 def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:

@@ -10,6 +10,7 @@ anything differs.
 
 from __future__ import annotations
 
+import importlib
 import os
 import random
 import shutil
@@ -19,6 +20,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -172,6 +174,9 @@ def collide(directory: Path, first: str, second: str, times: int, seed: int) -> 
         Disturbed: something differs from an undisturbed run.
     """
     restart = "restart" in (first, second)
+    with suppress(ImportError):
+        # Each command would import it anew after the fork, which takes longer than its run.
+        importlib.import_module("numba")
     start, undisturbed, here = directory / "start", directory / "undisturbed", directory / "here"
     prepare(start, restart)
     shutil.copytree(start, undisturbed)

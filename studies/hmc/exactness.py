@@ -26,8 +26,8 @@ from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error
 from studies import records
 from studies.command import Settings, execute
+from studies.hmc.model_engine import KT, Chain, Dipoles, Wells
 from studies.records import Record
-from tests.support.trials import KT, Chain, Dipoles, Wells
 
 COLUMNS = {
     "": "{name}",
@@ -59,7 +59,7 @@ def _row(model: str, name: str, values: Sequence[float], exact: float) -> dict[s
 
 def wells(trials: int, h: float, steps: tuple[int, ...], kept: float) -> list[dict[str, Any]]:
     """Points in wells; `kept` is the factor that momenta keep in a trial."""
-    chain = Chain(Wells(), SIER2, h, steps, friction=-math.log(kept) / h if kept else math.inf)
+    chain = Chain(Wells(), SIER2, h, steps, friction=-math.log(kept) / h if kept else None)
     squares, fourths, kinetic, products = [], [], [], []
     roots = np.sqrt(chain.model.springs)
     for sample in chain.samples(trials):

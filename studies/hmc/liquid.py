@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Literal
@@ -26,13 +26,12 @@ from openmm import app, unit
 from tyro.conf import Positional
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, balance_pme
-from openmm_sier.measure import forcefields
 from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, inefficiency, mean_and_error
 from openmm_sier.observe.conservation import density
 from studies import records
-from studies.command import Settings, execute
+from studies.command import SYSTEMS, Settings, execute
 from studies.records import Record
 from studies.sampling import observe
 
@@ -81,7 +80,7 @@ class LiquidSettings(Settings):
     friction: float = 2.0
     temperature: float = 297.0
     platform: str | None = None
-    box: Path = field(default_factory=forcefields.shipped_box)
+    box: Path = SYSTEMS / "tip3p-512.pdb"
 
 
 def study(settings: LiquidSettings, report: Report = SILENT) -> None:

@@ -22,9 +22,8 @@ from openmm_sier import SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import median_and_error
 from studies import boxes, records
-from studies.bench.timing import interleaved
+from studies.bench.timing import interleaved, median_and_error
 from studies.command import BoxSettings, chosen, execute
 from studies.records import Record
 

@@ -14,6 +14,7 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.starts import equilibrate
 from studies import boxes
+from studies.command import SYSTEMS
 from studies.paper import tip4p
 from studies.paper.molecular_cutoff import MolecularCutoff
 
@@ -61,8 +62,7 @@ class Water(NamedTuple):
 
 def water_box(n: int) -> Water:
     """Liquid TIP4P water: the project's box, or molecules of it in a smaller box of the same density."""
-    path = forcefields.shipped_box(BOX)
-    _, positions, system = boxes.of_size(forcefields.read_box(path), path.parent, n)
+    _, positions, system = boxes.of_size(forcefields.read_box(SYSTEMS / BOX), SYSTEMS, n)
     return Water(system, positions, system.getDefaultPeriodicBoxVectors()[0][0].value_in_unit(unit.nanometer))
 
 

@@ -1,8 +1,7 @@
 """Restarts continue only files that their checkpoint belongs to, and nothing is changed where one does not."""
 
-import json
+import os
 import shutil
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,20 +9,15 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import outputs, records, trajectories
+from openmm_sier.cli.files import checkpoints, outputs, records, trajectories
 from openmm_sier.cli.files.body_states import BodyStates
 from openmm_sier.cli.plan import Options, new_plan
-from tests.support.commands import SMALL, complaint, datasets, frames, run, write_lattice
+from tests.support.commands import SMALL, complaint, contents, datasets, frames, rewrite_notes, run, write_lattice
 
 h5py = pytest.importorskip("h5py")
 
 FILES = ["--bodies", "states.h5", "--pressure-tensor", "p.csv", "--pressure-tensor-every", "0.04"]
 AGAIN = ["run", "box.pdb", "--platform", "Reference", "--restart", "box.chk"]
-
-
-def contents():
-    """All files in the current directory, hidden ones too, with their bytes."""
-    return {path: path.read_bytes() for path in sorted(Path().rglob("*")) if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -50,11 +44,11 @@ def one(two_runs, monkeypatch):
 def test_file_of_another_run_is_refused(one, two_runs, capsys, name):
     """The lengths are those of this run, except that of the log."""
     shutil.copyfile(two_runs / "two" / name, name)
-    before = contents()
+    before = contents(Path())
     message = complaint(capsys, *AGAIN, "--steps", "20")
     wrong = "box.dcd" if name == "box.chk" else name
     assert f"{wrong} is not the file that the checkpoint belongs to" in message or f"{wrong} has " in message
-    assert contents() == before
+    assert contents(Path()) == before
 
 
 def test_files_of_another_length_are_refused_too(one, two_runs, capsys):
@@ -63,9 +57,11 @@ def test_files_of_another_length_are_refused_too(one, two_runs, capsys):
     shutil.copyfile(two_runs / "two" / "box.dcd", "box.dcd")
     with open("box.csv", "a") as file:
         file.write("20,0.08" + 14 * ",1.0" + "\n")
-    before = contents()
+    before = contents(Path())
     assert "box.csv is not the file that the checkpoint belongs to" in complaint(capsys, *AGAIN, "--steps", "20")
-    assert contents() == before
+    assert contents(Path()) == before
+    os.truncate("box.dcd", 300)
+    assert "box.dcd has 300 bytes, fewer than" in complaint(capsys, *AGAIN, "--steps", "20")
 
 
 @pytest.mark.parametrize(
@@ -73,11 +69,11 @@ def test_files_of_another_length_are_refused_too(one, two_runs, capsys):
 )
 def test_edited_log_is_refused(one, capsys, old, new):
     Path("box.csv").write_bytes(Path("box.csv").read_bytes().replace(old, new))
-    before = contents()
+    before = contents(Path())
     assert "box.csv is not the file that the checkpoint belongs to, or was edited" in complaint(
         capsys, *AGAIN, "--steps", "20"
     )
-    assert contents() == before
+    assert contents(Path()) == before
 
 
 @pytest.mark.slow
@@ -88,15 +84,6 @@ def test_finished_trajectory_of_another_run_is_not_taken_for_this_one(box, capsy
     capsys.readouterr()
     message = complaint(capsys, "run", box, "--platform", "Reference", "--restart", "1.chk")
     assert "1.h5 is not the file that the checkpoint belongs to: its title is openmm-sier run" in message
-
-
-def rewrite_notes(change):
-    with zipfile.ZipFile("box.chk") as archive:
-        state, notes = archive.read("state.xml"), json.loads(archive.read("notes.json"))
-    change(notes)
-    with zipfile.ZipFile("box.chk", "w") as archive:
-        archive.writestr("state.xml", state)
-        archive.writestr("notes.json", json.dumps(notes))
 
 
 @pytest.mark.parametrize(
@@ -110,10 +97,10 @@ def rewrite_notes(change):
     ],
 )
 def test_checkpoint_that_does_not_tell_its_files(one, capsys, change):
-    rewrite_notes(change)
-    before = contents()
+    rewrite_notes("box.chk", change)
+    before = contents(Path())
     assert "box.chk: log" in complaint(capsys, *AGAIN, "--steps", "20")
-    assert contents() == before
+    assert contents(Path()) == before
     # It is a start nevertheless.
     run("run", "box.pdb", "--platform", "Reference", "--start", "box.chk", "--steps", "1", "--out", "new.dcd")
 
@@ -152,7 +139,7 @@ def test_identity_is_that_of_settings_and_start(two_runs):
     assert outputs.run_identity(replace(plan, seed=7), context) != identity
     context.setPositions(np.array(box.positions._value) + 1e-9)
     assert outputs.run_identity(plan, context) != identity
-    notes = [records.read_checkpoint(two_runs / name / "box.chk")[1] for name in ("one", "two")]
+    notes = [checkpoints.read_checkpoint(two_runs / name / "box.chk")[1] for name in ("one", "two")]
     assert notes[0]["run"] != notes[1]["run"]
     title = (two_runs / "one" / "box.dcd").read_bytes()[180:260].rstrip(b"\0").decode()
     with h5py.File(two_runs / "one" / "states.h5") as file:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from openmm_sier import RigidBodies
-from openmm_sier.cli import run
+from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.plan import Options, new_plan
 from tests.support.waters import cluster_system
 
@@ -19,5 +19,6 @@ from tests.support.waters import cluster_system
 def test_engine_of_a_run(options, engine):
     """The native engine has no bodies that no constraints hold."""
     bodies = RigidBodies.from_system(cluster_system(1)[2])
-    plan = new_plan(Options(Path("box.pdb"), **options))
-    assert run._integrator(plan, bodies, fast=()).engine == engine
+    given = Options(Path("box.pdb"), **options)
+    plan = new_plan(given)
+    assert Simulated(given, plan, None, bodies, frozenset()).integrator(plan).engine == engine

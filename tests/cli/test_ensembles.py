@@ -68,14 +68,6 @@ def test_single_values_in_a_table_are_options_of_its_members(plan):
     ]
 
 
-def test_tables_of_members_add_up(plan):
-    more = '\n[[members]]\nbox = ["box.pdb"]\nscheme = ["langevinmiddle", "verlet"]\ndt = [1, 2]\n'
-    plan.write_text(PLAN.replace("[members]", "[[members]]") + more)
-    names = [member.name for member in read_plan(plan)]
-    assert names[:2] == ["box-sier2-dt4-seed1", "box-sier2-dt4-seed2"]
-    assert names[2:] == [f"box-{scheme}-dt{dt}" for scheme in ("langevinmiddle", "verlet") for dt in (1, 2)]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

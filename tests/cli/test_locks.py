@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import locks
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError
-from tests.support.commands import SMALL, SYSTEMS, complaint, run, wait_for
+from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run, wait_for
 
 #: Seconds after which a test fails rather than wait.
 LIMIT = 120
@@ -50,9 +49,9 @@ def holder():
         process.communicate(timeout=LIMIT)
 
 
-def contents():
-    """All files in the current directory, hidden ones too, with their bytes."""
-    return {path: path.read_bytes() for path in sorted(Path().rglob("*")) if path.is_file()}
+def names():
+    """All files in the current directory, hidden ones too."""
+    return sorted(contents(Path()))
 
 
 def test_second_holder_is_refused_and_told_of_the_first(holder):
@@ -63,7 +62,7 @@ def test_second_holder_is_refused_and_told_of_the_first(holder):
     assert said.startswith(f"a.csv is being written by process {first.pid} on {os.uname().nodename} since 20")
     assert said.endswith(" UTC: openmm-sier a.dcd a.csv")
     # The lock on b.csv that it got first is gone, and a second refusal says the same.
-    assert sorted(path.name for path in contents()) == [".a.csv.lock", ".a.dcd.lock"]
+    assert names() == [".a.csv.lock", ".a.dcd.lock"]
     with FileLocks() as mine, pytest.raises(RunError, match=f"process {first.pid} on"):
         mine.hold([Path("a.csv")])
 
@@ -72,18 +71,18 @@ def test_locks_leave_nothing_behind(holder):
     first = holder("a.dcd")
     first.communicate("", timeout=LIMIT)
     assert first.returncode == 0
-    assert not contents()
+    assert not names()
 
 
 def test_lock_of_a_killed_process_is_free(holder):
     first = holder("a.dcd")
     first.send_signal(signal.SIGKILL)
     first.wait(LIMIT)
-    assert [path.name for path in contents()] == [".a.dcd.lock"]
+    assert names() == [".a.dcd.lock"]
     with FileLocks() as mine:
         mine.hold([Path("a.dcd")])
         assert json.loads(Path(".a.dcd.lock").read_text())["process"] == os.getpid()
-    assert not contents()
+    assert not names()
 
 
 def test_a_file_has_one_lock_by_all_its_names(holder):
@@ -99,15 +98,16 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
 
 def test_lock_on_a_removed_file_is_not_taken_for_one(monkeypatch):
     """The holder removes the file between the opening and the locking by the next one."""
-    stat, calls = os.stat, []
+    fcntl = pytest.importorskip("fcntl")
+    flock, calls = fcntl.flock, []
 
-    def remove_first(path, *arguments, **more):
-        if str(path).endswith(".a.dcd.lock") and not calls:
-            calls.append(path)
-            os.unlink(path)
-        return stat(path, *arguments, **more)
+    def remove_first(*arguments):
+        if not calls:
+            calls.append(arguments)
+            os.unlink(".a.dcd.lock")
+        return flock(*arguments)
 
-    monkeypatch.setattr(locks.os, "stat", remove_first)
+    monkeypatch.setattr(fcntl, "flock", remove_first)
     with FileLocks() as mine:
         mine.hold([Path("a.dcd")])
         assert calls
@@ -127,24 +127,24 @@ def test_file_systems_without_locks(monkeypatch, number):
         mine.hold([Path("a.dcd")])
         with FileLocks() as other, pytest.raises(RunError, match=rf"written by process {os.getpid()}. If that has"):
             other.hold([Path("a.dcd")])
-        assert [path.name for path in contents()] == [".a.dcd.held"]
-    assert not contents()
+        assert names() == [".a.dcd.held"]
+    assert not names()
 
 
 OUTPUTS = ["--out", "a.h5", "--bodies", "b.h5", "--pressure-tensor", "p.csv"]
 
 
 @pytest.mark.parametrize(
-    "taken", ["a.chk", "a.chk.tmp", "a.h5", "a.h5.dcd", "a.csv", "b.h5", "b.h5.frames", "unfinished-b.h5", "p.csv"]
+    "taken", ["a.chk", "a.chk.tmp", "a.h5", "a.h5.dcd", "a.csv", "b.h5", "b.h5.frames", "b.h5.tmp", "p.csv"]
 )
 def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
     pytest.importorskip("h5py")
     first = holder(taken)
     Path("a.csv").write_text("mine\n")
-    before = contents()
+    before = contents(Path())
     message = complaint(capsys, "run", box, *SMALL, *OUTPUTS, "--overwrite")
     assert f"{taken} is being written by process {first.pid} on" in message
-    assert contents() == before
+    assert contents(Path()) == before
 
 
 def test_running_run_is_named_rather_than_its_files(box, holder, capsys):
@@ -158,9 +158,9 @@ def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
     capsys.readouterr()
     first = holder("box.csv")
     again = ["run", box, "--platform", "Reference", "--restart", "box.chk", "--steps", "10"]
-    before = contents()
+    before = contents(Path())
     assert f"box.csv is being written by process {first.pid} on" in complaint(capsys, *again)
-    assert contents() == before
+    assert contents(Path()) == before
     Path("box.chk").write_bytes(b"half")
     assert "no checkpoint" in complaint(capsys, *again)
     holder("box.chk")
@@ -176,7 +176,7 @@ def test_killed_run_does_not_keep_its_files(box):
     process.wait(LIMIT)
     assert Path(".box.chk.lock").exists()
     assert main.main(["run", str(box), *SMALL, "--steps", "5", "--overwrite"]) == 0
-    assert sorted(path.name for path in contents()) == ["box.chk", "box.csv", "box.dcd"]
+    assert names() == ["box.chk", "box.csv", "box.dcd"]
 
 
 @pytest.mark.slow

@@ -59,7 +59,7 @@ def commands():
     return group.choices
 
 
-@pytest.mark.parametrize("command", ["run", "ensemble", "properties", "validate", "info"])
+@pytest.mark.parametrize("command", ["run", "ensemble", "properties", "validate", "tune", "info"])
 def test_help_says_every_default(command):
     options = [action for action in commands()[command]._actions if action.option_strings and action.dest != "help"]
     assert options
@@ -70,7 +70,7 @@ def test_help_says_every_default(command):
     ("option", "value", "expected"),
     [
         ("--pressure", "101325", "from -5000 to 50000 bar (1 bar is 100000 Pa), got '101325'"),
-        ("--seed", "99999999999", "from 1 to 2147483647, got 99999999999"),
+        ("--seed", "99999999999", "from 1 to 2147483647, got '99999999999'"),
         ("--seed", "1" * 5000, "from 1 to 2147483647, got '111"),
         ("--time", "1e300", "above 0 and up to 1e+09 ps, got '1e300'"),
         ("--dt", "nan", "from 0.001 to 1000 fs, got 'nan'"),
@@ -151,20 +151,8 @@ def test_wrong_notes_in_a_checkpoint(copied, capsys, name):
     def tried(change):
         (copied / "box.chk").write_bytes(original)
         rewrite_notes("box.chk", change)
-        refuse(
-            capsys,
-            copied,
-            "box.chk",
-            name,
-            "run",
-            "box.pdb",
-            "--restart",
-            "box.chk",
-            "--steps",
-            "4",
-            "--platform",
-            "CPU",
-        )
+        again = ["run", "box.pdb", "--restart", "box.chk", "--steps", "4", "--platform", "CPU"]
+        refuse(capsys, copied, "box.chk", name, *again)
 
     for value in [*WRONG, True, [], "1"]:
         tried(lambda notes, value=value: notes.update({name: value}))
@@ -181,11 +169,8 @@ def test_wrong_options_in_a_plan_of_an_ensemble(tmp_path, capsys, name):
     write_lattice(tmp_path / "box.pdb", 8)
     for value in ("{}", "[[1.5]]", "nan", '""', '["\\u0000"]'):
         box = "" if name == "box" else 'box = "box.pdb"'
-        Path("plan.toml").write_text(
-            f"[options]\n{box}\n{name} = {value}\n[members]\nseed = [1]\n".replace(
-                "\nseed = [1]", "" if name == "seed" else "\nseed = [1]"
-            )
-        )
+        seeds = "" if name == "seed" else "seed = [1]"
+        Path("plan.toml").write_text(f"[options]\n{box}\n{name} = {value}\n[members]\n{seeds}\n")
         refuse(capsys, tmp_path, "plan.toml", name, "ensemble", "plan.toml")
 
 

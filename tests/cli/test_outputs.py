@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import body_states, records, trajectories
+from openmm_sier.cli.files import body_states, checkpoints, records, trajectories
 from openmm_sier.measure import starts
 from tests.support.commands import SMALL, complaint, frames, write_lattice
 
@@ -60,7 +60,7 @@ def hard_link(original, name):
         (link, ["--out", "x.dcd", "other.chk"]),
         (hard_link, ["--out", "x.dcd", "other.chk.tmp"]),
         (hard_link, ["--out", "x.h5", "other.h5.dcd"]),
-        (link, ["--bodies", "x.h5", "unfinished-other.h5"]),
+        (link, ["--bodies", "x.h5", "other.h5.tmp"]),
     ],
 )
 def test_no_output_is_the_pdb_file(box, tmp_path, capsys, lattice, no_equilibration, make, options):
@@ -230,7 +230,7 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
     file_size_limit(resource.RLIM_INFINITY)
     assert message.startswith(f"openmm-sier: {name}: File too large, at step ")
     assert "The last good checkpoint is box.chk" in message
-    notes = records.read_checkpoint(Path("box.chk"))[1]
+    notes = checkpoints.read_checkpoint(Path("box.chk"))[1]
     assert f"of step {notes['step']};" in message
     assert not list(Path().glob("*.tmp"))
     # No half of a frame is left after the header: of 12 numbers and 13 a molecule, or of a box and three times 81
@@ -323,7 +323,7 @@ def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, 
     frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
     assert "made.h5 could not be written" in message
     assert f"No space left on device. Its frames are kept in {frames_in}" in message
-    assert not Path("unfinished-made.h5").exists()
+    assert not Path("made.h5.tmp").exists()
     checkpoint = "made.chk" if option == "--out" else "box.chk"
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", checkpoint]) == 0
     assert Path("made.h5").exists()

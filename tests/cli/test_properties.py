@@ -11,7 +11,8 @@ import pytest
 from openmm import unit
 
 from openmm_sier.cli import properties
-from openmm_sier.cli.files.records import read_checkpoint, read_log
+from openmm_sier.cli.files.checkpoints import read_checkpoint
+from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.measure import liquid_samples

@@ -8,7 +8,7 @@ import openmm
 import pytest
 
 from openmm_sier.cli import main, runaway
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.runaway import Guard, Runaway
 from openmm_sier.engines.temperature import DegreesOfFreedom
@@ -119,7 +119,7 @@ def test_long_step_ends_with_its_code_and_a_good_checkpoint(box, capsys):
     message = complaint(capsys, *long, code=runaway.EXIT_CODE)
     assert "ran away at step" in message
     assert "the step of 20 fs is too long for SIER2, for which 2 fs is usual: --dt 2." in message
-    rows, (_, notes) = log("box.csv"), records.read_checkpoint(Path("box.chk"))
+    rows, (_, notes) = log("box.csv"), checkpoints.read_checkpoint(Path("box.chk"))
     assert f"The last good checkpoint is box.chk, of step {notes['step']}; --start begins a new run" in message
     # Nothing that is out of bounds has got to a file.
     H = rows["Conserved Energy (kJ/mole)"]
@@ -146,7 +146,7 @@ def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatc
     message = complaint(capsys, "run", box, *SMALL, "--scheme", "sier4g", "--time", "0.4", code=runaway.EXIT_CODE)
     assert "of step 25" in message
     assert "4 fs is not above the 6 fs that is usual for SIER4G" in message
-    _, notes = records.read_checkpoint(Path("box.chk"))
+    _, notes = checkpoints.read_checkpoint(Path("box.chk"))
     assert notes["step"] == 25
     assert log("box.csv")["Step"][-1] == 40
     assert frames(Path("box.dcd"), box).n_frames == 9
@@ -158,7 +158,7 @@ def test_hot_bodies_stop_between_rows(box, capsys):
     message = complaint(capsys, *long, "--checkpoint-every", "1000", code=runaway.EXIT_CODE)
     assert "K, above 3000 K" in message
     assert "too long for SIER2, for which 2 fs is usual" in message
-    assert records.read_checkpoint(Path("box.chk"))[1]["step"] == 0
+    assert checkpoints.read_checkpoint(Path("box.chk"))[1]["step"] == 0
 
 
 def test_equilibration_that_breaks_down(box, capsys, monkeypatch):

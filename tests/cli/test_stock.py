@@ -13,19 +13,6 @@ FAST = ["--dt", "2", "--platform", "Reference", "--equilibrate", "0.01", "--seed
 FAST += ["--every", "0.02", "--report-every", "0.02", "--checkpoint-every", "0.06"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["langevinmiddle", "verlet"])
-def test_a_run_in_parts_is_the_same_to_the_byte(box, scheme):
-    """Volume moves are tried every 25 steps: one before the interruption, one after it."""
-    chosen = [box, "--scheme", scheme, "--ensemble", "npt", *FAST]
-    run("run", *chosen, "--time", "0.12", "--out", "whole.dcd")
-    run("run", *chosen, "--time", "0.06", "--out", "parts.dcd")
-    run("run", box, "--restart", "parts.chk", "--time", "0.12", "--platform", "Reference")
-    for kind in ("dcd", "csv"):
-        assert Path(f"whole.{kind}").read_bytes() == Path(f"parts.{kind}").read_bytes()
-    assert len(np.unique(log("whole.csv")["Box Volume (nm^3)"])) > 1
-
-
 def test_heat_that_openmm_does_not_count_is_not_made_up(box, capsys):
     run("run", box, "--scheme", "verlet", "--ensemble", "nvt", *FAST, "--time", "0.04")
     assert np.isnan(log("box.csv")["Conserved Energy (kJ/mole)"]).all()

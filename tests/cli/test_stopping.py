@@ -13,8 +13,8 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.cli import info, main, run
-from openmm_sier.cli.files import outputs, records
+from openmm_sier.cli import beginning, info, main
+from openmm_sier.cli.files import checkpoints, outputs, records
 from tests.support.commands import SMALL, datasets, frames, log, wait_for
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
@@ -26,7 +26,7 @@ import signal, sys
 for name in ("SIGINT", "SIGTERM", "SIGHUP"):
     number = getattr(signal, name)
     signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
-from openmm_sier.cli import main, run, stopping
+from openmm_sier.cli import beginning, main, stopping
 from openmm_sier.cli.files import outputs
 {patch}
 sys.exit(main.main(sys.argv[1:]))
@@ -94,7 +94,7 @@ def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsy
     assert capsys.readouterr().err == (
         f"openmm-sier: stopped by {name} at step 30 (0.12 ps), all files are written; go on with --restart cut.chk\n"
     )
-    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == 30
+    assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == 30
     assert frames(Path("cut.dcd"), box).n_frames == 6
     assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.dcd", "cut.h5.frames"]
     # The handlers are those of before.
@@ -136,7 +136,7 @@ def test_signal_before_the_first_step_ends_at_once(box, signum, monkeypatch, cap
         os.kill(os.getpid(), signum)
         time.sleep(LIMIT)
 
-    monkeypatch.setattr(run, "prepare", prepare)
+    monkeypatch.setattr(beginning, "prepare", prepare)
     began = time.monotonic()
     assert main.main(["run", str(box), *SMALL]) == 128 + signum
     assert time.monotonic() - began < LIMIT / 2
@@ -147,7 +147,7 @@ def test_signal_before_the_first_step_ends_at_once(box, signum, monkeypatch, cap
 
 def test_signal_in_a_minimization_that_takes_long(box):
     """OpenMM returns to Python when it is done; the program does not wait for that."""
-    process = started(box, patch=f"{BUSY}\nrun.prepare, stopping.PATIENCE = busy, 0.1")
+    process = started(box, patch=f"{BUSY}\nbeginning.prepare, stopping.PATIENCE = busy, 0.1")
     wait_for(Path("busy").exists, process)
     process.send_signal(signal.SIGTERM)
     code, err = ended(process)
@@ -182,7 +182,7 @@ def test_signal_that_is_sent_twice_at_once_is_one(box):
     found = re.fullmatch(r"openmm-sier: stopped by SIGTERM at step (\d+) .*--restart cut\.chk\n", err)
     assert found
     step = int(found.group(1))
-    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] == step
+    assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == step
     more = ["run", str(box), "--restart", "cut.chk", "--steps", str(step + 10), "--platform", "Reference"]
     assert main.main(more) == 0
     np.testing.assert_array_equal(log("cut.csv")["Step"], np.arange(0, step + 11, 10))
@@ -206,7 +206,7 @@ def test_closed_terminal(box):
         time.sleep(0.05)
     assert os.waitstatus_to_exitcode(status[1]) == 129
     # Nothing was written after this checkpoint.
-    assert records.read_checkpoint(Path("cut.chk"))[1]["step"] >= log("cut.csv")["Step"][-1]
+    assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] >= log("cut.csv")["Step"][-1]
 
 
 def test_stopped_writing_of_a_frame_is_completed(box, monkeypatch):
@@ -222,7 +222,7 @@ def test_stopped_writing_of_a_frame_is_completed(box, monkeypatch):
     assert main.main(["run", str(box), *SMALL, "--time", "0.4"]) == 143
     signal.signal(signal.SIGTERM, previous)
     assert frames(Path("box.dcd"), box).n_frames == 1
-    assert records.read_checkpoint(Path("box.chk"))[1]["step"] == 5
+    assert checkpoints.read_checkpoint(Path("box.chk"))[1]["step"] == 5
 
 
 # --- what OpenMM's wrappers make of a signal ---
@@ -239,7 +239,7 @@ def test_signal_that_arrives_as_another_error(box, signum, monkeypatch, capsys, 
         except BaseException as error:
             raise made("<built-in function Context_getState> returned a result with an exception set") from error
 
-    monkeypatch.setattr(run, "prepare", prepare)
+    monkeypatch.setattr(beginning, "prepare", prepare)
     assert main.main(["run", str(box), *SMALL]) == 128 + signum
     name = signal.Signals(signum).name
     assert capsys.readouterr().err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"
@@ -257,14 +257,14 @@ def test_error_after_a_signal_that_was_only_noted_is_an_error(box, signum, monke
 
 
 def test_ctrl_c_within_openmm_ends_every_command(box, monkeypatch, capsys):
-    def interrupted(*_):
+    def interrupted(**_):
         raise SystemError("<method> returned a result with an exception set") from KeyboardInterrupt()
 
     monkeypatch.setattr(info, "info", interrupted)
     assert main.main(["info", str(box)]) == 130
     assert capsys.readouterr().err == "openmm-sier: interrupted\n"
 
-    def broken(*_):
+    def broken(**_):
         raise SystemError("broken") from ValueError()
 
     monkeypatch.setattr(info, "info", broken)
@@ -291,7 +291,7 @@ def within(context, positions, *_):
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_signal_within_a_minimization(box, name):
     """The interrupt really passes through OpenMM's own code."""
-    process = started(box, patch=f"{WITHIN}\nrun.prepare, stopping.PATIENCE = within, 60")
+    process = started(box, patch=f"{WITHIN}\nbeginning.prepare, stopping.PATIENCE = within, 60")
     wait_for(Path("busy").exists, process)
     process.send_signal(getattr(signal, name))
     code, err = ended(process)

@@ -39,8 +39,9 @@ def test_a_tag_of_this_commit_is_the_version():
     assert [tag for tag in found if re.fullmatch(r"v\d+\.\d+\.\d+", tag) and tag != f"v{__version__}"] == []
 
 
-def test_the_changelog_knows_the_version():
-    assert __version__ in stated("CHANGELOG.md", r"^## (.*)$")
+def test_changelog_and_citation_know_the_version():
+    assert stated("CHANGELOG.md", r"^## (.*)$")[0] == __version__
+    assert stated("CITATION.cff", "^version: (.*)$") == [__version__]
 
 
 def test_the_paper_cites_what_its_bibliography_has():

@@ -34,7 +34,7 @@ def each_body(bodies):
 
 
 @pytest.fixture
-def bodies(executed_by):
+def bodies():
     return scattered(ALL)
 
 
@@ -75,11 +75,6 @@ def test_lines_and_points_have_exact_zeros(rng, noise):
         if zeros == 1:
             assert found.moments[1] == pytest.approx(found.moments[2], rel=1e-15)
             assert not found.sites[1:].any()
-
-
-def test_planar_sites_have_no_third_component():
-    for kind in ("water", "ring"):
-        assert not species(kind, [range(len(GEOMETRIES[kind][0]))]).sites[2].any()
 
 
 # --- atoms and bodies -------------------------------------------------------------------------------------------------

@@ -100,10 +100,6 @@ def test_broken_coefficients_lower_the_order():
     assert measured_order(lopsided) == pytest.approx(1, abs=0.3)
 
 
-def test_order_of_a_single_operator_is_that_of_the_search():
-    assert Scheme("drift", ((DRIFT, 0.3), (DRIFT, 0.7))).order == 6
-
-
 def test_three_operators():
     """The order conditions hold for any number of operators: a symmetric product of three is of second order."""
     scheme = Scheme("ABCBA", (("A", 0.5), ("B", 0.5), ("C", 1.0), ("B", 0.5), ("A", 0.5)))
@@ -131,24 +127,6 @@ def test_cost(scheme, evaluations, reuses):
     assert scheme.force_evaluations == evaluations
     if reuses is not None:
         assert scheme.reuses_force is reuses
-
-
-def test_palindromes():
-    assert SIER2.is_palindrome
-    assert SIER4.is_palindrome
-    assert not EULER.is_palindrome
-
-
-def test_the_published_coefficients():
-    assert SIER2.stages == Scheme("", ((KICK, 0.5), (DRIFT, 1.0), (KICK, 0.5))).stages
-    fractions = [stage.fraction for stage in SIER4.stages]
-    assert [stage.operator for stage in SIER4.stages] == [KICK, DRIFT] * 4 + [KICK]
-    assert fractions[:3] == [0.1720865590295143, 0.5915620307551568, -0.1616217622107222]
-    assert fractions[3] == 0.5 - fractions[1]
-    assert fractions[4] == pytest.approx(1 - 2 * (fractions[0] + fractions[2]), abs=1e-15)
-    for operator in (KICK, DRIFT):
-        total = sum(stage.fraction for stage in SIER4.stages if stage.operator == operator)
-        assert total == pytest.approx(1, abs=1e-15)
 
 
 def test_the_published_coefficients_of_schemes_for_long_steps():

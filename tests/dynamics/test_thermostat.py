@@ -47,17 +47,6 @@ def test_it_forgets_at_the_friction():
     assert (np.abs(tilde.mean(axis=1) - np.exp(-0.7)) < 4.5 * errors).all()
 
 
-def test_it_composes():
-    """Two half times have the distribution of one whole: variances agree."""
-    n = 20000
-    bodies, state = molecules.ensemble(molecules.WATER, n)
-    thermostat = OrnsteinUhlenbeck(TEMPERATURE, 3.0, 3.0, seed=3).operator(bodies)
-    once, twice = thermostat(state, 0.2), thermostat(thermostat(state, 0.1), 0.1)
-    # The variance of n normal numbers has the relative error sqrt(2/n) = 1 %.
-    assert np.allclose(once.p.var(axis=1), twice.p.var(axis=1), rtol=0.06)
-    assert np.allclose(once.p.var(axis=1), THERMAL * bodies.species[0].mass * -np.expm1(-1.2), rtol=0.045)
-
-
 def test_noise_depends_on_seed_and_draw_alone():
     bodies, state = molecules.ensemble(molecules.WATER, 10)
     one, two = (OrnsteinUhlenbeck(TEMPERATURE, 1.0, 1.0, seed).operator(bodies) for seed in (1, 2))

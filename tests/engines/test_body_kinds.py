@@ -17,17 +17,15 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import (
-    SIER2,
     SIER4,
     RigidBodies,
     RigidityError,
     SIER2Integrator,
     SIER4Integrator,
-    SIERIntegrator,
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from tests.support.waters import array, cluster_system, context_at, energies, phase_point, platform
+from tests.support.waters import cluster_system, context_at, energies, phase_point, platform
 
 
 def ring(n, radius, height=0.0):
@@ -260,48 +258,7 @@ def test_they_move_as_openmm_moves_their_peers(kind):
     assert 3.6 < differences[0] / differences[1] < 4.4
 
 
-@every_kind
-@pytest.mark.parametrize(("scheme", "slope"), [(SIER2, 2), (SIER4, 4)], ids=["SIER2", "SIER4"])
-def test_order(kind, scheme, slope):
-    gas = Gas(kind)
-    steps = (0.002, 0.001) if scheme is SIER2 else (0.008, 0.004)
-    exact = ends_of(SIER4Integrator(0.0005, bodies=gas.clusters), gas, 96)
-    errors = []
-    for h in steps:
-        end = ends_of(SIERIntegrator(h, scheme, bodies=gas.clusters), gas, round(0.048 / h))
-        errors.append(np.abs(end[0] - exact[0]).max())
-    assert abs(np.log2(errors[0] / errors[1]) - slope) < 0.1 * slope
-
-
 # --- what is inside them ----------------------------------------------------------------------------------------
-
-
-def with_stiff_insides(gas):
-    """Bonds, angles and torsions inside the molecules, at rest nowhere near where they are."""
-    system = openmm.XmlSerializer.clone(gas.system)
-    bonds, angles, torsions = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce(), openmm.PeriodicTorsionForce()
-    for atoms in gas.clusters:
-        for i, j in combinations(atoms[:6], 2):
-            bonds.addBond(i, j, 0.12, 1e5)
-        for i, j, k in combinations(atoms[:5], 3):
-            angles.addAngle(i, j, k, 1.9, 300.0)
-        for i, j, k, l in combinations(atoms[6:10], 4):
-            torsions.addTorsion(i, j, k, l, 2, 0.3, 20.0)
-    for force in (bonds, angles, torsions):
-        system.addForce(force)
-    return system
-
-
-@every_kind
-@pytest.mark.parametrize("inside", ["bonded", "nonbonded"])
-def test_forces_inside_a_body_change_nothing(kind, inside):
-    gas = Gas(kind)
-    system = with_stiff_insides(gas) if inside == "bonded" else Gas(kind, excluded=False).system
-    ends = [ends_of(SIER2Integrator(0.001, bodies=gas.clusters), gas, 50, system=changed) for changed in (None, system)]
-    # Forces of up to 1e8 kJ/mol/nm (atoms within the Lennard-Jones core of one another) leave 1e-8 of rounding. On the
-    # lightest molecule, of 16 dalton, that is 1e-12 nm in 0.05 ps, and its arms of 0.1 nm turn by ten times as much.
-    assert np.abs(ends[1][0] - ends[0][0]).max() < 1e-10
-    assert np.abs(ends[1][1] - ends[0][1]).max() < 1e-8
 
 
 @every_kind
@@ -316,46 +273,6 @@ def test_temperature_in_reports_counts_the_freedoms_of_the_bodies(kind):
     kinetic, temperature = map(float, log.getvalue().splitlines()[1].split(","))
     assert temperature == pytest.approx(2 * kinetic / (3 * EXPECTED[kind][0] * GAS_CONSTANT), rel=1e-12)
     assert kinetic == pytest.approx(energies(simulation.context)[1], rel=1e-12)
-
-
-@pytest.mark.parametrize(("kind", "constrained"), [("CO2", False), ("BNZ", False), ("NH3", False), ("NH3", True)])
-def test_velocities_to_temperature_have_it(kind, constrained):
-    gas = Gas(kind, 150, constrained)
-    integrator = SIER2Integrator(0.001, bodies=None if constrained else gas.clusters)
-    context = context_at(gas.system, integrator, gas.point)
-    context.setVelocitiesToTemperature(300.0, 5)
-    found = integrator.computeTemperatures()[1:3]
-    # Kinetic energies of 450 and 300 or 450 freedoms scatter by sqrt(2/300) = 8 % at most; 4 standard errors.
-    assert np.allclose(found, 300.0, atol=100)
-    assert integrator.computeSystemTemperature()._value == pytest.approx(300.0, abs=70)
-
-
-@pytest.mark.slow
-def test_rigidity_after_thirty_thousand_steps():
-    """Distances are those of the reference geometry as long as the attitudes are orthogonal, which nothing renews.
-
-    Rounding adds up as a random walk: 1e-16 nm sqrt(30 000) is 2e-14 nm, and the bound allows ten times that.
-    """
-    system, named, positions = openmm.System(), [], []
-    trap = openmm.CustomExternalForce("40*(x^2 + 2*y^2 + 3*z^2) + 20*x*y*z")
-    water = [16.0, 1.0, 1.0], np.array([[0, 0, 0], [0.0957, 0, 0], [-0.024, 0.0927, 0]]), None
-    for number, (masses, coordinates, _) in enumerate([KINDS["CO2"], water, KINDS["NH3"], KINDS["BNZ"]]):
-        named.append([system.addParticle(mass) for mass in masses])
-        for atom in named[-1]:
-            trap.addParticle(atom)
-        positions.append(coordinates + np.array([0.4 * number, 0.3, 0.1 * number]))
-    system.addForce(trap)
-    integrator = SIER2Integrator(0.002, bodies=named)
-    context = context_at(system, integrator, (np.concatenate(positions), np.zeros((22, 3))))
-    context.setVelocitiesToTemperature(500.0, 1)
-    start = context.getState(positions=True)
-    integrator.step(30_000)
-    before, after = array(start.getPositions()), phase_point(context)[0]
-    assert np.abs(after - before).max() > 0.1
-    for atoms in named:
-        for i, j in combinations(atoms, 2):
-            change = np.linalg.norm(after[i] - after[j]) - np.linalg.norm(before[i] - before[j])
-            assert abs(change) < 2e-13
 
 
 # --- mirror images ----------------------------------------------------------------------------------------------
@@ -478,22 +395,6 @@ def test_mixture_has_its_bodies_and_freedoms(mixed):
     assert named.bodies.dof == 6 * 6 + 2 * 3 + 6
 
 
-@pytest.mark.parametrize("scheme", [SIER2, SIER4], ids=lambda s: s.name)
-def test_mixture_conserves_energy_to_the_order_of_the_scheme(mixed, scheme):
-    system, point, _ = mixed
-    spreads = []
-    for h in (0.001, 0.0005):
-        integrator = SIERIntegrator(h, scheme)
-        context = context_at(system, integrator, point)
-        totals = []
-        for _ in range(round(0.1 / h)):
-            integrator.step(1)
-            totals.append(sum(energies(context)))
-        spreads.append(np.std(totals))
-    ratio = 2**scheme.order
-    assert 0.7 * ratio < spreads[0] / spreads[1] < 1.4 * ratio
-
-
 def test_mixture_at_constant_temperature_and_pressure(mixed):
     """All kinds of particles under everything that acts at once: a barostat, a heat bath and removal of motion."""
     system, point, _ = mixed
@@ -564,12 +465,6 @@ def test_bodies_that_cannot_be(rigid, error, message):
     system, topology, positions = methyl()
     with pytest.raises(error, match=message):
         RigidBodies.from_system(system, topology, rigid, positions)
-
-
-def test_residue_names_need_a_topology():
-    system, _, positions = methyl()
-    with pytest.raises(ValueError, match="need the topology"):
-        RigidBodies.from_system(system, None, {"CH3": "rigid"}, positions)
 
 
 def test_massless_atom_in_a_named_body():
@@ -650,20 +545,3 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
         RigidityError, match=r"MonteCarlo\w*Barostat scales every atom apart.*scaleMoleculesAsRigid=True"
     ):
         context.getIntegrator().step(1)
-
-
-def test_atoms_that_move_one_by_one_need_no_rigid_molecules():
-    system = openmm.System()
-    force = openmm.NonbondedForce()
-    for _ in range(8):
-        system.addParticle(40.0)
-        force.addParticle(0, 0.34, 1.0)
-    force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-    system.addForce(force)
-    system.setDefaultPeriodicBoxVectors([3, 0, 0], [0, 3, 0], [0, 0, 3])
-    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, 1, False))
-    integrator = SIER2Integrator(0.001)
-    positions = np.array(list(np.ndindex(2, 2, 2))) * 1.0
-    context = context_at(system, integrator, (positions, 0 * positions))
-    integrator.step(10)
-    assert context.getStepCount() == 10

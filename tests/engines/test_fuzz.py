@@ -29,7 +29,6 @@ from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, RigidityError, SIE
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.schemes import BATH, DRIFT, KICK
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.exact import packing
 from tests.support.faults import Fault, lines_run
 from tests.support.waters import phase_point, platform
 
@@ -342,52 +341,6 @@ def test_any_sequence_of_calls_is_its_replay(number):
 
 
 # --- bodies -----------------------------------------------------------------------------------------------------
-
-worlds = st.builds(
-    World,
-    st.lists(st.sampled_from(sorted(SHAPES)), min_size=1, max_size=6),
-    seeds,
-    named=st.just(True),
-    sweep=st.just(0),
-)
-
-
-def random_state(bodies, rng):
-    """Any phase point of these bodies; what their moments do not allow to turn is at rest."""
-    A = np.ascontiguousarray(Rotation.random(bodies.n, rng=rng).as_matrix().transpose(1, 2, 0))
-    along = rng.normal(size=(3, bodies.n)) * bodies.moments * 10
-    L = np.einsum("abn,an->bn", A, along)
-    return BodyState(rng.uniform(-5, 5, (3, bodies.n)), rng.normal(size=(3, bodies.n)) * 10, A, L)
-
-
-@few
-@given(worlds, seeds)
-def test_state_is_stored_to_the_bit(world, seed):
-    bodies = RigidBodies.from_system(world.system, rigid=world.named, positions=world.positions)
-    state = random_state(bodies, np.random.default_rng(seed))
-    found = packing.unpack(bodies, packing.pack(bodies, state))
-    solid = bodies.moments.any(axis=0)
-    for name in ("q", "p", "A", "L"):
-        kept = slice(None) if name in ("q", "p") else solid
-        assert np.array_equal(getattr(found, name)[..., kept], getattr(state, name)[..., kept])
-
-
-@few
-@given(worlds, seeds)
-def test_atoms_and_bodies_are_one_thing(world, seed):
-    bodies = RigidBodies.from_system(world.system, rigid=world.named, positions=world.positions)
-    state = random_state(bodies, np.random.default_rng(seed))
-    positions, velocities = atoms_at(bodies, state)
-    q, A = bodies.fit(positions)
-    p, L = bodies.momenta(velocities, A)
-    # Coordinates of up to 5 nm round by 1e-15, on bodies of 0.1 nm, and momenta of up to 1e3.
-    assert np.abs(q - state.q).max() < 1e-14
-    assert np.abs(p - state.p).max() < 1e-11
-    assert np.abs(L - state.L).max() < 1e-11
-    assert np.abs(bodies.place(q, A, np.zeros_like(positions)) - positions).max() < 1e-13
-    masses = np.array([world.system.getParticleMass(i)._value for i in range(len(positions))])
-    kinetic = sum(bodies.kinetic_energies(state))
-    assert kinetic == pytest.approx(0.5 * (masses * (velocities**2).sum(axis=1)).sum(), rel=1e-11)
 
 
 @few

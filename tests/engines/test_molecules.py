@@ -11,7 +11,6 @@ import weakref
 import numpy as np
 import openmm
 import pytest
-from openmm import unit
 
 from openmm_sier import (
     SIER4G,
@@ -162,21 +161,6 @@ def test_runs_conserves_and_restarts(case, bath):
     assert_restart_is_the_same(system, context, integrator(), 7)
 
 
-def test_the_native_engine_agrees():
-    system, positions = system_of(rotor(3), waters=1)
-    ends = []
-    for engine in ("exact", "native"):
-        integrator = SIERIntegrator(0.0005, SIER4G, engine=engine, substeps=5)
-        # The Context must live until the state is read.
-        context = started(system, integrator, positions)
-        integrator.step(40)
-        state = integrator.getBodyState()
-        ends.append((state.q, context.getState().getTime()._value, integrator.bodies.dof))
-    # Five steps of RATTLE, of fourth order, at 0.5 fs; constraints to 1e-9.
-    assert np.abs(ends[0][0] - ends[1][0]).max() < 2e-8
-    assert ends[0][1:] == ends[1][1:]
-
-
 # --- temperatures and degrees of freedom ---
 
 
@@ -265,17 +249,6 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
     assert farthest(integrator.getBodyState(), fresh.getBodyState()) < 1e-9
 
 
-def test_fast_forces_travel_in_copies():
-    made = SIERLangevinIntegrator(300, 1, 0.004, fastForceGroups={1, 5}, substeps=2)
-    xml = openmm.XmlSerializer.serialize(made)
-    for other in (copy.copy(made), openmm.XmlSerializer.deserialize(xml), openmm.XmlSerializer.clone(made)):
-        assert other.fastForceGroups == {1, 5}
-        assert other.substeps == 2
-    assert openmm.XmlSerializer.serialize(SIER4GIntegrator(0.004)) != openmm.XmlSerializer.serialize(
-        SIER4GIntegrator(0.004, fastForceGroups={1})
-    )
-
-
 @pytest.mark.parametrize(
     ("groups", "error"), [({32}, ValueError), ({-1}, ValueError), ("a", TypeError), (2.5, TypeError)]
 )
@@ -287,7 +260,9 @@ def test_force_groups_that_do_not_exist(groups, error):
 def test_forces_that_cannot_be_fast_are_refused():
     system, _ = system_of(chains(), waters=1)
     system.getForce(2).setForceGroup(FAST)
-    with pytest.raises(SoluteError, match=r"CustomNonbondedForce .* Put it into another group with setForceGroup"):
+    with pytest.raises(
+        SoluteError, match=r"CustomNonbondedForce .* Put it into another group than 1 with setForceGroup"
+    ):
         openmm.Context(system, SIER4GIntegrator(0.002, fastForceGroups={FAST}), platform())
 
 
@@ -429,20 +404,6 @@ def peptide():
     return capped_alanine(waters=4)
 
 
-def test_peptide_in_water_runs_on_the_cpu_platform(peptide):
-    """As a user would: Simulation, reporter, 6 fs with fast forces."""
-    system, positions = copy.deepcopy(peptide[0]), peptide[1]
-    prepare_system(system)
-    integrator = SIERLangevinIntegrator(300 * unit.kelvin, 1 / unit.picosecond, 0.004)
-    context = started(system, integrator, positions, name="CPU")
-    assert integrator.fastForceGroups == {FAST}
-    openmm.LocalEnergyMinimizer.minimize(context, 10, 50)
-    context.setVelocitiesToTemperature(300, 1)
-    integrator.step(20)
-    assert 100 < integrator.computeTemperatures().flexible < 900
-    assert integrator.forceEvaluations < 20 * 3 + 10
-
-
 @pytest.mark.parametrize("threads", ["1", "2"])
 @pytest.mark.parametrize("small", [0, 1000])
 def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(peptide, monkeypatch, threads, small):
@@ -458,7 +419,7 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(peptide
     members = np.flatnonzero(integrator.bodies.flexible)
     atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
     expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
-    found = integrator._engine._motion.fast.forces.at(q[:, members])
+    (found,) = integrator._engine._motion.fast.at(q[:, members])
     # Forces of the CPU platform pass through single precision where they are summed.
     assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
 

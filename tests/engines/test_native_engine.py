@@ -14,8 +14,6 @@ from openmm_sier import (
     SIER2,
     SIER4,
     SIER4G,
-    SIER4P,
-    SIER4V,
     RigidBodies,
     RigidityError,
     SIER4GIntegrator,
@@ -24,7 +22,6 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics.rotation import mrdl, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE
-from tests.support.ethane import ethane
 from tests.support.subprocesses import run_python
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
@@ -63,22 +60,6 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
     # SETTLE's lengths of single precision leave, 5e-9 nm a substep.
     assert errors[1] / errors[2] == pytest.approx(4, abs=0.2)
     assert errors[5] < 1e-7 + errors[1] / 1000
-
-
-@pytest.mark.parametrize(
-    ("scheme", "substeps"),
-    [(SIER4, 3), (SIER4V, 3), (SIER4G, 3), (SIER4P, 3), (SIER4G, 5)],
-    ids=lambda it: getattr(it, "name", it),
-)
-def test_schemes_keep_their_order_with_a_composed_drift(scheme, substeps):
-    topology, positions, system = cluster_system(3)
-    point = relaxed(topology, positions, system)
-    fine = trajectory(system, point, steps=64, h=0.0005, scheme=SIER4P, engine="exact")
-    settings = {"scheme": scheme, "engine": "native", "substeps": substeps}
-    ends = [trajectory(system, point, steps=n, h=0.032 / n, **settings) for n in (8, 16)]
-    errors = [np.abs(end - fine).max() for end in ends]
-    # 16 in the limit, and 4 with equal substeps. The next term of the error is a tenth of the first at 4 fs.
-    assert 14 < errors[0] / errors[1] < 19
 
 
 @pytest.mark.parametrize("per_call", [1, 7])
@@ -315,20 +296,6 @@ def test_runs_go_on_with_the_other_engine(cluster, first, by):
     assert np.abs(phase_point(later)[0] - phase_point(context)[0]).max() < 1e-6
 
 
-def test_restart_of_the_native_engine_is_exact(cluster):
-    system, point = cluster
-    one, other = (SIERLangevinIntegrator(300, 10, 0.002, SIER4G, engine="native") for _ in range(2))
-    context, later = context_at(system, one, point), context_at(system, other, point)
-    one.step(5)
-    checkpoint = context.createCheckpoint()
-    ends = []
-    for integrator, where in ((one, context), (other, later)):
-        where.loadCheckpoint(checkpoint)
-        integrator.step(5)
-        ends.append(phase_point(where))
-    assert all((a == b).all() for a, b in zip(*ends, strict=True))
-
-
 # --- what users do to a Context ---
 
 
@@ -401,24 +368,6 @@ def test_step_of_zero_moves_nothing(cluster):
     integrator.step(3)
     assert context.getStepCount() == 3
     assert (phase_point(context)[0] == point[0]).all()
-
-
-def test_solutes_with_constrained_hydrogens_run():
-    system, positions = ethane()
-    context = context_at(
-        system, integrator := SIERIntegrator(0.001, SIER4G, engine="native"), (positions, np.zeros((8, 3)))
-    )
-    context.setVelocitiesToTemperature(300, 1)
-    integrator.step(1)
-    start, spread = sum(energies(context)), []
-    for _ in range(300):
-        integrator.step(1)
-        spread.append(sum(energies(context)) - start)
-    # Fourth order at h w = 0.1 to 0.2 for the fastest angles: 1e-4 of the thermal energy of some 30 kJ/mol.
-    assert np.abs(spread).max() < 0.05
-    assert integrator.computeSystemTemperature()._value > 50
-    assert np.isnan(integrator.computeTemperatures().rotation)
-    assert integrator.getBodyState().q.shape == (3, 8)
 
 
 def test_exact_engine_with_rattle_is_constrained_velocity_verlet():

@@ -7,40 +7,13 @@ import openmm
 import pytest
 
 from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator
-from openmm_sier.dynamics.schemes import BATH, CATALOGUE
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
-from openmm_sier.engines.native.fast_forces import refuse
+from openmm_sier.engines.native.refusals import refuse_fast_forces as refuse
 from tests.support.ethane import ethane
 from tests.support.flexible import Points, chains
-from tests.support.waters import context_at, energies, phase_point, water_box
-
-#: Force group of springs.
-FAST = 1
-
-
-def system_of(points: Points) -> openmm.System:
-    """The System of some points: springs in the force group `FAST`, all else in group 0."""
-    system, springs = openmm.System(), openmm.HarmonicBondForce()
-    for mass in points.masses:
-        system.addParticle(mass)
-    for (i, j), length in zip(points.pairs.tolist(), points.lengths, strict=True):
-        system.addConstraint(i, j, length)
-    for i, j, length, constant in zip(*points.springs, strict=True):
-        springs.addBond(int(i), int(j), length, constant)
-    springs.setForceGroup(FAST)
-    field = openmm.CustomExternalForce("amplitude*sin(kx*x + ky*y + kz*z + phase)")
-    for name in ("amplitude", "kx", "ky", "kz", "phase"):
-        field.addPerParticleParameter(name)
-    for i, (charge, wave) in enumerate(zip(points.charges, points.waves.T, strict=True)):
-        field.addParticle(i, [charge * points.field, *wave, i])
-    charges = openmm.CustomBondForce(f"product/sqrt(r^2 + {points.SOFTENING}^2)")
-    charges.addPerBondParameter("product")
-    for i, j in zip(*np.nonzero(np.triu(points.products)), strict=True):
-        charges.addBond(int(i), int(j), [points.products[i, j]])
-    for force in (springs, field, charges):
-        system.addForce(force)
-    return system
+from tests.support.flexible_systems import FAST, system_of
+from tests.support.waters import context_at, phase_point, water_box
 
 
 def integrator_of(program: native_program.Program, h: float) -> openmm.CustomIntegrator:
@@ -57,7 +30,7 @@ def start_of(points: Points, seed=4):
 
 def end_of(points: Points, program, start, h, steps):
     integrator = integrator_of(program, h)
-    context = context_at(system_of(points), integrator, start)
+    context = context_at(system_of(points)[0], integrator, start)
     integrator.step(steps * len(program.parts))
     return phase_point(context)
 
@@ -82,20 +55,9 @@ def test_schemes_with_fast_forces_have_their_order(constrained, scheme, inner, o
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
 
 
-def test_a_step_is_undone_by_one_with_reversed_velocities():
-    points = chains()
-    _, start = start_of(points)
-    program = native_program.write(SIER4P, 2, {FAST})
-    there = end_of(points, program, start, 0.003, 20)
-    back = end_of(points, program, (there[0], -there[1]), 0.003, 20)
-    assert np.abs(there[0] - start[0]).max() > 1e-2
-    # The tolerance of the constraints, 1e-12 of a bond for 600 steps of RATTLE, which the motion amplifies.
-    assert np.abs(back[0] - start[0]).max() < 1e-8
-
-
 def test_fast_forces_may_be_in_several_groups():
     points = chains()
-    system = system_of(points)
+    system, _ = system_of(points)
     _, start = start_of(points)
     whole = native_program.write(SIER4G, 1, {FAST})
     _context = context_at(system, integrator := integrator_of(whole, 0.003), start)
@@ -121,63 +83,12 @@ def test_fast_forces_may_be_in_several_groups():
     assert phase_point(both)[0] == pytest.approx(phase_point(_context)[0], abs=1e-9)
 
 
-def spread(points: Points, program, h: float, steps: int) -> float:
-    """Standard deviation of the energy, kJ/mol."""
-    context = context_at(system_of(points), integrator := integrator_of(program, h), start_of(points)[1])
-    found = []
-    for _ in range(steps):
-        integrator.step(len(program.parts))
-        found.append(sum(energies(context)))
-    return np.std(found)
-
-
-def test_inner_steps_of_fourth_order_follow_fast_motion():
-    points = chains(field=False)
-    points.products *= 0
-    # Without slow forces a step is a drift. `constrained.nested_drift` has 0.0013 kJ/mol for one step of SIER4G in
-    # 3 fs, which takes three fast forces, 0.11 for two of velocity Verlet and 0.027 for four.
-    assert spread(points, native_program.write(SIER2, 1, {FAST}), 0.003, 200) < 0.003
-    assert 0.01 < spread(points, native_program.write(SIER2, 4, {FAST}, SIER2), 0.003, 200) < 0.06
-
-
-def test_fast_forces_in_the_drift_conserve_energy_better():
-    points = chains()
-    nested = spread(points, native_program.write(SIER4G, 1, {FAST}), 0.004, 100)
-    # 0.010 and 0.037 kJ/mol over twice the time.
-    assert spread(points, native_program.write(SIER4G, 3), 0.004, 100) > 2 * nested
-
-
-@pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
-def test_native_steps_are_those_without_fast_forces(scheme):
-    """All forces that may act on virtual sites are taken before anything moves."""
-    for wanted in (scheme, scheme.with_bath()):
-        plain, nested = native_program.write(wanted, 3), native_program.write(wanted, 2, {FAST})
-        assert len(nested.parts) == len(plain.parts)
-        for part in nested.parts:
-            moved = False
-            for line in part:
-                for statement, _ in line.executed():
-                    assert not (moved and statement.needs_force)
-                    moved = moved or statement.moves
-
-
 def test_program_prints_its_inner_step_once():
     lines = str(native_program.write(SIER4G, 2, {FAST})).splitlines()
     assert len(lines) < 20
     assert sum("inner steps of SIER4G  for e/h = 0.25, 0.25" in line for line in lines) == 2
     assert lines.count("an inner step e:") == 1
     assert "v = v + 0.5*e*f1/m" in str(native_program.write(SIER4G, 2, {FAST}, SIER2))
-
-
-@pytest.mark.parametrize("groups", [{-1}, {32}, {1.5}, {"1"}])
-def test_groups_that_do_not_exist_are_refused(groups):
-    with pytest.raises(ValueError, match="from 0 to 31, got"):
-        native_program.write(SIER4G, 1, groups)
-
-
-def test_inner_scheme_without_a_bath():
-    with pytest.raises(ValueError, match=f"'{BATH}'"):
-        native_program.write(SIER2, 1, {1}, SIER2.with_bath())
 
 
 # --- what can be fast ---

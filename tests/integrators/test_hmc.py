@@ -10,6 +10,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.observe.reporters import ConservationReporter
 from tests.support.methanols import positions_of, system_of
@@ -163,13 +164,19 @@ def test_constant_pressure_moves_the_volume_between_trials(engine):
 
 @pytest.mark.slow
 @ENGINES
-def test_wells_are_sampled_exactly(engine):
-    """Four particles in harmonic wells, at a step so long that half of the trials are rejected."""
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_wells_are_sampled_exactly(engine, at_rest):
+    """Four particles in harmonic wells, at a step so long that half of the trials are rejected.
+
+    The motion of the centre of mass is removed after a trial; positions are sampled as without that.
+    """
     system, k = openmm.System(), 1000.0
     wells = openmm.CustomExternalForce("500*(x^2+y^2+z^2)")
     for _ in range(4):
         wells.addParticle(system.addParticle(10.0))
     system.addForce(wells)
+    if at_rest:
+        system.addForce(openmm.CMMotionRemover())
     integrator = sampler(0.13, 3, frictionCoeff=3.0, **engine)
     context = context_at(system, integrator, (np.zeros((4, 3)), np.zeros((4, 3))))
     integrator.step(20)
@@ -180,11 +187,58 @@ def test_wells_are_sampled_exactly(engine):
         x, v = phase_point(context)
         rows.append([k * (x**2).mean() / KT, 10 * (v**2).mean() / KT, 100 * (x * v).mean() / KT])
     assert 0.3 < integrator.acceptanceRate < 0.7
-    blocks = np.array(rows).reshape(25, 60, 3).mean(axis=1)
-    errors = blocks.std(axis=0, ddof=1) / 5
-    assert errors == pytest.approx([0.03] * 3, abs=0.03)
-    # Four standard errors. Momenta that are not reversed make the last one 0.05; without a rule the first one is 1.8.
-    assert (np.abs(blocks.mean(axis=0) - [1, 1, 0]) < 4 * errors).all()
+    # Momenta that are not reversed make the last one 0.05; without a rule the first one is 1.8.
+    assert_means(rows, [1, 0.75 if at_rest else 1, 0], [0.03] * 3)
+
+
+def assert_means(rows, expected, errors):
+    """Means of rows within four standard errors of what they should be, which are those of 25 blocks."""
+    blocks = np.array(rows)[: len(rows) // 25 * 25].reshape(25, -1, len(expected)).mean(axis=1)
+    found = blocks.std(axis=0, ddof=1) / 5
+    # An error of more than this would let a wrong rule pass.
+    assert (found < 2 * np.array(errors)).all()
+    assert (np.abs(blocks.mean(axis=0) - expected) < 4 * found).all()
+
+
+@pytest.mark.slow
+def test_dipoles_in_a_field_at_constant_pressure():
+    """Langevin function and its derivative for the orientation, and the volume of an ideal gas."""
+    n, x = 12, 10.0
+    sites = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [-0.02, 0.09, 0.0]])
+    system, nothing = openmm.System(), openmm.NonbondedForce()
+    nothing.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    nothing.setCutoffDistance(0.1)
+    bonds, field = openmm.HarmonicBondForce(), openmm.CustomExternalForce("pull*z")
+    field.addPerParticleParameter("pull")
+    for _ in range(n):
+        atoms = [system.addParticle(mass) for mass in (16.0, 1.0, 2.0)]
+        for a, b in ((0, 1), (1, 2), (0, 2)):
+            system.addConstraint(atoms[a], atoms[b], np.linalg.norm(sites[a] - sites[b]))
+        bonds.addBond(atoms[0], atoms[1], 0.1, 0.0)
+        bonds.addBond(atoms[0], atoms[2], 0.1, 0.0)
+        for atom, sign in zip(atoms[:2], (1, -1), strict=True):
+            field.addParticle(atom, [sign * x * KT / 0.1])
+        for _atom in atoms:
+            nothing.addParticle(0, 1, 0)
+    for force in (nothing, bonds, field):
+        system.addForce(force)
+    system.setDefaultPeriodicBoxVectors(*((n + 1) ** (1 / 3) * np.eye(3)))
+    # One kT for each nm^3, which gives the volume a gamma distribution of n + 1 degrees.
+    pressure = KT * unit.kilojoule_per_mole / unit.nanometer**3 / unit.AVOGADRO_CONSTANT_NA
+    integrator = sampler(0.058, 2, SIER4G, pressure=pressure.in_units_of(unit.bar), rotation=mrdl)
+    along = np.roll(sites, 2, axis=1)
+    points = np.concatenate([along + np.array([0.2 * i, 0, 0]) for i in range(n)])
+    context = context_at(system, integrator, (points, 0 * points))
+    rows = []
+    for _ in range(2500):
+        integrator.step(1)
+        dipoles = phase_point(context)[0].reshape(n, 3, 3)
+        tilt = 1 - (dipoles[:, 1, 2] - dipoles[:, 0, 2]) / 0.1
+        rows.append([tilt.mean(), (tilt**2).mean(), context.getState().getPeriodicBoxVolume()._value])
+    assert 0.25 < integrator.acceptanceRate < 0.75
+    mean = 1 - (1 / math.tanh(x) - 1 / x)
+    square = 1 / x**2 - 1 / math.sinh(x) ** 2 + mean**2
+    assert_means(rows[100:], [mean, square, n + 1], [0.01, 0.003, 1.5])
 
 
 @ENGINES

@@ -9,23 +9,10 @@ from openmm import unit
 
 from openmm_sier import SIER2, SIER4, SIER4G, SIERIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.schemes import BATH, DRIFT, KICK
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 TEMPERATURE = 297.0
 THERMAL = GAS_CONSTANT * TEMPERATURE
-
-
-def test_thermostatted_schemes():
-    assert [s.operator for s in SIER2.with_bath().stages] == [KICK, DRIFT, BATH, DRIFT, KICK]
-    assert [s.operator for s in SIER4.with_bath().stages] == [BATH, *(s.operator for s in SIER4.stages), BATH]
-    for scheme in (SIER2, SIER4, SIER4G):
-        bathed = scheme.with_bath()
-        assert bathed.is_palindrome
-        assert bathed.order == 2
-        assert bathed.force_evaluations == scheme.force_evaluations
-        assert bathed.without(BATH).stages == scheme.stages
-        assert bathed.with_bath() is bathed
 
 
 @pytest.fixture(scope="module")
@@ -50,41 +37,6 @@ def test_without_friction_it_is_the_nve_trajectory_bit_for_bit(cluster, scheme):
         ends.append(phase_point(context))
     assert np.array_equal(ends[0][0], ends[1][0])
     assert np.array_equal(ends[0][1], ends[1][1])
-
-
-@pytest.mark.parametrize("make", [thermostat, lambda: SIERIntegrator(0.004, SIER4)], ids=["NVT", "NVE"])
-def test_chunks_of_steps_do_not_matter(cluster, make):
-    system, point = cluster
-    ends = []
-    for chunks in ([100], [1] * 100, [7] * 14 + [2]):
-        integrator = make()
-        context = context_at(system, integrator, point)
-        for count in chunks:
-            integrator.step(count)
-        ends.append(phase_point(context))
-    for end in ends[1:]:
-        assert np.array_equal(end[0], ends[0][0])
-        assert np.array_equal(end[1], ends[0][1])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G], ids=lambda s: s.name)
-def test_energy_less_heat_is_conserved(cluster, scheme):
-    system, point = cluster
-    spread = {}
-    for friction in (0.0, 5.0):
-        integrator = thermostat(0.001 * scheme.force_evaluations, friction, scheme)
-        context = context_at(system, integrator, point)
-        totals, heats = [], []
-        for _ in range(round(0.5 / 0.001 / scheme.force_evaluations)):
-            integrator.step(1)
-            totals.append(sum(energies(context)))
-            heats.append(integrator.getHeat().value_in_unit(unit.kilojoule_per_mole))
-        spread[friction] = np.std(np.subtract(totals, heats))
-    # The bath exchanges tens of kJ/mol; what is left is the truncation error of the core, which a hotter or colder
-    # phase of the run changes by a factor of order one.
-    assert np.ptp(heats) > 5.0
-    assert spread[5.0] < 4 * spread[0.0]
 
 
 def test_restart_continues_the_same_noise(tmp_path, cluster):
@@ -143,24 +95,6 @@ def test_settings_are_those_of_openmm():
 def test_impossible_settings(arguments, name):
     with pytest.raises((ValueError, TypeError), match=name):
         SIERLangevinIntegrator(*arguments)
-
-
-@pytest.mark.slow
-def test_temperature_of_a_box():
-    topology, positions, system = periodic_system()
-    integrator = thermostat(0.004, 20.0, SIER4)
-    point = relaxed(topology, positions, system)
-    _context = context_at(system, integrator, point, "CPU")
-    integrator.step(50)
-    samples = []
-    for _ in range(150):
-        integrator.step(4)
-        samples.append(integrator.computeTemperatures()[1:3])
-    translation, rotation = np.mean(samples, axis=0)
-    # 174 degrees of freedom each: a sample scatters by sqrt(2/174) = 11 %, and 2.4 ps hold some 48 independent ones at
-    # a friction of 20/ps, which leaves 4.6 K; bounds of 4 standard errors.
-    assert abs(translation - TEMPERATURE) < 18
-    assert abs(rotation - TEMPERATURE) < 18
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])

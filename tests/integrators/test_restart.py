@@ -84,22 +84,6 @@ def test_restart_needs_the_stored_state(cluster):
     assert 0 < difference < 1e-12
 
 
-@pytest.mark.slow
-@every_integrator
-def test_restart_of_a_periodic_box(tmp_path, box, make):
-    topology, system, point = box
-    whole = simulation_of(topology, system, make(), point=point)
-    whole.step(3)
-    whole.saveCheckpoint(str(tmp_path / "checkpoint"))
-    whole.saveState(str(tmp_path / "state"))
-    whole.step(3)
-    for load in ("Checkpoint", "State"):
-        continued = simulation_of(topology, system, make())
-        getattr(continued, f"load{load}")(str(tmp_path / load.lower()))
-        continued.step(3)
-        assert_same(everything(continued.context), everything(whole.context))
-
-
 ON_A_BOX = {**MAKERS, "SIER4 NPT": lambda: langevin(SIER4, pressure=1e3, barostatInterval=4)}
 
 
@@ -118,19 +102,6 @@ def test_restart_on_the_cpu_platform_with_a_cutoff(tmp_path, box, make, save, lo
     continued.context.getState(energy=True)
     continued.step(15)
     assert_same(everything(continued.context), everything(whole.context))
-
-
-def test_going_back_on_the_cpu_platform(box):
-    _, system, point = box
-    integrator = MAKERS["SIER4"]()
-    context = context_at(system, integrator, point, "CPU")
-    integrator.step(10)
-    checkpoint = context.createCheckpoint()
-    integrator.step(20)
-    end = everything(context)
-    context.loadCheckpoint(checkpoint)
-    integrator.step(20)
-    assert_same(everything(context), end)
 
 
 def test_positions_from_outside_end_the_past(box):
@@ -165,22 +136,6 @@ def test_a_checkpoint_costs_nothing_where_forces_have_no_past(box, cluster):
         integrator.step(1)
         integrator.step(1)
         assert integrator.forceEvaluations - before == 2 + extra
-
-
-def test_barostat_of_openmm_on_the_cpu_platform(box):
-    """A restart is exact where the checkpoint is of one of its moves."""
-    _, system, point = box
-    system = with_barostat(system, 5)
-    make = MAKERS["SIER2 NVT"]
-    integrator, other = make(), make()
-    context = context_at(system, integrator, point, "CPU")
-    integrator.step(5)
-    checkpoint = context.createCheckpoint()
-    integrator.step(12)
-    continued = context_at(system, other, point, "CPU")
-    continued.loadCheckpoint(checkpoint)
-    other.step(12)
-    assert_same(everything(continued), everything(context))
 
 
 # --- constant pressure ------------------------------------------------------------------------------------------
@@ -228,61 +183,7 @@ def test_restart_at_constant_pressure(box, make):
     assert_same(phase_point(continued), ends[0])
 
 
-@every_integrator
-def test_state_at_constant_pressure_is_exact_until_the_next_move(tmp_path, box, make):
-    """A State has no random numbers: the barostat's next move is another one."""
-    topology, system, point = box
-    system = with_barostat(system, 6)
-    whole = simulation_of(topology, system, make(), point=point)
-    whole.step(8)
-    whole.saveState(str(tmp_path / "state"))
-    whole.step(3)
-    continued = simulation_of(topology, system, make())
-    continued.loadState(str(tmp_path / "state"))
-    continued.step(3)
-    assert_same(everything(continued.context), everything(whole.context))
-
-
 # --- what is believed -------------------------------------------------------------------------------------------
-
-
-def test_loaded_state_is_believed_only_where_the_atoms_are(cluster):
-    _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(10)
-    checkpoint = context.createCheckpoint()
-    saved = integrator.getBodyState()
-
-    other = SIER2Integrator(0.001)
-    changed = openmm.Context(system, other, platform())
-    changed.loadCheckpoint(checkpoint)
-    positions, _ = phase_point(changed)
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    molecule = other.bodies.atoms_of(2)
-    centre = saved.q[:, 2] + [0.3, 0.1, -0.2]
-    positions[molecule] = (positions[molecule] - saved.q[:, 2]) @ turn.T + centre
-    changed.setPositions(positions)
-    changed.computeVirtualSites()
-    found = other.getBodyState()
-    # Rounding of coordinates below 1 nm.
-    assert np.abs(found.q[:, 2] - centre).max() < 1e-15
-    assert np.abs(found.A[:, :, 2] - saved.A[:, :, 2] @ turn.T).max() < 1e-13
-    rest = np.arange(other.bodies.n) != 2
-    assert np.abs(found.q[:, rest] - saved.q[:, rest]).max() < 1e-15
-    assert np.abs(found.A[..., rest] - saved.A[..., rest]).max() < 1e-13
-    other.step(5)
-
-    fresh = SIER2Integrator(0.001)
-    reference = context_at(system, fresh, (positions, phase_point_of(system, checkpoint)[1]))
-    fresh.step(5)
-    assert np.abs(phase_point(changed)[0] - phase_point(reference)[0]).max() < 1e-13
-
-
-def phase_point_of(system, checkpoint):
-    context = openmm.Context(system, SIER2Integrator(0.001), platform())
-    context.loadCheckpoint(checkpoint)
-    return phase_point(context)
 
 
 @pytest.mark.parametrize("steps", [0, 3])
@@ -309,19 +210,6 @@ def test_geometry_of_named_bodies_travels(cluster, steps, fresh):
     assert np.array_equal(one.bodies.species[0].sites, geometry)
     assert np.array_equal(two.bodies.species[0].sites, geometry)
     assert_same(phase_point(other), phase_point(context))
-
-
-def test_velocities_set_after_loading_count(cluster):
-    _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(10)
-    checkpoint = context.createCheckpoint()
-    other = SIER2Integrator(0.001)
-    changed = openmm.Context(system, other, platform())
-    changed.loadCheckpoint(checkpoint)
-    changed.setVelocities(2 * phase_point(changed)[1])
-    assert np.allclose(other.getBodyState().p, 2 * integrator.getBodyState().p, rtol=1e-12)
 
 
 @every_integrator
@@ -389,26 +277,6 @@ def test_reinitialization_without_its_state_starts_anew(cluster):
 
 def full_state(context):
     return context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
-
-
-@pytest.mark.parametrize("make", [MAKERS["SIER2"], MAKERS["SIER4"]], ids=["SIER2", "SIER4"])
-def test_exchanged_states_go_on_in_the_other_context(cluster, make):
-    """As OpenMM's replica exchange does with one Context for all replicas."""
-    _, system, point = cluster
-    ends, saved = [], []
-    for start in (point, (point[0], -point[1])):
-        integrator = make()
-        context = context_at(system, integrator, start)
-        integrator.step(5)
-        saved.append(full_state(context))
-        integrator.step(5)
-        ends.append(everything(context))
-    integrator = make()
-    context = openmm.Context(system, integrator, platform())
-    for turn in (1, 0, 1):
-        context.setState(saved[turn])
-        integrator.step(5)
-        assert_same(everything(context), ends[turn])
 
 
 def test_replicas_that_share_a_context_have_noise_of_their_own(cluster):
@@ -498,76 +366,6 @@ def momentum(system, velocities):
 
 
 # --- bodies whose geometry is taken from positions --------------------------------------------------------------
-
-
-def chiral_system(constrained):
-    """A few bodies without symmetry and their mirror images, held together weakly, and positions of all atoms."""
-    geometry = np.array([[0, 0, 0], [0.1, 0, 0.01], [0.02, 0.11, 0], [0, 0.03, 0.12]])
-    masses = [12.0, 1.0, 16.0, 14.0]
-    system = openmm.System()
-    force = openmm.NonbondedForce()
-    spring = openmm.CustomExternalForce("100*(x^2+y^2+z^2)")
-    rng = np.random.default_rng(2)
-    positions = []
-    for body in range(6):
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        turn *= (-1) ** body * np.sign(np.linalg.det(turn))  # Every other one is a mirror image.
-        positions.append(geometry @ turn + rng.uniform(-0.6, 0.6, 3))
-        for k in range(4):
-            atom = system.addParticle(masses[k])
-            force.addParticle((-1) ** k * 0.2, 0.2, 0.1)
-            spring.addParticle(atom)
-        atoms = range(4 * body, 4 * body + 4)
-        for i in atoms:
-            for j in atoms:
-                if i < j:
-                    force.addException(i, j, 0, 1, 0)
-                    if constrained:
-                        system.addConstraint(i, j, np.linalg.norm(geometry[i % 4] - geometry[j % 4]))
-    system.addForce(force)
-    system.addForce(spring)
-    named = None if constrained else [range(4 * body, 4 * body + 4) for body in range(6)]
-    return system, named, np.concatenate(positions)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("constrained", [False, True], ids=["named", "constrained"])
-@pytest.mark.parametrize("way", ["checkpoint", "state"])
-def test_geometry_from_positions_is_stored_too(constrained, way):
-    system, named, positions = chiral_system(constrained)
-    velocities = np.random.default_rng(3).normal(size=positions.shape)
-    integrator = SIER2Integrator(0.001, bodies=named)
-    context = context_at(system, integrator, (positions, velocities))
-    integrator.step(30)
-    checkpoint = context.createCheckpoint()
-    state = full_state(context)
-    integrator.step(30)
-    for stepped in (False, True):
-        other = SIER2Integrator(0.001, bodies=named)
-        continued = context_at(system, other, (positions + 0.1, velocities))
-        if stepped:  # Then it has a geometry already, which differs by rounding.
-            other.step(10)
-        if way == "checkpoint":
-            continued.loadCheckpoint(checkpoint)
-        else:
-            continued.setState(openmm.XmlSerializer.clone(state))
-        other.step(30)
-        assert_same(everything(continued), everything(context))
-
-
-def test_stored_geometry_is_not_believed_for_other_masses():
-    """Bodies at rest are reproduced by the stored state whatever they weigh."""
-    system, named, positions = chiral_system(constrained=False)
-    integrator = SIER2Integrator(0.001, bodies=named)
-    context = context_at(system, integrator, (positions, 0 * positions))
-    integrator.step(0)
-    for i in range(0, system.getNumParticles(), 4):
-        system.setParticleMass(i, 40.0)
-    context.reinitialize(preserveState=True)
-    fresh = SIER2Integrator(0.001, bodies=named)
-    _reference = context_at(system, fresh, (positions, 0 * positions))
-    assert np.allclose(np.sort(integrator.bodies.moments, axis=None), np.sort(fresh.bodies.moments, axis=None))
-    assert np.abs(integrator.getBodyState().q - fresh.getBodyState().q).max() < 1e-14
 
 
 def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point():

@@ -1,4 +1,4 @@
-"""Means, slopes and medians with their standard errors."""
+"""Means and slopes with their standard errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from openmm_sier.measure.statistics import (
     inefficiency,
     jackknife,
     mean_and_error,
-    median_and_error,
     of_independent,
     pooled,
     rms,
@@ -103,7 +102,7 @@ def test_few_runs_are_pooled_by_their_errors():
     assert str(pooled(kept)) == "0.998"
 
 
-# --- slopes, medians, jackknife ---
+# --- slopes, jackknife ---
 
 
 def test_slope_and_its_error(rng):
@@ -124,14 +123,6 @@ def test_slope_of_few_values():
     assert slope == pytest.approx(3.0)
     assert math.isnan(error)
     assert math.isnan(slope_and_error(time[:2], time[:2])[0])
-
-
-def test_median_comes_with_its_standard_error(rng):
-    """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
-    found = np.array([median_and_error(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
-    assert math.isnan(median_and_error(np.array([1.0]))[1])
-    assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
-    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)
 
 
 def test_jackknife_of_a_mean(rng):

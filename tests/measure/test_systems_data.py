@@ -3,7 +3,6 @@
 import functools
 import re
 
-import mdtraj
 import numpy as np
 import openmm
 import pytest
@@ -125,31 +124,6 @@ def test_box_has_the_energy_of_the_liquid(model, energy):
     assert abs(found - energy * KCAL) < 0.75
 
 
-@pytest.mark.parametrize("model", PURE)
-def test_box_has_the_structure_of_the_liquid(model):
-    """Oxygen-oxygen pair distribution: first peak at 0.28 nm, of height 2.5 to 3.2 for these models and in experiment
-    (A. K. Soper, Chem. Phys. 258, 121 (2000)), nothing below 0.24 nm."""
-    read = mdtraj.load(str(SYSTEMS / f"{model}-512.pdb"))
-    oxygens = read.topology.select("name O")
-    pairs = read.topology.select_pairs(oxygens, oxygens)
-    r, g = mdtraj.compute_rdf(read, pairs, r_range=(0.2, 1.0), bin_width=0.01)
-    assert 0.265 < r[g.argmax()] < 0.29
-    # Some 230 pairs are in the bin of the peak: 7 % of scatter, on a bin that widens it.
-    assert 2.2 < g.max() < 3.6
-    assert g[r < 0.24].max() < 0.1
-    # Far away the liquid is uniform; a crystal is not.
-    assert abs(g[r > 0.7] - 1).max() < 0.25
-
-
-def test_virtual_sites_are_added_on_reading():
-    for model, sites in (("tip3p", 3), ("tip4p", 4), ("tip5p", 5)):
-        assert liquid(model).topology.getNumAtoms() == 512 * sites
-        bodies = RigidBodies.from_system(liquid(model).system, liquid(model).topology)
-        assert bodies.n == 512
-        assert bodies.species[0].atoms.shape == (512, 3)
-        np.testing.assert_array_equal(liquid(model).listed % sites < 3, True)
-
-
 def test_salt_solution_has_its_ions_and_its_density():
     box = forcefields.read_box(SYSTEMS / SALT)
     assert box.choice.files == ("amber14/tip3p.xml",)
@@ -228,14 +202,6 @@ def test_made_box_is_read_back(tmp_path, capsys):
     assert box.choice.files == ("amber14/spce.xml",)
     assert RigidBodies.from_system(box.system).n == 40
     assert re.search(r"and 1 NaCl, 1\.461 mol/kg", out.read_text())
-
-
-def test_same_seed_same_start():
-    geometry = make.water_geometry(forcefields.load(["tip3p.xml"], SYSTEMS))
-    ours, same, other = (make.start_positions(20, 2, 1.0, geometry, np.random.default_rng(s)) for s in (1, 1, 2))
-    np.testing.assert_array_equal(ours, same)
-    assert np.abs(ours - other).max() > 0.1
-    assert ours.shape == (64, 3)
 
 
 def test_model_without_ions_refuses_salt(capsys):

@@ -13,7 +13,7 @@ from openmm import unit
 from openmm_sier import SIER2, SIER2Integrator, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.observe.pressure import COLUMNS, COMPONENTS, MolecularPressure
-from openmm_sier.observe.reporters import ConservationReporter, PressureReporter
+from openmm_sier.observe.reporters import PressureReporter
 from tests.support.restarts import assert_same, everything, simulation_of
 from tests.support.waters import array, cluster_system, context_at, periodic_system, platform, relaxed
 
@@ -163,26 +163,6 @@ def _with(integrator, made):
     return system, integrator, point
 
 
-def test_trace_is_the_slope_of_the_energy_by_the_volume():
-    """Water with PME, molecules moved whole with the box."""
-    topology, positions, system = periodic_system("tip4pew", 64)
-    context = context_at(system, SIER2Integrator(0.001), (positions, 0 * positions))
-    found = np.trace(tensor_of(context)) / 3
-    box = array(context.getState().getPeriodicBoxVectors())
-    masses = np.array([system.getParticleMass(i)._value for i in range(len(positions))])
-    owners = np.array([atom.residue.index for atom in topology.atoms()])
-    centres = np.stack([np.bincount(owners, masses * x) for x in positions.T], axis=1)[owners]
-    centres /= np.bincount(owners, masses)[owners][:, None]
-    energies = []
-    for factor in (1.001, 0.999):
-        context.setPeriodicBoxVectors(*(factor * box))
-        context.setPositions(positions + (factor - 1) * centres)
-        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
-    slope = (energies[0] - energies[1]) / (np.linalg.det(box) * (1.001**3 - 0.999**3))
-    # Pairs that pass the cut-off, which is not switched, do so in one of the two only.
-    assert found == pytest.approx(-slope, rel=0.02)
-
-
 # --- the ideal gas ---
 
 
@@ -275,20 +255,6 @@ def test_rows_do_not_depend_on_the_past(tmp_path, box):
     whole, part = ((tmp_path / name).read_text().splitlines() for name in ("whole.csv", "part.csv"))
     assert whole[0] == ",".join(COLUMNS)
     assert part[1] == whole[3]
-
-
-def test_files_are_continued(tmp_path, box):
-    topology, system, point = box
-    path = tmp_path / "p.csv"
-    for append in (False, True):
-        simulation = simulation_of(topology, system, SIER2Integrator(0.001), "CPU", point)
-        simulation.reporters.append(PressureReporter(path, 1, append=append))
-        simulation.step(1)
-        simulation.reporters.pop().close()
-    lines = path.read_text().splitlines()
-    assert [line.split(",")[0] for line in lines] == ["Step", "1", "1"]
-    with pytest.raises(ValueError, match=r"p.csv cannot be continued: it has 9 columns .* of ConservationReporter"):
-        ConservationReporter(path, 1, append=True)
 
 
 def test_refusals(tmp_path, box):

@@ -319,33 +319,11 @@ def test_integrators_find_fast_forces(peptide, prepared, kind, engine):
         assert other.getNumComputations() == INTEGRATORS[kind](engine=engine).getNumComputations()
 
 
-def test_an_integrator_stays_with_its_context(peptide, prepared):
-    """OpenMM refuses a second Context, and the first one goes on."""
-    integrator = SIER4GIntegrator(0.002, engine="native")
-    context = context_of(copy.deepcopy(peptide[0]), peptide[1], integrator)
-    with pytest.raises(openmm.OpenMMException, match="already bound"):
-        context_of(copy.deepcopy(prepared), peptide[1], integrator)
-    integrator.step(2)
-    assert context.getStepCount() == 2
-    assert integrator.fastForceGroups == set()
-
-
 def test_an_argument_wins(peptide, prepared):
     made = SIER4GIntegrator(0.002, fastForceGroups=set())
     for integrator in (openmm.XmlSerializer.clone(made), made):
         context_of(copy.deepcopy(prepared), peptide[1], integrator)
         assert integrator.fastForceGroups == set()
-
-
-def test_copies_and_xml_of_a_system_are_prepared(peptide, prepared):
-    xml = openmm.XmlSerializer.serialize(prepared)
-    for system in (
-        openmm.XmlSerializer.deserialize(xml),
-        copy.deepcopy(prepared),
-        openmm.XmlSerializer.clone(prepared),
-    ):
-        assert fast_force_groups(system) == 1 << FAST
-    assert fast_force_groups(peptide[0]) == 0
 
 
 def test_what_an_integrator_holds_survives_the_new_program(peptide, prepared):
@@ -366,45 +344,29 @@ def test_what_an_integrator_holds_survives_the_new_program(peptide, prepared):
 # --- a System that was changed after its Context was created ---
 
 
-def prepare(system):
-    prepare_system(system)
-
-
-def another_group(system):
-    system.getForce(0).setForceGroup(3)
-
-
-def another_particle(system):
-    system.addParticle(1.0)
-
-
-def another_constraint(system):
-    system.addConstraint(0, 10, 0.3)
-
-
 def one_force_for_another(system):
     system.removeForce(0)
     system.addForce(openmm.CustomExternalForce("0"))
 
 
-CHANGES = {
-    prepare: "it had 4 Forces and has 6",
-    another_group: "the force group of its Force 0, a HarmonicBondForce",
-    another_particle: "particles",
-    another_constraint: "constraints",
-    one_force_for_another: "its Force 0 was a HarmonicBondForce and is a ",
-}
+CHANGES = [
+    (prepare_system, "number of Forces was 4 and is 6"),
+    (lambda system: system.getForce(0).setForceGroup(3), "force group of Force 0, a HarmonicBondForce, was 0 and is 3"),
+    (lambda system: system.addParticle(1.0), "number of particles was"),
+    (lambda system: system.addConstraint(0, 10, 0.3), "number of constraints was"),
+    (one_force_for_another, "its Force 0 was HarmonicBondForce and is "),
+]
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
-@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
-def test_a_changed_system_is_refused_at_the_next_step(peptide, change, engine):
+@pytest.mark.parametrize(("change", "message"), CHANGES)
+def test_a_changed_system_is_refused_at_the_next_step(peptide, change, message, engine):
     system = copy.deepcopy(peptide[0])
     integrator = SIER2Integrator(0.001, engine=engine)
     context = context_of(system, peptide[1], integrator)
     integrator.step(1)
     change(system)
-    with pytest.raises(openmm.OpenMMException, match=f"was changed after its Context was created.*{CHANGES[change]}"):
+    with pytest.raises(openmm.OpenMMException, match=f"was changed after its Context was created.*{message}"):
         integrator.step(1)
     assert context.getStepCount() == 1
 
@@ -414,7 +376,7 @@ def test_water_prepared_too_late_is_refused():
     integrator = SIER2Integrator(0.001)
     context = context_of(system, positions, integrator)
     prepare_system(system)
-    with pytest.raises(openmm.OpenMMException, match=r"the PME parameters of its Force .*, a NonbondedForce"):
+    with pytest.raises(openmm.OpenMMException, match=r"PME parameters of Force .*, a NonbondedForce"):
         integrator.step(1)
     # Read again, the System is as it should be.
     context.reinitialize(preserveState=True)

@@ -202,3 +202,11 @@ def test_a_program_on_the_path_is_found_and_read(liquid, tmp_path, monkeypatch, 
     assert energies.time == pytest.approx([0, 0.003, 0.006])
     assert energies.total == pytest.approx([-5 * 4.184, -5.5 * 4.184, -5 * 4.184])
     assert seconds == 0.25
+
+
+def test_median_comes_with_its_standard_error(rng):
+    """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
+    found = np.array([timing.median_and_error(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
+    assert math.isnan(timing.median_and_error(np.array([1.0]))[1])
+    assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
+    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)

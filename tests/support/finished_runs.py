@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import openmm
 
-from openmm_sier.cli.files import records
+from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.observe import conservation
 
@@ -45,15 +45,15 @@ def write_run(name, values, **options):
         "trajectory": {"size": 0, "count": 0, "fingerprint": "none"},
         "log": {"size": Path(plan.report).stat().st_size, "count": rows, "fingerprint": "none"},
     }
-    records.write_checkpoint(checkpoint, empty_state(), notes)
+    checkpoints.write_checkpoint(checkpoint, empty_state(), notes)
     return name
 
 
 def note_count(checkpoint, file, count):
     """Let a checkpoint note that a file has so many records."""
-    state, notes = records.read_checkpoint(Path(checkpoint))
+    state, notes = checkpoints.read_checkpoint(Path(checkpoint))
     notes[file] = notes.get(file, {"size": 0, "fingerprint": "none"}) | {"count": count}
-    records.write_checkpoint(Path(checkpoint), state, notes)
+    checkpoints.write_checkpoint(Path(checkpoint), state, notes)
 
 
 def write_rows(path, columns):

@@ -81,15 +81,6 @@ def _methyl(at, axis):
     return at + 0.109 * (-axis / 3 + np.sqrt(8) / 3 * out)
 
 
-def methyl_rotor():
-    """Chloromethane, whose methyl group turns."""
-    carbon, chlorine = np.zeros(3), np.array([0.178, 0, 0])
-    x = np.vstack([carbon, chlorine, _methyl(carbon, chlorine)])
-    return Molecule(
-        ("C", "Cl", "H", "H", "H"), x, tuple((0, i) for i in range(1, 5)), charges=(-0.1, -0.2, 0.1, 0.1, 0.1)
-    )
-
-
 def disulfide():
     """Dimethyl disulfide: CH3-S-S-CH3 with a dihedral of 90 degrees."""
     half, angle = 0.1025, np.radians(103.0)
@@ -100,24 +91,6 @@ def disulfide():
     bonds = ((0, 1), (0, 2), (1, 3), *((2, i) for i in (4, 5, 6)), *((3, i) for i in (7, 8, 9)))
     torsions = ((2, 0, 1, 3), (4, 2, 0, 1), (7, 3, 1, 0))
     return Molecule((*"SSCC", *6 * "H"), np.vstack([sulfur, carbon, *hydrogens]), bonds, torsions=torsions)
-
-
-def rings():
-    """Two fused rings of six carbons, puckered, each of the others with one hydrogen."""
-    around = np.pi / 3 * np.arange(6) + np.pi / 6
-    ring = np.stack([0.15 * np.cos(around), 0.15 * np.sin(around), 0.025 * (-1.0) ** np.arange(6)], axis=1)
-    shift = np.array([2 * 0.15 * np.cos(np.pi / 6), 0, 0])
-    # The second ring shares the bond of the first's atoms 0 and 5, by the mirror in the plane between the rings.
-    mirrored = ring * [-1, 1, 1] + shift
-    carbon = np.vstack([ring, mirrored[1:5]])
-    first = [(i, (i + 1) % 6) for i in range(6)]
-    second = [(0, 6), (6, 7), (7, 8), (8, 9), (9, 5)]
-    free = [1, 2, 3, 4, 6, 7, 8, 9]
-    centres = np.where(np.arange(10)[:, None] < 6, 0 * shift, shift)
-    outward = (carbon - centres)[free]
-    hydrogens = carbon[free] + 0.109 * outward / np.linalg.norm(outward, axis=1)[:, None]
-    bonds = (*first, *second, *((c, 10 + i) for i, c in enumerate(free)))
-    return Molecule((*10 * "C", *8 * "H"), np.vstack([carbon, hydrogens]), bonds)
 
 
 def carbon_dioxide():

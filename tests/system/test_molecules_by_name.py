@@ -11,18 +11,14 @@ from tests.support import solutes
 from tests.support.flexible_systems import started, total_energy
 from tests.support.peptides import capped_alanine_box, forcefield
 from tests.support.restarts import assert_restart_is_the_same
-from tests.support.solutes import disulfide, ion, methyl_rotor, rings, spc, system_of, water
+from tests.support.solutes import disulfide, ion, spc, system_of, water
 from tests.support.waters import context_at, phase_point
 
 MOLECULES = {
     "flexible SPC": lambda: system_of([spc(), spc(), spc()]),
-    "ions": lambda: system_of([ion("Na"), water(), ion("Cl"), water()]),
-    "ligand of rings, bonds of hydrogen": lambda: system_of([rings().with_hydrogens_held(), water()]),
-    "ligand of rings, all bonds": lambda: system_of([rings().with_bonds_held(), water()]),
+    "disulfide, no constraints": lambda: system_of([disulfide(), water()]),
     "disulfide, a bond": lambda: system_of([disulfide().with_hydrogens_held(), water()]),
     "disulfide, a constraint": lambda: system_of([disulfide().with_bonds_held(), water()]),
-    "methyl rotor": lambda: system_of([methyl_rotor().with_hydrogens_held(), water()]),
-    "methyl rotor, no constraints": lambda: system_of([methyl_rotor(), water()]),
 }
 
 CONSTRAINTS = {"AllBonds": app.AllBonds, "HAngles": app.HAngles, "HBonds": app.HBonds, "None": None}

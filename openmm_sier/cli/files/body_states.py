@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from openmm_sier.observe.body_states import (
     body_frame,
     check_same,
     frame_type,
-    import_extras,
+    import_h5py,
     read_frames,
 )
 
@@ -62,7 +61,7 @@ class BodyStates(records.MadeAtTheEnd):
 
     @classmethod
     def check_finished(cls, path: Path, noted: records.Noted, run: str) -> None:
-        h5py, _ = import_extras()
+        h5py = import_h5py()
         with records.naming(path), h5py.File(path, "r") as file:
             if "step" not in file or "q" not in file:
                 raise records.RecordError(f"{path} has no body states")
@@ -94,14 +93,15 @@ class BodyStates(records.MadeAtTheEnd):
         import h5py
 
         frames = self.growing(self.target)
-        made = records.temporary(frames)
-        with h5py.File(self.target, "r") as file, records.naming(frames), open(made, "wb") as out:
+        with (
+            h5py.File(self.target, "r") as file,
+            records.replacing(frames) as made,
+            open(made, "wb") as out,
+        ):
             check_same(file, self.target, self._bodies, self._periodic)
             out.write(_header(self._title))
             for first in range(0, len(file["step"]), self._chunk):
                 out.write(read_frames(file, first, first + self._chunk).tobytes())
-            os.fsync(out.fileno())
-        os.replace(made, frames)
 
     @classmethod
     def companions(cls, path: Path) -> list[Path]:
@@ -113,11 +113,11 @@ class BodyStates(records.MadeAtTheEnd):
 
         Raises:
             RecordError: the name does not end in .h5.
-            ModuleNotFoundError: h5py or scipy is missing.
+            ModuleNotFoundError: h5py is missing.
         """
         if path.suffix != SUFFIX:
             raise records.RecordError(f"body states go to a file that ends in {SUFFIX}, got {path.name}")
-        import_extras()
+        import_h5py()
 
 
 def _header(title: str) -> bytes:

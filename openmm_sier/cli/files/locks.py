@@ -28,10 +28,6 @@ NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP}
 LONGEST = 200
 
 
-class _Removed(Exception):
-    """The file of a lock has been removed since it was opened, so that the lock keeps nobody out."""
-
-
 class FileLocks(ExitStack):
     """Locks on files, held until this context manager ends.
 
@@ -90,30 +86,22 @@ def _locked(place: Path, path: Path) -> BaseFileLock:
     """A lock that this process holds; the file at `place` then says who that is."""
 
     def mark(descriptor: int) -> None:
-        try:
-            there = os.path.samestat(os.fstat(descriptor), os.stat(place))
-        except OSError:
-            there = False
-        if not there:
-            raise _Removed
         # On a full disk the lock is as good without it.
         with suppress(OSError):
             os.ftruncate(descriptor, 0)
             os.write(descriptor, json.dumps(_this_process()).encode())
 
-    while True:
-        try:
-            lock: BaseFileLock = FileLock(place, timeout=PATIENCE, on_acquired=mark)
-            lock.acquire()
-        except _Removed:
-            continue
-        except Timeout:
-            raise RunError(f"{path} is being written by {_holder(place)}") from None
-        except OSError as error:
-            if error.errno not in NO_LOCKS:
-                raise OSError(error.errno, f"cannot be locked: {error.strerror}", str(path)) from error
-            return _locked_by_existence(place, path)
-        return lock
+    # It finds a file that its last holder removed while it was being opened, and takes a new one.
+    lock = FileLock(place, timeout=PATIENCE, on_acquired=mark)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise RunError(f"{path} is being written by {_holder(place)}") from None
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise OSError(error.errno, f"cannot be locked: {error.strerror}", str(path)) from error
+        return _locked_by_existence(place, path)
+    return lock
 
 
 def _locked_by_existence(place: Path, path: Path) -> BaseFileLock:

@@ -8,27 +8,16 @@ frame twice. So that no file of another run is cut, the checkpoint also notes a 
 from __future__ import annotations
 
 import hashlib
-import io
-import json
 import os
-import re
-import zipfile
-import zlib
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import openmm
 
-from openmm_sier.cli.files.notes import check_files, check_notes
 from openmm_sier.observe.conservation import csv_line
-
-#: Version of what a checkpoint holds.
-FORMAT = 2
 
 #: Bytes at the beginning and at the end of what a file held at a checkpoint by which it is known again.
 WINDOW = 2**16
@@ -45,6 +34,30 @@ def naming(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
+def temporary(path: Path) -> Path:
+    """Temporary path of a file that takes its place when it is complete."""
+    return path.with_name(f"{path.name}.tmp")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path, of which what is written there takes the place of a file at the end.
+
+    At any moment, after a power failure too, the file is the old or the new one. After an error it is the old one, and
+    nothing of the new one is left.
+    """
+    made = temporary(path)
+    with naming(path):
+        try:
+            yield made
+            with open(made, "rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(made, path)
+        except BaseException:
+            made.unlink(missing_ok=True)
+            raise
 
 
 def title(run: str) -> str:
@@ -265,24 +278,15 @@ class MadeAtTheEnd(GrowingFile):
             RecordError: the output could not be written. The growing file stays.
         """
         super().finish()
-        made = temporary(self.target)
         try:
-            self._make(made)
-            with open(made, "rb+") as file:
-                os.fsync(file.fileno())
-            os.replace(made, self.target)
+            with replacing(self.target) as made:
+                self._make(made)
         # PyTables and h5py raise RuntimeErrors of their own where the disk is full.
         except (OSError, RuntimeError) as error:
-            made.unlink(missing_ok=True)
             reason = " ".join(str(error).split())[-200:]
             message = f"{self.target} could not be written: {reason}. Its frames are kept in {self.path}"
             raise RecordError(message) from error
         self.path.unlink()
-
-
-def temporary(path: Path) -> Path:
-    """Temporary path of a file that is moved to its place when it is complete."""
-    return path.with_name(f"unfinished-{path.name}")
 
 
 class Log(GrowingFile):
@@ -312,71 +316,3 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
         columns = file.readline().rstrip().split(",")
         rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))
     return dict(zip(columns, rows.T, strict=True))
-
-
-def temporary_checkpoint(path: Path) -> Path:
-    """Temporary path of a checkpoint, which replaces the last one when it is complete."""
-    return path.with_name(path.name + ".tmp")
-
-
-def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
-    """Replace the checkpoint: at any moment the file is either the old or the new one.
-
-    Args:
-        path: of the file, a zip archive with state.xml and notes.json.
-        state: openmm.State with positions, velocities and parameters.
-        notes: what JSON can hold.
-
-    Raises:
-        OSError: it cannot be written. The old one is still there, and nothing of the new one.
-    """
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))
-        archive.writestr("notes.json", json.dumps({"format": FORMAT, **notes}, indent=1))
-    temporary = temporary_checkpoint(path)
-    with naming(path):
-        try:
-            with open(temporary, "wb") as file:
-                file.write(content.getbuffer())
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
-        except OSError:
-            temporary.unlink(missing_ok=True)
-            raise
-
-
-def read_checkpoint(path: Path, files: bool = True) -> tuple[Any, dict[str, Any]]:
-    """State and notes of a checkpoint.
-
-    Args:
-        path: of the checkpoint.
-        files: whether what it notes of the run's files matters.
-
-    Raises:
-        RecordError: the file is no checkpoint of this command.
-        OptionError: its notes are not what they must be.
-        FileNotFoundError: there is no such file.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            state = _state(archive.read("state.xml").decode())
-            notes = json.loads(archive.read("notes.json"))
-            if not isinstance(notes, dict):
-                raise ValueError("the notes have no names")
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
-        raise RecordError(f"{path} is no checkpoint of openmm-sier run") from error
-    if notes.get("format") != FORMAT:
-        raise RecordError(f"{path} was written by another version of openmm-sier, in format {notes.get('format')}")
-    check_notes(path, notes)
-    if files:
-        check_files(path, notes)
-    return state, notes
-
-
-def _state(text: str) -> openmm.State:
-    """A State from XML; what is anything else is not even read."""
-    if not re.match(r"(<\?xml[^>]*\?>)?\s*<State\b", text):
-        raise ValueError("expected the XML of a State")
-    return openmm.XmlSerializer.deserialize(text)

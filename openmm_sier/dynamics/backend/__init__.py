@@ -1,4 +1,4 @@
-"""Execution of the formulas on all bodies: by NumPy on arrays, or in loops that Numba compiles.
+"""Execution of the costly formulas on all bodies: by NumPy on arrays, or in loops that Numba compiles.
 
 `active()` is the `Backend` in use, chosen at its first call: Numba where it is installed (`openmm-sier[fast]`) and
 the environment variable OPENMM_SIER_NUMBA is not 0, otherwise NumPy.
@@ -16,10 +16,9 @@ from contextlib import contextmanager
 from importlib import util
 
 from openmm_sier.dynamics.backend.numba_backend import NumbaBackend
-from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend, Rotor
-from openmm_sier.dynamics.backend.sites import Sites
+from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend
 
-__all__ = ["NUMPY", "Backend", "Rotor", "Sites", "active", "using"]
+__all__ = ["NUMPY", "Backend", "active", "using"]
 
 Backend = NumpyBackend
 

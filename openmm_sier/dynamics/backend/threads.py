@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -85,67 +83,20 @@ def _available() -> int:
         return cores()
 
 
-def shared(loop: Callable[..., Any]) -> Callable[..., Any]:
+def shared(loop: Callable[..., int]) -> Callable[..., int]:
     """Turn a loop (start, stop, ...) into one over a slice of the bodies, which threads share if it is long.
 
-    The values that it returns are summed.
+    The numbers that it returns are summed. However the call ends, its threads end with it: a forked process does not
+    wait for threads that it does not have.
     """
 
-    def run(part: slice, *arguments: Any) -> Any:
+    def run(part: slice, *arguments: Any) -> int:
         start, stop = part.start, part.stop
         n, share = stop - start, _used[1]
         if n < 2 * share or (team := min(count(), n // share)) < 2:
             return loop(start, stop, *arguments)
         edges = [start + n * i // team for i in range(team + 1)]
-        return Team(loop, arguments).run(list(pairwise(edges)))
+        with ThreadPoolExecutor(team) as pool:
+            return sum(pool.map(lambda low, high: loop(low, high, *arguments), edges[:-1], edges[1:]))
 
     return run
-
-
-class Team:
-    """Threads that share one loop.
-
-    They write to arrays that the caller goes on to use, so however `run` ends, no thread is still at work. None
-    outlives the call, so that a forked process does not wait for threads that it does not have.
-    """
-
-    def __init__(self, loop: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-        self._loop, self._arguments = loop, arguments
-        self._abandoned = False
-        self._busy: list = []
-        self._errors: list[BaseException] = []
-        self._results: list = []
-
-    def run(self, spans: Sequence[tuple[int, int]]) -> Any:
-        own, *others = spans
-        workers = [threading.Thread(target=self._work, args=(span,), daemon=True) for span in others]
-        try:
-            for worker in workers:
-                worker.start()
-            self._results.append(self._loop(*own, *self._arguments))
-            for worker in workers:
-                worker.join()
-        except BaseException:
-            self._abandoned = True
-            self._wait()
-            raise
-        if self._errors:
-            raise self._errors[0]
-        return sum(result or 0 for result in self._results)
-
-    def _work(self, span: tuple[int, int]) -> None:
-        # In this order: either the thread sees that it has been abandoned, or `_wait` sees that it is busy.
-        self._busy.append(span)
-        try:
-            if not self._abandoned:
-                self._results.append(self._loop(*span, *self._arguments))
-        except BaseException as error:
-            self._errors.append(error)
-        finally:
-            self._busy.remove(span)
-
-    def _wait(self) -> None:
-        while self._busy:
-            # Further interrupts change nothing: the first is on its way out.
-            with suppress(BaseException):
-                time.sleep(1e-4)

@@ -16,13 +16,15 @@ projected at the end. This map is symmetric and symplectic. All equations are so
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics.backend import graph_loops
-from openmm_sier.dynamics.constraints.graph import components, gather_graphs, gather_stars, star_centre
-from openmm_sier.dynamics.constraints.solvers import Solver
+from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.backend import constraint_solver
+from openmm_sier.dynamics.constraints.graph import constraint_table, independent, joined
 
 #: Lengths given twice for a pair may differ by this much, nm.
 SAME_LENGTH = 1e-6
@@ -48,8 +50,8 @@ class Constraints:
         pairs: (c, 2), each pair once.
         lengths: (c,), nm.
         masses: of all n bodies, (n,), dalton.
-        components: pair numbers of each connected component.
         members: the columns that are constrained, ascending.
+        groups: for each column the smallest one of its connected component, -1 if it is not constrained, (n,).
     """
 
     def __init__(
@@ -75,10 +77,10 @@ class Constraints:
         self.pairs, self.lengths = self._distinct(
             np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(lengths, float)
         )
-        self.components = components(self.pairs)
         self.members = np.unique(self.pairs)
-        self._sort()
-        self._solver = Solver(self.stars, self.graphs)
+        self.groups = np.full(len(self.masses), -1)
+        self._first = joined(len(self.masses), self.pairs)[self.members]
+        self.groups[self.members] = self._first
 
     def _distinct(self, pairs: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n = len(self.masses)
@@ -113,17 +115,10 @@ class Constraints:
         named = ", ".join(self._describe(int(body)) for body in bodies[:NAMED])
         return named if len(bodies) <= NAMED else f"{named} and {len(bodies) - NAMED} more"
 
-    def _sort(self) -> None:
-        stars: list[tuple[int, list[int]]] = []
-        others = []
-        for numbers in self.components:
-            centre = star_centre(self.pairs[numbers].tolist(), self.masses)
-            if centre is None:
-                others.append(numbers)
-            else:
-                stars.append((centre, numbers))
-        self.stars = gather_stars(stars, self.pairs, self.lengths, self.masses)
-        self.graphs = gather_graphs(others, self.pairs, self.lengths, self.masses)
+    @cached_property
+    def _table(self) -> constraint_solver.ConstraintTable:
+        pairs = np.searchsorted(self.members, self.pairs)
+        return constraint_table(pairs, self.lengths, self.masses[self.members])
 
     def restricted(self, bodies: ArrayLike) -> Constraints:
         """The constraints in the numbering of a subset of the bodies, which must not split a component.
@@ -167,39 +162,33 @@ class Constraints:
             ConstraintError: the rank at q is smaller, as for a cage in a plane or three constrained atoms on a line.
                 Constrained motion is undefined there. The message names the atoms.
         """
-        rank = sum(stars.leaves.size for stars in self.stars)
-        if self.graphs is None:
-            return rank
+        if not len(self.pairs):
+            return 0
         generic = self._ranks(np.random.default_rng(1).normal(size=(3, len(self.masses))))
         if q is not None and len(lower := np.flatnonzero(self._ranks(q) < generic)):
             raise ConstraintError(
-                f"the constraints of {self._name(*self.graphs.component(lower[0]))} do not determine their motion "
-                "where these atoms are, in a plane or on a line. Make them one rigid body, or give fewer constraints "
-                "and virtual sites"
+                f"the constraints of {self._name(*np.flatnonzero(self.groups == lower[0]))} do not determine their "
+                "motion where these atoms are, in a plane or on a line. Make them one rigid body, or give fewer "
+                "constraints and virtual sites"
             )
-        return rank + int(generic.sum())
+        return int(generic.sum())
 
     def _ranks(self, q: np.ndarray) -> np.ndarray:
-        """Rank of each component of the graphs at q."""
-        graphs = self.graphs
-        assert graphs is not None
-        x = q[:, graphs.atoms].T
-        along = x[graphs.ends[:, 0]] - x[graphs.ends[:, 1]]
-        values, inverses, work = np.empty(len(graphs.pattern.columns)), *np.empty((2, len(along)))
-        return np.array(
-            [
-                graph_loops.factor(start, stop, graphs.pattern, along, along, values, inverses, work)
-                for _, _, start, stop in graphs.starts.tolist()
-            ]
-        )
+        """Rank of the component that begins with each column, (n,), at positions (3, n)."""
+        return np.bincount(self.groups[self.pairs[:, 0]], independent(self._table, self._relative(q)), len(self.masses))
+
+    def _relative(self, q: np.ndarray) -> np.ndarray:
+        """Positions of the constrained bodies from the first of their component."""
+        return q[:, self.members] - q[:, self._first]
 
     # --- the algebra ---
 
     def project(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Momenta or forces, (3, n), tangent to the constraints at q; those of unconstrained bodies are unchanged."""
-        q, p = _plain(q), _plain(p)
-        new_p = p.copy()
-        self._solver.project(q, p, new_p)
+        new_p = np.array(p, dtype=float)
+        if len(self.pairs):
+            solved = self._solve(constraint_solver.project, self._relative(q), new_p[:, self.members])
+            new_p[:, self.members] = solved
         return new_p
 
     def displaced(self, q: np.ndarray, force: np.ndarray, shift: float) -> np.ndarray:
@@ -208,9 +197,12 @@ class Constraints:
         Raises:
             ConstraintError: there are no such positions.
         """
-        q, force = _plain(q), _plain(force)
         new_q = q + (shift / self.masses) * force
-        self._demand(self._solver.displace(q, force, float(shift), new_q))
+        if len(self.pairs):
+            push = shift * np.asarray(force, dtype=float)[:, self.members]
+            x, failed = self._solve(constraint_solver.displace, self._relative(q), push)
+            self._demand(failed)
+            new_q[:, self.members] = q[:, self._first] + x
         return new_q
 
     def satisfied(self, q: np.ndarray) -> np.ndarray:
@@ -237,23 +229,27 @@ class Constraints:
         Raises:
             ConstraintError: a RATTLE step has no solution nearby: momenta are far too large for t.
         """
-        q, p = _plain(q), _plain(p)
-        new_q, new_p = q + (t / self.masses) * p, p.copy()
-        if t != 0:
+        new_q, new_p = q + (t / self.masses) * p, np.array(p, dtype=float)
+        if t != 0 and len(self.pairs):
             times = t * np.asarray(fractions, dtype=float)
-            self._demand(self._solver.drift(q, p, times, float(t), new_q, new_p))
+            x, moved, failed = self._solve(constraint_solver.drift, self._relative(q), new_p[:, self.members], times)
+            self._demand(failed)
+            new_q[:, self.members], new_p[:, self.members] = q[:, self._first] + x, moved
         return new_q, new_p
 
-    def _demand(self, unsolved: np.ndarray | None) -> None:
-        if unsolved is not None:
+    def _solve(self, function: Callable[..., Any], *arguments: np.ndarray) -> Any:
+        # Numba would compile everything once more for another layout or type of number.
+        plain = [np.ascontiguousarray(array, dtype=float) for array in arguments]
+        with np.errstate(all="ignore"):
+            return backend.active().execute(function, self._table, *plain)
+
+    def _demand(self, failed: int) -> None:
+        """Refuse a solution in which a constraint, or none if the number is negative, is not satisfied."""
+        if failed >= 0:
+            bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
             error = ConstraintError(
-                f"the constraints of {self._name(*unsolved)} have no solution near: they contradict each other, their "
+                f"the constraints of {self._name(*bodies)} have no solution near: they contradict each other, their "
                 "atoms are far from where they belong, or they move too fast for this time"
             )
-            error.bodies = unsolved
+            error.bodies = bodies
             raise error
-
-
-def _plain(vectors: ArrayLike) -> np.ndarray:
-    """Vectors (3, n) as contiguous doubles: for another layout Numba would compile everything once more."""
-    return np.ascontiguousarray(vectors, dtype=float)

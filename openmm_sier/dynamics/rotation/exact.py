@@ -1,17 +1,11 @@
-"""The exact free rotation as a map, and as backends execute it."""
+"""The exact free rotation as a map."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
 from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
-from openmm_sier.dynamics.rotation import long_steps
 from openmm_sier.dynamics.rotation.arguments import checked
-from openmm_sier.dynamics.rotation.elliptic import long_series, shortest_series
-from openmm_sier.dynamics.rotation.short_steps import free_rotation
 
 
 def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -30,7 +24,7 @@ def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[
     Raises:
         ValueError: shapes do not fit, moments are impossible, or a value is not finite.
 
-    Source: van Zon and Schofield (2007), Eqs. 5 (U1) and 9 (Pmatrix); see `openmm_sier.dynamics.rotation.short_steps`.
+    Source: van Zon and Schofield (2007), Eqs. 5 (U1) and 9 (Pmatrix); see `openmm_sier.dynamics.backend.short_steps`.
 
     A quarter turn about the third axis, and back:
 
@@ -43,21 +37,6 @@ def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[
     >>> bool(abs(back - A).max() < 1e-15)
     True
     """
-    bodies, A, L, h = checked(A, L, moments, h)
-    return backend.active().rotate(EXACT, bodies, A, L, h), L.copy()
-
-
-def _of_body(body_L: Any, rates: Any, h: float) -> Any:
-    """The free rotation of one body, which Numba compiles, as far as its series and that of the sine reach."""
-    turn, _, reached = free_rotation(body_L, rates, h, long_series, small_sine_cosine, SMALL_ANGLE)
-    return turn, reached
-
-
-def _of_arrays(body_L: Any, rates: Any, h: float) -> Any:
-    """The free rotation of bodies, which NumPy executes, as far as the series reach."""
-    turn, _, reached = free_rotation(body_L, rates, h, shortest_series, long_steps.sine_cosine, long_steps.PHASE_CAP)
-    return turn, reached
-
-
-#: The form that backends take.
-EXACT = backend.Rotor(_of_body, _of_arrays, long_steps.turn)
+    axes, A, L, h = checked(A, L, moments, h)
+    kind = axes.rates, slice(0, A.shape[2])
+    return axes.unsort(backend.active().rotate([kind], axes.sort(A), L, h)), L.copy()

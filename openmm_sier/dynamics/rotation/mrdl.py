@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import body_frame
-from openmm_sier.dynamics.rotation.arguments import blocks, checked, demand_finite
+from openmm_sier.dynamics.rotation.arguments import checked, demand_finite
 from openmm_sier.dynamics.rotation.exact import exact
 
 #: The factors, as principal axis (0 has the smallest moment, 2 the largest) and fraction of the step.
@@ -30,19 +30,15 @@ def mrdl(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[n
     >>> round(errors[0] / errors[1])  # of one step: third order
     8
     """
-    bodies, A, L, h = checked(A, L, moments, h)
+    axes, A, L, h = checked(A, L, moments, h)
     demand_finite(L)
-    moments = np.reshape(np.asarray(moments, dtype=float), (3, -1))
+    rows = np.array(axes.sort(A))
+    body_L = body_frame(rows, L)
+    for axis, fraction in FACTORS:
+        _turn_about_axis(axis, fraction * h * axes.rates[axis] * body_L[axis], rows, body_L)
+    new = axes.unsort(rows)
+    moments = np.broadcast_to(np.reshape(np.asarray(moments, dtype=float), (3, -1)), L.shape)
     linear = (moments == 0).any(axis=0) & (moments > 0).any(axis=0)
-    if linear.all():
-        return exact(A, L, np.broadcast_to(moments, L.shape), h)
-    new = np.empty_like(A)
-    for block, top in blocks(bodies, A.shape[2]):
-        rows = np.stack(top.sort(A[:, :, block]))
-        body_L = body_frame(rows, L[:, block])
-        for axis, fraction in FACTORS:
-            _turn_about_axis(axis, fraction * h * top.rates[axis] * body_L[axis], rows, body_L)
-        new[:, :, block] = np.stack(top.unsort(*rows))
     if linear.any():
         new[:, :, linear], _ = exact(A[:, :, linear], L[:, linear], moments[:, linear], h)
     return new, L.copy()

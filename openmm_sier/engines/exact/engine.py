@@ -10,25 +10,21 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
-from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
+from openmm_sier.dynamics.operators import CachedForces
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import neighbour_list
-from openmm_sier.engines.binding import Binding
 from openmm_sier.engines.exact import packing
-from openmm_sier.engines.exact.actors import Actors
-from openmm_sier.engines.exact.atoms import Atoms
-from openmm_sier.engines.exact.forces import BodyForces, weakly
+from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
 from openmm_sier.engines.exact.motion import Motion, inner_step
 from openmm_sier.engines.exact.reconciliation import Reconciliation
 from openmm_sier.engines.interrupts import act_on_pending
-from openmm_sier.engines.native.installation import updating_context
-from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
+from openmm_sier.engines.temperature import Temperatures, temperatures
+from openmm_sier.engines.updates import updating_context
 from openmm_sier.engines.variables import DRAWS, HEAT, SITES, STATE_VARIABLES
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
@@ -41,11 +37,11 @@ class _Memory(NamedTuple):
 
     state: BodyState
     clock: Clock
-    box: np.ndarray
+    box: Any
 
 
-class ExactEngine(Binding):
-    """Implements `protocol.Engine` by a Python layer over the Context.
+class ExactEngine(Engine):
+    """An engine as a Python layer over the Context.
 
     After `publish` the Context agrees with the engine's state. `_last_written` is a snapshot of the Context from then:
     one that later differs from it was changed from outside.
@@ -68,24 +64,25 @@ class ExactEngine(Binding):
         Raises:
             RigidityError, openmm.OpenMMException: the System or the step is refused, as the message says.
         """
-        super().__init__(integrator, context)
-        self._flow = flow
-        self._atoms = Atoms(context)
+        super().__init__(integrator, context, flow)
         system = context.getSystem()
         plan = plan_bodies(system, bodies)
-        self._actors = Actors(system)
+        forces = system.getForces()
+        acting = [force for force in forces if not checks.is_passive(force)]
+        self._is_updated = bool(acting)
+        self._only_barostats_act = all(isinstance(force, checks.BAROSTATS) for force in acting)
+        self._sweeps = [force.getFrequency() for force in forces if isinstance(force, openmm.CMMotionRemover)]
         self._remembers_list = neighbour_list.is_remembered(context)
         self._starts_anew = False
         self._last_written: Snapshot | None = None
         self._state: BodyState | None = None
-        self.clock = Clock(0.0, 0)
-        self.forces = BodyForces(self._atoms, weakly(self._next_step))
-        self._bodies: RigidBodies | None = None
-        self._momentum: MomentumConservation | None = None
-        self._centres: MoleculeCentres
+        self._published: BodyState | None = None
         self._moves_volume = False
+        self.clock = self._last_clock = Clock(0.0, 0)
+        self.forces = BodyForces(context)
+        self._in_kicks = CachedForces(self.forces.in_kicks)
+        self._bodies: RigidBodies | None = None
         self._motion: Motion
-        self._vibrations: Vibrations
         self._reconciliation: Reconciliation
         # Bodies that need no positions are made now. The plan is dropped, since it takes more memory than they do.
         self._plan: Any = plan if plan.needs_positions else None
@@ -93,8 +90,8 @@ class ExactEngine(Binding):
             self._settle(plan.bodies(None))
 
     @property
-    def evaluations(self) -> int:
-        return self.forces.in_kicks.evaluations
+    def evaluations(self) -> int:  # type: ignore[override]
+        return self.forces.evaluations
 
     @property
     def bodies(self) -> RigidBodies:
@@ -128,34 +125,32 @@ class ExactEngine(Binding):
 
     def _settle(self, bodies: RigidBodies) -> RigidBodies:
         system = self._context.getSystem()
-        vibrations = Vibrations(system, bodies)
-        self._check_step(vibrations)
+        self._vibrations = Vibrations(system, bodies)
+        self._check_step()
         checks.refuse_constrained_lines(system, bodies)
         checks.refuse_deforming_barostats(system, self._context.getMolecules(), bodies)
         if self._moves_volume:
-            self._centres = self._new_centres(bodies)
-        self._motion, self._bodies = self._new_motion(bodies), bodies
+            checks.refuse_constant_pressure(system, bodies)
+        self._motion = self._new_motion(bodies)
         self.forces.act_on(bodies)
-        self._reconciliation = Reconciliation(bodies, self._atoms, weakly(self._forget_forces))
-        self._vibrations = vibrations
+        self._reconciliation = Reconciliation(bodies)
+        self._bodies = bodies
+        self._forget_movers()
         return bodies
 
     def _new_motion(self, bodies: RigidBodies) -> Motion:
         fast = self._integrator.getIntegrationForceGroups() & self._flow.fast_groups
-        return Motion(self._context, bodies, self.forces.in_kicks, self._flow.rotation, fast)
+        return Motion(self._context, bodies, self._in_kicks, self._flow.rotation, fast)
 
-    def _check_step(self, vibrations: Vibrations) -> None:
-        flow, groups = self._flow, self._integrator.getIntegrationForceGroups()
-        vibrations.check(flow.scheme, flow.step, groups & ~flow.fast_groups)
-        inner = inner_step(flow.scheme, flow.step, flow.substeps)
-        vibrations.check_nested(WITHIN_DRIFTS, inner, flow.step, groups & flow.fast_groups)
+    def _inner_step(self) -> float:
+        return inner_step(self._flow.scheme, self._flow.step, self._flow.substeps)
 
     # --- one call of the integrator's step ---
 
     def begin(self, flow: Flow) -> None:
         self._flow = flow
         self._adopt()
-        self._check_step(self._vibrations)
+        self._check_step()
 
     def follow(self, steps: int) -> None:
         flow = self._flow
@@ -163,8 +158,8 @@ class ExactEngine(Binding):
         if steps and self._starts_anew:
             self._forget_past()
         for _ in range(steps):
-            if flow.updates_context and self._actors.are_present:
-                self._step_with_actors(step)
+            if flow.updates_context and self._is_updated:
+                self._step_after_update(step)
             else:
                 # The Context is written to only by `publish`.
                 self._complete(self._reached, step)
@@ -173,37 +168,43 @@ class ExactEngine(Binding):
     def publish(self) -> None:
         """Write the bodies' state to the Context and to the variables that travel in checkpoints."""
         state, integrator, context = self._reached, self._integrator, self._context
+        if state is self._published and self.forces.is_at(state.q, state.A) and self._last_clock == self.clock:
+            return
         self.forces.place(state.q, state.A)
-        context.setVelocities(self.bodies.move(state, self._atoms.velocities))
+        context.setVelocities(self.bodies.move(state, self.forces.velocities))
         for name, values in zip(STATE_VARIABLES, packing.pack(self.bodies, state), strict=True):
             integrator.setPerDofVariableByName(name, values)
         integrator.setGlobalVariableByName(HEAT, state.heat)
         integrator.setGlobalVariableByName(DRAWS, state.draws)
         context.setTime(self.clock.time)
         context.setStepCount(self.clock.steps)
-        self._last_written = Snapshot(context)
+        self._last_written, self._published, self._last_clock = Snapshot(context), state, self.clock
 
     def recover(self) -> None:
         if self._state is None:
             return
+        self._published = None
         self._forget_forces()
-        self._atoms.forget_place()
+        self.forces.forget_place()
         self.publish()
 
-    def _step_with_actors(self, step: operators.Stepper) -> None:
+    def _step_after_update(self, step: operators.Stepper) -> None:
         """Make one step, after the System's barostats and thermostats have acted."""
-        act = self._update_box if self._actors.are_barostats else self._update_all
+        update = self._update_box if self._only_barostats_act else self._update_all
         before, mark = self._state, self._context.getState(positions=True)
         try:
-            self._complete(act(), step)
+            self._complete(update(), step)
         except BaseException:
             if self._state is before:
-                self._atoms.rewind(mark)
+                self._context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
+                # A barostat also moves atoms of no body.
+                self.forces.positions[:] = mark.getPositions(asNumpy=True)._value
             raise
 
     def _complete(self, state: BodyState, step: operators.Stepper) -> None:
         time, steps = self.clock
-        if self._flow.updates_context and self._actors.removes_momentum(steps):
+        self.forces.step = steps + 1
+        if self._flow.updates_context and any(steps % frequency == 0 for frequency in self._sweeps):
             state = self.bodies.shifted(state, -self.bodies.centre_velocity(state.p))
         try:
             state = step(state)
@@ -222,20 +223,22 @@ class ExactEngine(Binding):
         self._let_openmm_act()
         # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
         self._context.setTime(self.clock.time + self._flow.step)
-        self._last_written = Snapshot(self._context)
-        return self._reconciliation.reconcile(self._reached, before, self._last_written)
+        self._last_written = now = Snapshot(self._context)
+        state = self._reconciliation.reconcile(self._reached, before, now)
+        self._take(now, before)
+        return state
 
     def _update_box(self) -> BodyState:
         """Let barostats act. Most often they change nothing, and then nothing is read back."""
         state = self._reached
         self.forces.place(state.q, state.A)
-        before = self._atoms.box()
+        before = self._box()
         self._let_openmm_act()
-        if np.array_equal(self._atoms.box(), before):
+        if self._box() == before:
             return state
         now = Snapshot(self._context)
         q, A = self._reconciliation.fit(now, state)
-        self._atoms.take_positions(now)
+        self.forces.take_positions(now)
         self._forget_forces()
         return replace(state, q=q, p=self.bodies.constraints.project(q, state.p), A=A)
 
@@ -258,19 +261,16 @@ class ExactEngine(Binding):
 
     def _forget_forces(self) -> None:
         """Compute forces anew next time: positions, box or parameters were changed."""
-        self.forces.forget()
-        if self._motion.fast is not None:
-            self._motion.fast.follow(self._context)
+        self._in_kicks.invalidate()
+        self.forces.forget_energies()
+        self._motion.follow(self._context)
 
     def forces_changed(self) -> None:
-        self.forces.forget()
         if self._bodies is not None:
             self._motion = self._new_motion(self._bodies)
+            self._forget_forces()
 
     groups_changed = forces_changed
-
-    def _next_step(self) -> int:
-        return self._context.getStepCount() if self._state is None else self.clock.steps + 1
 
     # --- between flows ---
 
@@ -279,27 +279,27 @@ class ExactEngine(Binding):
 
     def positions(self) -> np.ndarray:
         state = self._reached
-        return self.bodies.place(state.q, state.A, self._atoms.positions.copy())
+        return self.bodies.place(state.q, state.A, self.forces.positions.copy())
 
     def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
         self._state = self._motion.bath(bath)(self._reached, time)
 
     def remember(self) -> _Memory:
-        return _Memory(self._reached, self.clock, self._atoms.box())
+        return _Memory(self._reached, self.clock, self._box())
 
     def go_back(self, memory: _Memory, reverse: bool = False) -> None:
         state, self.clock = memory.state, memory.clock
-        if not np.array_equal(memory.box, self._atoms.box()):
+        if memory.box != self._box():
             self._set_box(memory.box)
         self._state = replace(state, p=-state.p, L=-state.L) if reverse else state
 
-    @property
-    def mass(self) -> float:
-        return float(self.bodies.masses.sum())
+    def _box(self) -> Any:
+        """Periodic box vectors, nm."""
+        return self._context.getState().getPeriodicBoxVectors()._value
 
-    @property
-    def removes_momentum(self) -> bool:
-        return self._momentum_conservation.removed
+    def _set_box(self, box: Any) -> None:
+        self._context.setPeriodicBoxVectors(*box)
+        self._motion.follow(self._context)
 
     def centre_velocity(self) -> np.ndarray:
         return self.bodies.centre_velocity(self._reached.p)[:, 0]
@@ -310,28 +310,12 @@ class ExactEngine(Binding):
     def prepare_for_volume_moves(self) -> None:
         self._moves_volume = True
         if self._bodies is not None:
-            self._centres = self._new_centres(self._bodies)
-
-    def _new_centres(self, bodies: RigidBodies) -> MoleculeCentres:
-        checks.refuse_constant_pressure(self._context.getSystem(), bodies)
-        return MoleculeCentres(bodies, self._context.getMolecules())
-
-    @property
-    def molecules(self) -> int:
-        return self._centres.count
-
-    def volume(self) -> float:
-        return float(np.linalg.det(self._atoms.box()))
+            super().prepare_for_volume_moves()
 
     def scale(self, factor: float) -> None:
         state = self._reached
-        self._set_box(factor * self._atoms.box())
+        self._set_box([factor * edge for edge in self._box()])
         self._state = replace(state, q=state.q + (factor - 1) * self._centres(state.q))
-
-    def _set_box(self, box: np.ndarray) -> None:
-        self._context.setPeriodicBoxVectors(*box)
-        if self._motion.fast is not None:
-            self._motion.fast.follow(self._context)
 
     # --- what users ask ---
 
@@ -345,15 +329,6 @@ class ExactEngine(Binding):
         self._adopt()
         return self._reached
 
-    @property
-    def _momentum_conservation(self) -> MomentumConservation:
-        if self._momentum is None:
-            self._momentum = MomentumConservation.of_system(self._context.getSystem(), self.bodies)
-        return self._momentum
-
-    def conserves_momentum(self) -> bool:
-        return self._momentum_conservation.holds(self._integrator)
-
     def temperatures(self) -> Temperatures:
         return temperatures(self.bodies, self.state(), self.conserves_momentum())
 
@@ -364,9 +339,6 @@ class ExactEngine(Binding):
             minimize_bodies(self._context, self, tolerance, iterations, reporter)
 
     # --- agreement with the Context ---
-
-    def atoms_moved(self) -> None:
-        """Nothing to do: `begin` itself finds positions and velocities that were set from outside."""
 
     def _adopt(self) -> None:
         """Take over what was changed in the Context from outside.
@@ -386,15 +358,26 @@ class ExactEngine(Binding):
             self.start_anew()
         if moved and self._plan is not None:
             self._settle_by(now.positions)
-        disturbed = moved or not now.same_velocities(self._last_written)
-        state = self._reconciliation.recall(integrator, now, moved) if disturbed else None
-        if state is None and disturbed:
-            state = self._reconciliation.reconcile(known, None if moved else self._last_written, now)
-        elif state is None:
-            state = self._reached
-            self._reconciliation.notice_environment(self._last_written, now)
-        self._atoms.velocities[:] = now.velocities
+        state = known
+        if state is None or moved or not now.same_velocities(self._last_written):
+            # One after the other: OpenMM gives lists of objects, which take much memory.
+            values = np.stack([np.array(integrator.getPerDofVariableByName(name)) for name in STATE_VARIABLES])
+            before = None if moved else self._last_written
+            state = self._reconciliation.recall(values, now, moved)
+            state = state or self._reconciliation.reconcile(known, before, now)
+        self._take(now, self._last_written)
+        self.forces.velocities[:] = now.velocities
         self.forces.select(integrator.getIntegrationForceGroups(), self._flow.fast_groups)
         heat, draws = map(integrator.getGlobalVariableByName, (HEAT, DRAWS))
-        self._state = replace(state, heat=heat, draws=int(draws))
-        self.clock, self._last_written = Clock(now.time, now.steps), now
+        if (heat, draws) != (state.heat, state.draws):
+            state = replace(state, heat=heat, draws=int(draws))
+        self._state = state
+        self.clock = self._last_clock = Clock(now.time, now.steps)
+        self._last_written = now
+
+    def _take(self, now: Snapshot, before: Snapshot | None) -> None:
+        """Take over positions, box and parameters of a snapshot where they differ from those of an earlier one."""
+        if not now.same_positions(before):
+            self.forces.take_positions(now)
+        if not now.same_environment(before):
+            self._forget_forces()

@@ -1,40 +1,53 @@
-"""Forces on the bodies of one Context, and their energies."""
+"""Where the bodies of a Context are placed as atoms, and the forces on them and energies that it computes there."""
 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
+import openmm
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
-from openmm_sier.dynamics.operators import CachedForces
-from openmm_sier.engines.exact.atoms import Atoms
 from openmm_sier.engines.protocol import TrajectoryError
+from openmm_sier.engines.snapshot import Snapshot, read_vectors
 from openmm_sier.system.stiffness import stiffest_force
+
+#: Value of `BodyForces._placed` if the positions are not those of placed bodies.
+NOWHERE = (None, None)
 
 
 class BodyForces:
-    """Forces, torques and energies of bodies, which the Context computes at the atoms' positions.
+    """Forces, torques and energies of bodies, which a Context computes at the positions of their atoms.
 
     What is not finite raises `TrajectoryError`.
 
     Attributes:
-        in_kicks: forces and torques of all groups but the fast ones.
+        positions, velocities: of the atoms as they were last written, (N, 3), nm and nm/ps; those of atoms in no body
+            are stored here.
+        evaluations: number of force evaluations so far.
+        step: number of the step that is being made, for messages.
     """
 
-    def __init__(self, atoms: Atoms, next_step: Callable[[], int]):
-        """
-        Args:
-            atoms: of the Context.
-            next_step: gives the number of the step that is being made, for messages.
-        """
-        self._atoms, self._next_step = atoms, next_step
-        self._bodies: RigidBodies | None = None
+    _bodies: RigidBodies
+
+    def __init__(self, context: openmm.Context):
+        # The Context owns its integrator and so all this: a strong reference back would keep both alive.
+        self._context_ref = weakref.ref(context)
+        system = context.getSystem()
+        n = system.getNumParticles()
+        self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
+        self.positions, self.velocities, self._vectors = np.zeros((3, n, 3))
+        self._placed: tuple = NOWHERE
         self._groups = self._fast_groups = 0
-        self.in_kicks = CachedForces(weakly(self._in_kicks))
-        self.forget()
+        self.evaluations = self.step = 0
+        # The last two, for the start and the end of a trajectory.
+        self._energies: list[tuple[np.ndarray, np.ndarray, float]] = []
+
+    @property
+    def _context(self) -> openmm.Context:
+        context = self._context_ref()
+        assert context is not None
+        return context
 
     def act_on(self, bodies: RigidBodies) -> None:
         """Take bodies."""
@@ -44,16 +57,47 @@ class BodyForces:
         """Take the force groups that move the bodies, and the fast ones among them, each as a bit mask."""
         self._groups, self._fast_groups = groups, fast_groups
 
-    def forget(self) -> None:
-        """Compute everything anew next time: positions, box, parameters or the potential were changed."""
-        # The last two energies, for the start and the end of a trajectory.
-        self._energies: list[tuple[np.ndarray, np.ndarray, float]] = []
-        self.in_kicks.invalidate()
+    # --- atoms ---
+
+    def place(self, q: np.ndarray, A: np.ndarray) -> None:
+        """Set the positions of the Context to those of bodies at (q, A), unless they are there already.
+
+        Where a position is not finite the Context keeps its positions.
+        """
+        if self.is_at(q, A):
+            return
+        try:
+            positions = self._bodies.place(q, A, self.positions)
+        except NotFiniteError as error:
+            raise self._blown_up("position of", error) from None
+        context = self._context
+        context.setPositions(positions)
+        if self._has_virtual_sites:
+            context.computeVirtualSites()
+        self._placed = (q, A)
+
+    def is_at(self, q: np.ndarray, A: np.ndarray) -> bool:
+        """Whether the Context has the positions of bodies at (q, A)."""
+        return self._placed[0] is q and self._placed[1] is A
+
+    def take_positions(self, now: Snapshot) -> None:
+        """Take over positions that were changed in the Context."""
+        self.positions[:] = now.positions
+        self.forget_place()
+
+    def forget_place(self) -> None:
+        """Make the next `place` write positions to the Context, whatever is there."""
+        self._placed = NOWHERE
+
+    # --- forces ---
 
     def of_all_groups(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forces and torques on bodies at (q, A), each (3, n), including fast forces."""
-        self.in_kicks.evaluations += 1
         return self._of(self._groups, q, A)
+
+    def in_kicks(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forces and torques on bodies at (q, A), each (3, n), of all groups but the fast ones."""
+        return self._of(self._groups & ~self._fast_groups, q, A)
 
     def energy(self, state: BodyState) -> float:
         """Potential energy at a state, kJ/mol, of all groups that move the bodies."""
@@ -61,57 +105,32 @@ class BodyForces:
         found = next((kept for kept in self._energies if kept[0] is q and kept[1] is A), None)
         if found is None:
             self.place(q, A)
-            energy = self._atoms.context.getState(energy=True, groups=self._groups).getPotentialEnergy()._value
+            energy = self._context.getState(energy=True, groups=self._groups).getPotentialEnergy()._value
             found = (q, A, energy)
         self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
         return found[2]
 
-    def place(self, q: np.ndarray, A: np.ndarray) -> None:
-        """Set the positions of the Context to those of bodies at (q, A), unless they are there already."""
-        try:
-            self._atoms.place(self._present, q, A)
-        except NotFiniteError as error:
-            raise self._blown_up("position of", error) from None
+    def forget_energies(self) -> None:
+        """Compute energies anew next time: positions, box, parameters or the potential were changed."""
+        self._energies = []
 
     def stiffest_on(self, bodies: np.ndarray, positions: np.ndarray) -> str:
         """What a message says of the stiffest force on some bodies, at positions (N, 3), nm."""
-        atoms = [int(i) for body in bodies.tolist() for i in self._present.atoms_of(body)]
-        found = stiffest_force(self._atoms.context, positions, atoms)
+        atoms = [int(i) for body in bodies.tolist() for i in self._bodies.atoms_of(body)]
+        found = stiffest_force(self._context, positions, atoms)
         return "" if found is None else f", or a force too stiff for it ({found})"
 
-    @property
-    def _present(self) -> RigidBodies:
-        assert self._bodies is not None
-        return self._bodies
-
-    def _in_kicks(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._of(self._groups & ~self._fast_groups, q, A)
-
     def _of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self.evaluations += 1
         self.place(q, A)
+        found = self._context.getState(forces=True, groups=groups)
         try:
-            return self._present.forces_and_torques(self._atoms.forces(groups), A)
+            return self._bodies.forces_and_torques(read_vectors(found, openmm.State.Forces, self._vectors), A)
         except NotFiniteError as error:
             raise self._blown_up("force on", error) from None
 
     def _blown_up(self, what: str, error: NotFiniteError) -> TrajectoryError:
         return TrajectoryError(
-            f"The {what} {self._present.describe(error.body)} is not finite in step {self._next_step()}. Is the step "
-            "size too long, or do atoms overlap? The Context is left at the last completed step."
+            f"The {what} {self._bodies.describe(error.body)} is not finite in step {self.step}. Is the step size too "
+            "long, or do atoms overlap? The Context is left at the last completed step."
         )
-
-
-def weakly(method: Callable[..., Any]) -> Callable[..., Any]:
-    """A method that does not keep its object alive.
-
-    The engine owns a Context for fast forces, and so must not be left to the garbage collector, which may delete that
-    Context's System before the Context.
-    """
-    reference = weakref.WeakMethod(method)
-
-    def call(*arguments: Any) -> Any:
-        found = reference()
-        assert found is not None
-        return found(*arguments)
-
-    return call

@@ -36,7 +36,7 @@ class Motion:
     """Operators of one Context's bodies.
 
     Attributes:
-        fast: what computes the fast forces; None where there are none.
+        fast: the fast forces, a function of the positions of flexible points; None where there are none.
     """
 
     def __init__(
@@ -57,7 +57,8 @@ class Motion:
         self._bodies, self._rotation = bodies, rotation
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
-        self.fast = _fast_forces(context, bodies, self._members, groups_of(fast_groups))
+        self._solute = _solute(context, bodies, self._members, groups_of(fast_groups))
+        self.fast = None if self._solute is None else FastForces(self._solute)
         self._drift = operators.drift(bodies, rotation)
         self._outer = self._without_bath(forces)
         self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
@@ -81,34 +82,20 @@ class Motion:
                 found[BATH] = self.bath(flow.bath)
             longest = inner_step(flow.scheme, flow.step, flow.substeps)
             if self.fast is not None and longest:
-                found[DRIFT] = self._nested_drift(self.fast.forces, longest)
+                found[DRIFT] = self._nested_drift(self.fast, longest)
             self._made = flow, found
         return self._made[1]
+
+    def follow(self, context: openmm.Context) -> None:
+        """Take over parameters and box of the Context for the fast forces."""
+        if self.fast is not None and self._solute is not None:
+            self._solute.follow(context)
+            self.fast.invalidate()
 
     def _nested_drift(self, forces: FastForces, longest: float) -> Operator:
         members, constraints = self._members, self._bodies.constraints.restricted(self._members)
         within = point_operators(constraints, forces, groups=self._groups[members])
         return nested_drift(self._drift, members, WITHIN_DRIFTS, within, longest)
-
-
-class _Fast:
-    """Fast forces on flexible points.
-
-    Attributes:
-        forces: a function of their positions.
-    """
-
-    def __init__(self, context: openmm.Context, atoms: list[int], groups: list[int], rigid: np.ndarray):
-        platform, properties = _platform_of_solute(context, len(atoms))
-        self._solute = SoluteForces(context.getSystem(), atoms, groups, rigid, platform, properties)
-        self.forces = FastForces(self._solute)
-        self.is_empty = self._solute.is_empty
-        self._solute.follow(context)
-
-    def follow(self, context: openmm.Context) -> None:
-        """Take over parameters and box of the Context of all atoms."""
-        self._solute.follow(context)
-        self.forces.invalidate()
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
@@ -121,18 +108,23 @@ def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Pla
     return platform, properties
 
 
-def _fast_forces(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: list[int]) -> _Fast | None:
+def _solute(
+    context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: list[int]
+) -> SoluteForces | None:
+    """What computes the forces of some groups; None where there are none."""
     if not groups:
         return None
+    system = context.getSystem()
     atoms = [int(bodies.atoms_of(body)[0]) for body in members.tolist()]
     rigid = np.where(bodies.point_particles, -1, bodies.owners)
-    rigid[tables.frozen_atoms(context.getSystem())] = bodies.n
-    if not atoms:
-        # Nothing to compute, but forces that cannot be fast are refused here too.
-        solute_system(context.getSystem(), atoms, groups, rigid)
+    rigid[tables.frozen_atoms(system)] = bodies.n
+    # Forces that cannot be fast are refused even where there is nothing to compute.
+    reduced = solute_system(system, atoms, groups, rigid)
+    if not atoms or reduced.getNumForces() == 0:
         return None
-    fast = _Fast(context, atoms, groups, rigid)
-    return None if fast.is_empty else fast
+    solute = SoluteForces(reduced, atoms, *_platform_of_solute(context, len(atoms)))
+    solute.follow(context)
+    return solute
 
 
 def _flexible_points(bodies: RigidBodies) -> np.ndarray:

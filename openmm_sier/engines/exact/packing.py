@@ -1,26 +1,23 @@
-"""Body states as per-atom variables, so that OpenMM's checkpoints and States carry them bit for bit."""
+"""Body states as per-atom variables, so that OpenMM's checkpoints and States carry them bit for bit.
+
+A body's position, momentum and angular momentum are the variables of its first atom, and the rows of its attitude those
+of its second.
+"""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import numpy as np
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 
-#: Number of per-atom vectors that hold the numbers of all bodies, 18 for a body of two or more atoms and 6 for a point.
-VARIABLES = 3
-
 
 def pack(bodies: RigidBodies, state: BodyState) -> np.ndarray:
-    """The numbers (q, p, L, A) of all bodies, one after the other.
-
-    Returns:
-        Shape (VARIABLES, N, 3); zero beyond those numbers.
-    """
-    values = np.zeros((VARIABLES, bodies.n_particles, 3))
-    for place, vectors in _places(bodies, state, values):
-        place[:] = vectors
+    """The numbers (q, p, L, A) of all bodies, shape (3, N, 3): three vectors for each atom, zero for other atoms."""
+    values = np.zeros((3, bodies.n_particles, 3))
+    vectors = np.stack([state.q, state.p, state.L]).transpose(0, 2, 1), state.A.transpose(0, 2, 1)
+    for species, part in zip(bodies.species, bodies.parts, strict=True):
+        for atoms, some in zip(species.atoms.T, vectors, strict=False):
+            values[:, atoms] = some[:, part]
     return values
 
 
@@ -29,13 +26,14 @@ def unpack(bodies: RigidBodies, values: np.ndarray) -> BodyState:
 
     Args:
         bodies: the bodies it was packed for.
-        values: shape (VARIABLES, N, 3).
+        values: shape (3, N, 3).
     """
-    q, p, L = np.zeros((3, 3, bodies.n))
-    state = BodyState(q, p, np.repeat(np.eye(3)[:, :, None], bodies.n, axis=2), L)
-    for place, vectors in _places(bodies, state, values):
-        vectors[:] = place
-    return state
+    found = np.zeros((3, 3, bodies.n)), np.repeat(np.eye(3)[:, :, None], bodies.n, axis=2)
+    for species, part in zip(bodies.species, bodies.parts, strict=True):
+        for atoms, vectors in zip(species.atoms.T, found, strict=False):
+            vectors[:, :, part] = values[:, atoms].transpose(0, 2, 1)
+    (q, p, L), A = found
+    return BodyState(q, p, A, L)
 
 
 def sites(bodies: RigidBodies) -> np.ndarray:
@@ -44,16 +42,3 @@ def sites(bodies: RigidBodies) -> np.ndarray:
     for species in bodies.species:
         values[species.atoms] = species.sites.T
     return values
-
-
-def _places(bodies: RigidBodies, state: BodyState, values: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of views of equal shape: where numbers are stored, and the part of the state that they are."""
-    flat, start = values.reshape(-1), 0
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
-        vectors = [state.q[:, part], state.p[:, part]]
-        # A point body's attitude means nothing, and it has no angular momentum.
-        if species.atoms.shape[1] > 1:
-            vectors += [state.L[:, part], state.A[:, :, part]]
-        for some in vectors:
-            yield flat[start : start + some.size].reshape(some.shape), some
-            start += some.size

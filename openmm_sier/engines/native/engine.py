@@ -9,29 +9,25 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.noise import generator
-from openmm_sier.dynamics.schemes import WITHIN_DRIFTS
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import neighbour_list
-from openmm_sier.engines.binding import Binding
 from openmm_sier.engines.interrupts import act_on_pending
-from openmm_sier.engines.native import fast_forces, refusals
-from openmm_sier.engines.native.constraints import SystemConstraints
+from openmm_sier.engines.native import refusals
+from openmm_sier.engines.native.constraints import satisfy
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import WORK, Program, longest_inner_step
-from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import (
-    MomentumConservation,
     Temperatures,
     temperature,
     temperatures,
     thermal_energies,
 )
 from openmm_sier.engines.variables import DRAWS, HEAT
-from openmm_sier.system import checks, tables
+from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.find_bodies import plan_bodies
 from openmm_sier.system.vibrations import Vibrations
@@ -54,8 +50,8 @@ class _Memory(NamedTuple):
     draws: int
 
 
-class NativeEngine(Binding):
-    """Implements `protocol.Engine` with the program of the integrator.
+class NativeEngine(Engine):
+    """An engine that is the program of the integrator.
 
     The Context has the state at any time. An error in mid-step leaves it where it happened, as with OpenMM's
     integrators.
@@ -84,11 +80,12 @@ class NativeEngine(Binding):
             openmm.OpenMMException: the integrator needs what only the exact engine has, or the System has a Force that
                 does not work with divided steps.
         """
-        super().__init__(integrator, context)
+        super().__init__(integrator, context, flow)
         system = context.getSystem()
         self._program = refusals.refuse(flow, bodies, program, system)
-        self._flow = flow
-        self._constraints = SystemConstraints(system)
+        # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
+        refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
+        self._constraints = tables.constraints(system)
         self._points = refusals.points(system)
         self._bodies: RigidBodies | None = None
         self._plan: Any = None
@@ -98,11 +95,8 @@ class NativeEngine(Binding):
         except RigidityError as error:
             self._no_bodies = str(error)
         self._vibrations = Vibrations(system, self._points)
-        self._checked: tuple[Any, ...] = ()
         self._check_step()
-        self._momentum = MomentumConservation.of_system(system, self._points)
         self._masses = tables.masses(system)
-        self._centres: MoleculeCentres | None = None
         self._potential: float | None = None
         self._environment: Any = None
         self._is_guarded = bool(integrator.getGlobalVariableByName(EXACT_ONLY))
@@ -122,6 +116,11 @@ class NativeEngine(Binding):
         if self._bodies is None:
             self._bodies = self._plan.bodies(self.positions() if self._plan.needs_positions else None)
         return self._bodies
+
+    @property
+    def _movers(self) -> RigidBodies:
+        """The massive atoms, each a body of its own."""
+        return self._points
 
     @property
     def clock(self) -> Clock:
@@ -159,17 +158,8 @@ class NativeEngine(Binding):
         if environment != self._environment:
             self._environment, self._potential = environment, None
 
-    def _check_step(self) -> None:
-        flow, groups = self._flow, self._integrator.getIntegrationForceGroups()
-        checked = flow.scheme, flow.step, flow.substeps, flow.fast_groups, groups
-        if checked == self._checked:
-            return
-        fast = flow.fast_groups
-        fast_forces.refuse(self._context.getSystem(), groups_of(fast), groups)
-        self._vibrations.check(flow.scheme, flow.step, groups & ~fast)
-        inner = flow.step * longest_inner_step(flow.scheme, flow.substeps)
-        self._vibrations.check_nested(WITHIN_DRIFTS, inner, flow.step, fast)
-        self._checked = checked
+    def _inner_step(self) -> float:
+        return self._flow.step * longest_inner_step(self._flow.scheme, self._flow.substeps)
 
     def follow(self, steps: int) -> None:
         clock, flow = self.clock, self._flow
@@ -180,8 +170,10 @@ class NativeEngine(Binding):
         if steps and self._is_fresh:
             self._start_anew()
         self._potential = None
+        evaluations = flow.scheme.force_evaluations
         for _ in range(steps):
             clock = self._one_step(clock)
+            self.evaluations += evaluations
             act_on_pending()
 
     def _one_step(self, clock: Clock) -> Clock:
@@ -197,7 +189,6 @@ class NativeEngine(Binding):
             # Even after an error the clock must agree with the positions.
             if self._context.getStepCount() == clock.steps + parts:
                 self.clock = after
-        self.evaluations += self._flow.scheme.force_evaluations
         return after
 
     def publish(self) -> None:
@@ -217,7 +208,7 @@ class NativeEngine(Binding):
     def _start_anew(self) -> None:
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
-        self._constraints.satisfy(self._context, self._integrator.getConstraintTolerance())
+        satisfy(self._constraints, self._context, self._integrator.getConstraintTolerance())
         # Count the force that an earlier step would have left.
         self.evaluations += int(self._flow.scheme.reuses_force)
         self._is_fresh = False
@@ -285,14 +276,6 @@ class NativeEngine(Binding):
         self._integrator.setGlobalVariableByName(HEAT, memory.heat)
         self.clock, self.draws, self._potential = Clock(now.time, now.steps), memory.draws, memory.potential
 
-    @property
-    def mass(self) -> float:
-        return float(self._masses.sum())
-
-    @property
-    def removes_momentum(self) -> bool:
-        return self._momentum.removed
-
     def centre_velocity(self) -> np.ndarray:
         return self._masses @ Snapshot(self._context).velocities / self._masses.sum()
 
@@ -303,36 +286,15 @@ class NativeEngine(Binding):
         self._potential, self._is_fresh = kept
         self.add_heat(self._kinetic_energy(new) - self._kinetic_energy(old))
 
-    def prepare_for_volume_moves(self) -> None:
-        context = self._context
-        checks.refuse_constant_pressure(context.getSystem(), self._points)
-        self._centres = MoleculeCentres(self._points, context.getMolecules())
-
-    @property
-    def molecules(self) -> int:
-        assert self._centres is not None
-        return self._centres.count
-
-    def volume(self) -> float:
-        return self._context.getState().getPeriodicBoxVolume()._value
-
     def scale(self, factor: float) -> None:
-        assert self._centres is not None
         context = self._context
         box = context.getState().getPeriodicBoxVectors(asNumpy=True)._value
         positions = self.positions()
         context.setPeriodicBoxVectors(*(factor * box))
-        for species, centres in zip(self._points.species, self._by_species(positions), strict=True):
-            positions[species.atoms[:, 0]] += (factor - 1) * centres.T
+        atoms = np.concatenate([species.atoms[:, 0] for species in self._points.species])
+        positions[atoms] += (factor - 1) * self._centres(positions[atoms].T).T
         context.setPositions(positions)
         context.computeVirtualSites()
-
-    def _by_species(self, positions: np.ndarray) -> list[np.ndarray]:
-        """Centres of the molecules of all massive atoms, an array for each species of them."""
-        atoms = np.concatenate([species.atoms[:, 0] for species in self._points.species])
-        assert self._centres is not None
-        centres = self._centres(positions[atoms].T)
-        return [centres[:, part] for part in self._points.parts]
 
     # --- what users ask ---
 
@@ -344,9 +306,6 @@ class NativeEngine(Binding):
         q, A = bodies.fit(now.positions)
         p, L = bodies.momenta(now.velocities, A)
         return BodyState(q, p, A, L, self.heat())
-
-    def conserves_momentum(self) -> bool:
-        return self._momentum.holds(self._integrator)
 
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
@@ -13,14 +10,13 @@ from openmm_sier.engines.native.program import (
     CONSTRAIN_V,
     CONSTRAIN_X,
     FRICTION,
-    PART,
     THERMAL,
     UPDATE,
     VECTORS,
     Program,
     Statement,
 )
-from openmm_sier.engines.variables import PREFIX
+from openmm_sier.engines.variables import PART, PREFIX
 
 #: Global variable that is 1 if only the exact engine can do what the integrator was made for.
 EXACT_ONLY = PREFIX + "exact_only"
@@ -71,24 +67,6 @@ def set_variables(integrator: openmm.CustomIntegrator, bath: OrnsteinUhlenbeck |
     for name, value in ((EXACT_ONLY, float(is_guarded)), (PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
         if integrator.getGlobalVariableByName(name) != value:
             integrator.setGlobalVariableByName(name, value)
-
-
-@contextmanager
-def updating_context(integrator: openmm.CustomIntegrator, step: float) -> Iterator[None]:
-    """Make native steps update the Context's state and do nothing else.
-
-    Args:
-        integrator: openmm.CustomIntegrator with a program of `install`.
-        step: the step that Forces such as AndersenThermostat are to see, ps.
-    """
-    native_step = openmm.CustomIntegrator.getStepSize(integrator)
-    try:
-        integrator.setGlobalVariableByName(PART, -1)
-        openmm.CustomIntegrator.setStepSize(integrator, step)
-        yield
-    finally:
-        openmm.CustomIntegrator.setStepSize(integrator, native_step)
-        integrator.setGlobalVariableByName(PART, 0)
 
 
 def _add_guard(integrator: openmm.CustomIntegrator) -> None:

@@ -4,14 +4,14 @@ The program runs where the forces run, and XML carries it to interpreters withou
 `Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
 
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it
-(docs/virtual-sites-report.md). A step of the scheme is therefore divided into several steps of OpenMM, here called
+(docs/reports/virtual-sites.md). A step of the scheme is therefore divided into several steps of OpenMM, here called
 native steps, each of which computes forces at the positions that it starts from and nowhere else. All are h/n long,
 so that OpenMM's clock is right after every n of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,17 +23,15 @@ from openmm_sier.engines.variables import PREFIX
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
 
 #: Per-atom variables of the program. They hold the displacement to be undone, the velocities to return to, a temporary
-#: value, and the heat that the bath, and removers of the
-#: motion of the centre of mass, gave to each degree of freedom.
+#: value, and the heat that the bath, and removers of the motion of the centre of mass, gave to each degree of freedom.
 MOVED, V0, KEPT, WORK = (PREFIX + name for name in ("moved", "v0", "kept", "work"))
 VECTORS = (MOVED, V0, KEPT, WORK)
 
-#: Global variables for the next native step, and for the bath's friction (1/ps) and thermal energy (kJ/mol).
-PART, FRICTION, THERMAL = (PREFIX + name for name in ("part", "friction", "kT"))
+#: Global variables for the bath's friction (1/ps) and thermal energy (kJ/mol).
+FRICTION, THERMAL = (PREFIX + name for name in ("friction", "kT"))
 
 #: OpenMM looks at every path through the if-blocks of a program, of which there are 2^parts.
 MOST_PARTS = 12
-
 
 _YOSHIDA = 1 / (2 - 2 ** (1 / 3))
 _SUZUKI = 1 / (4 - 4 ** (1 / 3))
@@ -44,7 +42,6 @@ COMPOSITIONS = {
     3: (_YOSHIDA, 1 - 2 * _YOSHIDA, _YOSHIDA),
     5: (_SUZUKI, _SUZUKI, 1 - 4 * _SUZUKI, _SUZUKI, _SUZUKI),
 }
-
 
 #: Steps of RATTLE in each drift of an inner step.
 INNER_SUBSTEPS = 3
@@ -189,7 +186,7 @@ def write(
     follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md).
 
     Within a drift virtual sites stay where they are, so fast forces are right only if they act on atoms alone:
-    `native_fast_forces.refuse` checks this.
+    `refusals.refuse_fast_forces` checks this.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
@@ -202,10 +199,9 @@ def write(
             counted as heat.
 
     Raises:
-        ValueError: a scheme has another operator, a group is not a force group, or the scheme needs more than
-            `MOST_PARTS` native steps.
+        ValueError: a scheme has another operator, or needs more than `MOST_PARTS` native steps.
     """
-    fast = _checked_groups(fast_groups)
+    fast = [f"f{group}" for group in sorted(fast_groups)]
     if substeps is None:
         substeps = usual_substeps(scheme, bool(fast))
     slow_force = (("", "f"), *(("-", name) for name in fast))
@@ -214,21 +210,17 @@ def write(
     for stage in scheme.stages:
         if stage.operator == DRIFT:
             equal = (stage.fraction / substeps,) * substeps
-            lines.append(Line(_of(inner), (), equal, "e/h", within) if fast else _drift(stage.fraction, substeps))
+            lines.append(
+                Line(f"inner steps of {inner.name}", (), equal, "e/h", within)
+                if fast
+                else _drift(stage.fraction, substeps)
+            )
         else:
-            lines += _maker(scheme, stage, _OUTER)(stage.times(1.0), "h", slow_force)
+            lines += _writer(scheme, stage)(stage.times(1.0), "h", slow_force)
     parts = _divided(lines)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     return Program(scheme.name, parts)
-
-
-def _checked_groups(groups: Collection[int]) -> list[str]:
-    """OpenMM's names of the forces of some groups."""
-    for group in groups:
-        if not isinstance(group, int) or not 0 <= group < 32:
-            raise ValueError(f"fast force groups must be whole numbers from 0 to 31, got {group!r}")
-    return [f"f{group}" for group in sorted(set(groups))]
 
 
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
@@ -244,10 +236,6 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     return tuple(map(tuple, parts))
 
 
-def _of(inner: Scheme) -> str:
-    return f"inner steps of {inner.name}"
-
-
 def _inner_step(inner: Scheme, fast: Force) -> tuple[Line, ...]:
     """A step of length e of a scheme with the fast forces alone."""
     lines: list[Line] = []
@@ -255,11 +243,13 @@ def _inner_step(inner: Scheme, fast: Force) -> tuple[Line, ...]:
         if stage.operator == DRIFT:
             lines.append(_drift(stage.fraction, INNER_SUBSTEPS, "d/e"))
         else:
-            lines += _maker(inner, stage, _INNER)(stage.times(1.0), "e", fast)
+            lines += _writer(inner, stage)(stage.times(1.0), "e", fast)
     return tuple(lines)
 
 
-def _maker(scheme: Scheme, stage: Stage, known: Mapping[str, Maker]) -> Maker:
+def _writer(scheme: Scheme, stage: Stage) -> Callable[[tuple[float, ...], str, Force], list[Line]]:
+    """Writes an operator, (its times for a step of 1, name of the step, force) -> lines."""
+    known = {KICK: _kick, GRADIENT_KICK: _gradient_kick, BATH: _bath}
     if stage.operator not in known:
         raise ValueError(f"the operator '{stage.operator}' of the scheme {scheme.name} cannot be written out")
     return known[stage.operator]
@@ -337,10 +327,3 @@ def _bath(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
         GAINED,
     )
     return [Line("bath", statements)]
-
-
-#: Writes an operator, (its times for a step of 1, name of the step, force) -> lines.
-Maker = Callable[[tuple[float, ...], str, Force], list[Line]]
-
-_INNER: dict[str, Maker] = {KICK: _kick, GRADIENT_KICK: _gradient_kick}
-_OUTER: dict[str, Maker] = {**_INNER, BATH: _bath}

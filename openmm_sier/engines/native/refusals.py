@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import combinations
 
 import numpy as np
@@ -14,6 +15,7 @@ from openmm_sier.engines.native.program import Program
 from openmm_sier.engines.protocol import Flow
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
 
 
 def refuse(flow: Flow, bodies: Bodies, program: Program | str, system: openmm.System) -> Program:
@@ -62,7 +64,7 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
     if given is None:
         return None
     rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given
-    held, masses = tables.constraints(system).pair_set(), tables.masses(system)
+    held, masses = tables.constraints(system).by_pair(), tables.masses(system)
     for row in rows:
         massive = sorted(int(i) for i in row if 0 <= i < len(masses) and masses[i] > 0)
         for pair in combinations(massive, 2):
@@ -72,6 +74,40 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
                     "`bodies`: constrain every two atoms of it"
                 )
     return None
+
+
+def refuse_fast_forces(system: openmm.System, groups: Collection[int], integration_groups: int) -> None:
+    """Refuse fast forces that a native program cannot have in its drifts.
+
+    Within a native step atoms move and virtual sites do not. So a fast force must not act on virtual sites; in a System
+    without them any force can be fast.
+
+    Args:
+        system: openmm.System.
+        groups: the fast force groups.
+        integration_groups: bit mask of the groups that move the atoms, as from `getIntegrationForceGroups`.
+
+    Raises:
+        openmm.OpenMMException: a fast group is not among `integration_groups`, or a Force in it may act on a virtual
+            site.
+    """
+    if idle := [group for group in sorted(groups) if not integration_groups >> group & 1]:
+        raise openmm.OpenMMException(f"The fast force group {idle[0]} is not among the integration force groups")
+    sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)] if groups else []
+    for force in system.getForces() if sites else []:
+        if force.getForceGroup() not in groups or isinstance(force, WITHOUT_FORCES):
+            continue
+        acts = "may act on virtual sites"
+        if bonded_kind(force) is not None:
+            found = np.intersect1d(bonded_terms(force), sites)
+            if not found.size:
+                continue
+            acts = f"acts on atom {found[0]}, a virtual site"
+        raise openmm.OpenMMException(
+            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
+            f"{acts}; virtual sites stay behind within a step of the native engine. Put it into another group with "
+            "setForceGroup, or take engine='exact'"
+        )
 
 
 def points(system: openmm.System) -> RigidBodies:

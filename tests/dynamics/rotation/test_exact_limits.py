@@ -8,17 +8,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from openmm_sier.dynamics import rotation
-from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
-from openmm_sier.dynamics.rotation.elliptic import (
+from openmm_sier.dynamics.backend.elliptic import (
     LONGEST,
-    SERIES_LIMIT,
     SHORT,
-    SHORT_SERIES_LIMIT,
     SHORT_TIMES,
     SHORT_WEIGHTS,
     TIMES,
     WEIGHTS,
 )
+from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
 from tests.support import oracles
 from tests.support.families import FAMILIES, asymmetric, linear, point, sample, spherical
 from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
@@ -90,12 +88,6 @@ def test_quadrature_truncates_below_rounding(rng, limit, times, weights):
     assert error.max() < max(1e-17, 8 * np.finfo(np.longdouble).eps)
 
 
-def test_quadrature_limits_follow_from_the_series():
-    """The series is used over half a step at most."""
-    assert SHORT / 4 <= SHORT_SERIES_LIMIT
-    assert LONGEST / 4 <= SERIES_LIMIT
-
-
 def test_sine_and_cosine_of_small_angles():
     """The claim at `formulas.SMALL_ANGLE`, in extended precision, where the first term left out is 1.2e-17."""
     x = np.linspace(-SMALL_ANGLE, SMALL_ANGLE, 1001).astype(np.longdouble)
@@ -155,9 +147,3 @@ def test_the_largest_and_smallest_numbers(rng, size, h):
     new, _ = rotation.exact(A, L, moments, h)
     assert np.isfinite(new).all()
     assert orthogonality_error(new) < ORTHOGONAL
-
-
-def test_no_time_and_no_momentum_change_nothing(rng):
-    A = random_attitudes(rng, 10)
-    for L, h in ((rng.normal(size=(3, 10)), 0.0), (np.zeros((3, 10)), 5.0)):
-        assert np.abs(rotation.exact(A, L, (0.6, 1.1, 1.7), h)[0] - A).max() < 1e-15

@@ -1,0 +1,193 @@
+"""The beginning of a simulation: the System of a PDB file, its integrator, and a Context with a start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import openmm
+
+from openmm_sier.cli import runaway
+from openmm_sier.cli.console import REPORT, note
+from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.info import rigid_bodies
+from openmm_sier.cli.plan import Options, Plan, RunError, noted_plan
+from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
+from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.integrators.hmc import SIERHMCIntegrator
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.integrators.langevin import SIERLangevinIntegrator
+from openmm_sier.measure.forcefields import Box, describe, first_line, read_box
+from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
+from openmm_sier.observe import stock
+from openmm_sier.prepare.preparation import prepare_system
+from openmm_sier_command.options import RECOMMENDED, USUAL_STEPS
+
+
+def check_platform(name: str | None) -> None:
+    """Refuse a platform that OpenMM does not have.
+
+    Raises:
+        RunError: with those that it has.
+    """
+    known = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
+    if name is not None and name not in known:
+        raise RunError(f"there is no registered Platform {name}, expected one of {', '.join(known)}")
+
+
+def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | None]:
+    """The state from which a new run starts, and the plan of the run that reached it; None without a checkpoint.
+
+    Raises:
+        RecordError, OptionError, RunError, OSError: as their messages say.
+    """
+    if checkpoint is None:
+        return None, None
+    state, notes = checkpoints.read_checkpoint(checkpoint, files=False)
+    return state, noted_plan(checkpoint, notes["plan"])
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What is simulated, with the System prepared for long steps.
+
+    Attributes:
+        options: of the command.
+        plan: of the run.
+        box: with the System.
+        bodies: its rigid bodies.
+        fast: force groups that are fast.
+    """
+
+    options: Options
+    plan: Plan
+    box: Box
+    bodies: RigidBodies
+    fast: frozenset[int]
+
+    @classmethod
+    def read(cls, options: Options, plan: Plan) -> Simulated:
+        """Read the PDB file, and prepare its System.
+
+        Raises:
+            RunError: the plan needs a periodic box, which the file does not have.
+            ForceFieldError, RigidityError, OSError: as their messages say.
+        """
+        box = read_box(options.box, plan.forcefield, plan.constraints, plan.interactions)
+        note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
+        bodies = rigid_bodies(box, plan.rigid)
+        fast = prepare_system(box.system, bodies).fastForceGroups
+        if not box.system.usesPeriodicBoundaryConditions():
+            if plan.moves_volume:
+                raise RunError("constant pressure needs a periodic box, which the PDB file does not have")
+            if plan.pressure_tensor:
+                raise RunError("--pressure-tensor needs a periodic box, which the PDB file does not have")
+        return cls(options, plan, box, bodies, fast)
+
+    def context(self, step: int = 0) -> openmm.Context:
+        """The Context of the run when it begins or goes on at a step, without positions.
+
+        Raises:
+            RunError: checkpoints are too frequent for OpenMM's barostat.
+        """
+        plan = self.plan
+        if plan.method.scheme is not None:
+            return make_context(self.box.system, self.integrator(plan), self.options.platform)
+        if plan.moves_volume and plan.interval(plan.checkpoint_every) < stock.BAROSTAT_INTERVAL:
+            raise RunError(
+                f"--checkpoint-every {plan.checkpoint_every:g} is too short: OpenMM's barostat counts its "
+                f"{stock.BAROSTAT_INTERVAL} steps anew after each checkpoint"
+            )
+        bath = plan.temperature if plan.ensemble != "nve" else None
+        around = stock.Surroundings(bath, plan.friction, plan.pressure if plan.moves_volume else None)
+        integrator = stock.make_stock(plan.scheme, plan.dt / 1000, around)
+        system = stock.surrounded(self.box.system, plan.scheme, around)
+        stock.seed_noise(system, integrator, plan.seed, step)
+        context = make_context(system, integrator, self.options.platform)
+        integrator.attend(context, self.bodies)
+        return context
+
+    def begin(self, state: openmm.State | None = None, origin: Plan | None = None) -> openmm.Context:
+        """The Context of a new run, with positions and velocities.
+
+        All methods begin alike: OpenMM's own integrators go on from a start that one of this package has made.
+
+        Args:
+            state, origin: of the checkpoint that the run starts from, and the plan of its run.
+
+        Raises:
+            RunError: the checkpoint that it starts from belongs to another system.
+            Runaway: the equilibration broke down.
+        """
+        plan, options = self.plan, self.options
+        stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED, dt=USUAL_STEPS[RECOMMENDED])
+        begun = make_context(self.box.system, self.integrator(stand_in), options.platform)
+        positions, minimize = self.box.positions, options.minimize
+        if state is not None:
+            self._start_from(begun, state, origin)
+            positions, minimize = state.getPositions(), bool(minimize)
+        if options.equilibrates:
+            self._equilibrate(begun, positions, minimize)
+        elif plan.ensemble == "nve":
+            stop_centre_of_mass(begun)
+        if plan.method.scheme:
+            return begun
+        note(f"bath and barostat of {plan.method.name}: {plan.method.surroundings(plan.ensemble) or 'none'}")
+        context = self.context()
+        context.setState(begun.getState(positions=True, velocities=True))
+        if plan.method.leapfrog:
+            stock.shift_velocities(context, -plan.dt / 2000)
+        return context
+
+    def check_particles(self, state: openmm.State, checkpoint: Path | None) -> None:
+        """Refuse the state of a checkpoint with another number of particles.
+
+        Raises:
+            RunError: with both numbers.
+        """
+        there, here = len(state.getPositions()), self.box.system.getNumParticles()
+        if there != here:
+            raise RunError(f"{checkpoint} has {there} particles, {self.options.box} with its force field {here}")
+
+    def integrator(self, plan: Plan) -> SIERIntegrator:
+        """An integrator of this package for a plan, with SIER4G where the plan has a method of OpenMM."""
+        step, scheme = plan.dt / 1000, plan.method.scheme or SIER4G
+        # The exact engine, which runs on GPUs too, has what the native one lacks: bodies that no constraints hold.
+        engine = "exact" if plan.rigid else "auto"
+        shared: dict[str, Any] = {"bodies": self.bodies, "engine": engine, "fastForceGroups": self.fast}
+        if plan.ensemble == "nve":
+            return SIERIntegrator(step, scheme, **shared)
+        shared["pressure"] = plan.pressure if plan.moves_volume else None
+        made: SIERHMCIntegrator | SIERLangevinIntegrator
+        if plan.ensemble == "hmc":
+            friction = plan.friction or None
+            made = SIERHMCIntegrator(plan.temperature, step, scheme, plan.steps_per_trial, friction, **shared)
+        else:
+            made = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, **shared)
+        made.setRandomNumberSeed(plan.seed)
+        return made
+
+    def _start_from(self, context: openmm.Context, state: openmm.State, origin: Plan | None) -> None:
+        """Take positions, velocities and box of a checkpoint."""
+        start = self.options.start
+        self.check_particles(state, start)
+        context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+        context.setPositions(state.getPositions())
+        context.setVelocities(state.getVelocities())
+        try:
+            context.getIntegrator().getBodyState()
+        except RigidityError as error:
+            raise RunError(f"{start} does not fit {self.options.box}: {first_line(error)}") from error
+        if origin is not None and origin.method.leapfrog:
+            stock.shift_velocities(context, origin.dt / 2000)
+        note(f"starts from the positions, velocities and box of {start}")
+
+    def _equilibrate(self, context: openmm.Context, positions: Any, minimize: bool | None) -> None:
+        plan = self.plan
+        try:
+            prepare(context, positions, plan.temperature, plan.seed, self.options.equilibrate, minimize, REPORT)
+        except openmm.OpenMMException as error:
+            if not runaway.is_runaway(error):
+                raise
+            raise runaway.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error

@@ -1,0 +1,65 @@
+"""The command `openmm-sier tune`: step and trial length of hybrid Monte Carlo for a PDB file."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Any
+
+from openmm_sier.cli.beginning import Simulated, check_platform, read_start
+from openmm_sier.cli.console import note, table
+from openmm_sier.cli.plan import Options, Plan, new_plan
+from openmm_sier.cli.streams import PROGRAM
+from openmm_sier.integrators.tuning import Tuning, tune
+from openmm_sier_command.options import OF_TUNING, OPTIONS
+
+
+def run(acceptance: float, trials: int, samples: int, **given: Any) -> None:
+    """Run `openmm-sier tune`.
+
+    Args:
+        acceptance, trials, samples: see `openmm_sier.integrators.tuning.tune`.
+        given: options of a run by name, as for `Options`.
+
+    Raises:
+        RunError: options contradict each other.
+        Runaway: the equilibration broke down.
+        ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
+    """
+    options = Options(ensemble="hmc", **given)
+    check_platform(options.platform)
+    state, origin = read_start(options.start)
+    plan = new_plan(options, origin)
+    context = Simulated.read(options, plan).begin(state, origin)
+    note(f"{plan.title} on the {context.getPlatform().getName()} platform: tunes step and length of trials")
+    # Each of the four lengths has as many steps in all.
+    note(f"this takes some {4 * samples + 4 * trials} trials of {plan.step_time:g} ps")
+    found = tune(context, acceptance, trials, samples)
+    note(str(found))
+    table(f"{plan.title.rpartition(',')[0]}, tuned", ("", ""), _rows(plan, found))
+    note(f"These trials are no samples. A run with this step and length:\n{run_line(options, found)}")
+
+
+def _rows(plan: Plan, found: Tuning) -> list[tuple[str, str]]:
+    chosen = next(each for each in found.lengths if each.steps == found.stepsPerTrial)
+    (needed, error), (cost, uncertain) = chosen.inefficiency, chosen.cost
+    return [
+        ("scheme", plan.method.name),
+        ("step", f"{1000 * found.stepSize:.4g} fs"),
+        ("steps in a trial", str(found.stepsPerTrial)),
+        ("acceptance", f"{100 * chosen.acceptance:.1f} %"),
+        ("force evaluations per trial", f"{chosen.forces:.1f}"),
+        ("force evaluations per accepted trial", f"{chosen.forces / chosen.acceptance:.1f}"),
+        ("trials for an independent potential energy", f"{needed:.1f} ± {error:.1f}"),
+        ("force evaluations for one", f"{cost:.0f} ± {uncertain:.0f}"),
+        ("force evaluations of the tuning", str(found.forceEvaluations)),
+    ]
+
+
+def run_line(options: Options, found: Tuning) -> str:
+    """The command line of a run with the step and trial length that were found, and all other options as given."""
+    chosen = {"dt": float(f"{1000 * found.stepSize:.4g}"), "steps_per_trial": found.stepsPerTrial}
+    given = {name: value for name in OF_TUNING if name != "box" and (value := getattr(options, name)) is not None}
+    words = [PROGRAM, "run", str(options.box), "--ensemble", "hmc"]
+    for name, value in (given | chosen).items():
+        words += OPTIONS[name].words(value)
+    return shlex.join(words)

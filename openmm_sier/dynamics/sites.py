@@ -1,0 +1,75 @@
+"""Which atoms make up bodies, where in the bodies they are, and sums over them.
+
+Bodies have centres q, momenta p and angular momenta L, (3, n), and attitudes A, (3, 3, n). With small sets of bodies
+the number of calls determines the cost, so that sites are handled one by one, and all bodies at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from openmm_sier.dynamics.backend.formulas import combine, cross
+
+
+@dataclass(frozen=True, eq=False)
+class Sites:
+    """The atoms of bodies that share one geometry.
+
+    Attributes:
+        part: which of all bodies they are.
+        atoms: particle indices, (m, k): m bodies of k atoms.
+        places: atom positions in the principal frame, (3, k), nm.
+    """
+
+    part: slice
+    atoms: np.ndarray
+    places: np.ndarray
+
+    @cached_property
+    def _columns(self) -> list[slice | np.ndarray]:
+        """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
+        return [_as_slice(column) for column in self.atoms.T]
+
+    def _arms(self, A: np.ndarray) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
+        """For each site what picks its atoms, and their places relative to the centres, (3, m)."""
+        x, y, z = A[:, :, self.part]
+        for column, place in zip(self._columns, self.places.T, strict=True):
+            yield column, combine(place, x, y, z)
+
+    def place(self, q: np.ndarray, A: np.ndarray, positions: np.ndarray) -> None:
+        """Write the positions (N, 3) of the atoms."""
+        for column, arm in self._arms(A):
+            positions[column] = (q[:, self.part] + arm).T
+
+    def move(self, v: np.ndarray, A: np.ndarray, omega: np.ndarray, velocities: np.ndarray) -> None:
+        """Write the velocities (N, 3) of the atoms of bodies with velocities and angular velocities, (3, n)."""
+        for column, arm in self._arms(A):
+            velocities[column] = (v[:, self.part] + cross(omega[:, self.part], arm)).T
+
+    def collect(
+        self, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray, total: np.ndarray, moment: np.ndarray
+    ) -> None:
+        """Write sums (3, n) over the atoms of weighted vectors (N, 3), and sums of their moments.
+
+        The weights are those of the sites, (k,).
+        """
+        sums, moments = np.zeros((2, 3, len(self.atoms)))
+        for weight, (column, arm) in zip(weights, self._arms(A), strict=True):
+            weighted = np.ascontiguousarray(vectors[column].T)
+            weighted *= weight
+            sums += weighted
+            moments += cross(arm, weighted)
+        total[:, self.part], moment[:, self.part] = sums, moments
+
+
+def _as_slice(indices: np.ndarray) -> slice | np.ndarray:
+    if indices.size == 1:
+        return slice(int(indices[0]), int(indices[0]) + 1)
+    step = int(indices[1] - indices[0]) if indices.size else 0
+    if step > 0 and np.all(np.diff(indices) == step):
+        return slice(int(indices[0]), int(indices[-1]) + 1, step)
+    return indices

@@ -1,0 +1,307 @@
+"""The bias of long steps that hybrid Monte Carlo removes: N-methylacetamide, flexible, mixed with water.
+
+    python -m studies.hmc.mixture --method hmc --step 2 --time 60 --out mixture
+    python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 1 --out mixture
+    python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 3 --out mixture
+    python -m studies.hmc.mixture --table mixture/*.json      the others are compared with the first
+
+Bonds to hydrogen are constrained; 1 bar; steps are in fs for each force evaluation. A hydrogen mass of 1 leaves masses
+as they are. Kinetic energies are tested with `openmm_sier.measure.validation`. Configurational temperatures are
+kT = <|F|^2/M> / <-div F/M>, of water's translation and rotation and of the groups of atoms that constraints hold
+together in the other molecules, the divergence from forces at places displaced at random. The last column is the
+probability by a Kolmogorov-Smirnov test that independent potential energies of two methods are from one distribution.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import openmm
+import pandas as pd
+from openmm import app, unit
+from scipy.stats import ks_2samp
+
+from openmm_sier import SIER4G, RigidBodies, SIERHMCIntegrator, prepare_system
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.engines.temperature import temperatures
+from openmm_sier.measure import validation
+from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.starts import make_context
+from openmm_sier.measure.statistics import jackknife, mean_and_error
+from openmm_sier.observe.conservation import density
+from studies import records
+from studies.command import Settings, execute
+from studies.hmc.curvature import KINDS, Curvature
+from studies.records import Record
+from studies.sampling import body_state
+from systems import peptide
+
+#: nm: the edge of the box that is filled with water, and the cut-off.
+EDGE, CUTOFF = 2.0, 0.7
+
+#: Amides along each edge, at most.
+LATTICE = (2, 2, 3)
+
+#: ps between two samples, and between two records of a run that goes on.
+EVERY, SAVED = 0.06, 4.0
+
+COLUMNS = {
+    "run": "{label}",
+    "ps": "{time:.0f}",
+    "accepted": "{accepted:.3f}",
+    "V, kJ/mol": "{potential_text}",
+    "g/cm³": "{density_text}",
+    "T_trans, K": "{translation_text}",
+    "T_rot": "{rotation_text}",
+    "T_amide": "{flexible_text}",
+    "configurational: T_trans": "{conf_translation_text}",
+    "T_rot ": "{conf_rotation_text}",
+    "T_amide ": "{conf_flexible_text}",
+    "V: p": "{probability:.2g}",
+}
+
+
+@dataclass(frozen=True)
+class MixtureSettings(Settings):
+    """What is run or read.
+
+    Attributes:
+        table: records of runs to be read, in place of a run.
+        method: of the run.
+        step: fs for each force evaluation.
+        hydrogen_mass: of hydrogens outside water, dalton.
+        friction: of LangevinMiddle, 1/ps.
+        temperature: K.
+        time: of the run, ps.
+        settling: ps before it, after the equilibration at 2 fs, whose end `--out` keeps.
+        platform: of OpenMM; None takes the fastest.
+    """
+
+    table: tuple[Path, ...] = ()
+    method: Literal["hmc", "langevin"] = "hmc"
+    step: float = 2.0
+    hydrogen_mass: float = 1.0
+    friction: float = 20.0
+    temperature: float = 298.15
+    time: float = 60.0
+    settling: float = 5.0
+    platform: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"{self.method}-{self.step:g}-{self.hydrogen_mass:g}-{self.seed}"
+
+    @property
+    def label(self) -> str:
+        """The run in a few words."""
+        method = "HMC, SIER4G" if self.method == "hmc" else "LangevinMiddle"
+        return f"{method}, {self.step:g} fs, hydrogens of {self.hydrogen_mass:g}"
+
+
+def study(settings: MixtureSettings, report: Report = SILENT) -> None:
+    """Make a run, or tables of runs, which are written to mixture.json."""
+    if not settings.table:
+        run(settings, report)
+        return
+    runs: dict[str, list[Record]] = {}
+    for path in settings.table:
+        record = records.read(path)
+        runs.setdefault(record.notes["label"], []).append(record)
+    rows = table(runs)
+    names = [name.removesuffix("_error") for name in rows if name.endswith("_error")]
+    report.table(records.table("A mixture at 1 bar", records.with_text(rows, *names), COLUMNS))
+    tests = verdicts(runs)
+    report.table(records.table("Tests of kinetic energies", tests, VERDICTS, left=2))
+    Record(settings.recorded(), {"rows": rows, "tests": tests}, {}).write(settings.out / "mixture.json")
+
+
+# --- runs ---
+
+
+def built() -> app.Modeller:
+    """Amides on a lattice, with water between them."""
+    one = peptide.dry((), *peptide.TORSIONS)
+    sites = np.array(one.positions.value_in_unit(unit.nanometer))
+    sites -= sites.mean(axis=0)
+    modeller = app.Modeller(app.Topology(), [] * unit.nanometer)
+    for place in np.ndindex(*LATTICE):
+        centre = EDGE * (np.array(place) + 0.5) / LATTICE
+        modeller.add(one.topology, (sites + centre) * unit.nanometer)
+    modeller.addSolvent(app.ForceField(*peptide.FORCE_FIELD), boxSize=openmm.Vec3(EDGE, EDGE, EDGE) * unit.nanometer)
+    return modeller
+
+
+def system_of(topology: app.Topology, hydrogen_mass: float) -> openmm.System:
+    """The prepared System."""
+    system = app.ForceField(*peptide.FORCE_FIELD).createSystem(
+        topology,
+        nonbondedMethod=app.PME,
+        nonbondedCutoff=CUTOFF,
+        switchDistance=CUTOFF - 0.15,
+        ewaldErrorTolerance=1e-4,
+        constraints=app.HBonds,
+        hydrogenMass=None if hydrogen_mass < 1.5 else hydrogen_mass,
+        removeCMMotion=False,
+    )
+    prepare_system(system)
+    return system
+
+
+def start(settings: MixtureSettings) -> app.PDBFile:
+    """The start of all runs: a minimum, 4 ps of LangevinMiddle at 2 fs and 2 kbar, and 16 ps at 1 bar."""
+    kept = settings.out / "mixture.pdb"
+    if not kept.exists():
+        modeller = built()
+        system = system_of(modeller.topology, 1.0)
+        system.addForce(openmm.MonteCarloBarostat(2000 * unit.bar, settings.temperature * unit.kelvin, 10))
+        integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
+        integrator.setRandomNumberSeed(settings.seed)
+        context = make_context(system, integrator, settings.platform)
+        context.setPositions(modeller.positions)
+        openmm.LocalEnergyMinimizer.minimize(context, 10, 200)
+        context.setVelocitiesToTemperature(settings.temperature, settings.seed)
+        integrator.step(2000)
+        context.setParameter(openmm.MonteCarloBarostat.Pressure(), 1.0)
+        integrator.step(8000)
+        state = context.getState(positions=True)
+        modeller.topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
+        peptide.write(kept, modeller.topology, state.getPositions())
+    return app.PDBFile(str(kept))
+
+
+def integrator_of(settings: MixtureSettings, system: openmm.System) -> tuple[openmm.Integrator, int]:
+    """An integrator at 1 bar, and its number of steps from one sample to the next."""
+    step = 1e-3 * settings.step
+    if settings.method == "langevin":
+        every = round(EVERY / step)
+        system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, settings.temperature * unit.kelvin, every))
+        return openmm.LangevinMiddleIntegrator(settings.temperature, settings.friction, step), every
+    step *= SIER4G.force_evaluations
+    return SIERHMCIntegrator(settings.temperature, step, SIER4G, round(EVERY / step), pressure=1), 1
+
+
+def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
+    """One run, in a file of its own, which is written as it goes on."""
+    pdb = start(settings)
+    system = system_of(pdb.topology, settings.hydrogen_mass)
+    bodies = RigidBodies.from_system(system, pdb.topology)
+    integrator, every = integrator_of(settings, system)
+    integrator.setRandomNumberSeed(settings.seed)
+    context = make_context(system, integrator, settings.platform)
+    context.setPositions(pdb.positions)
+    context.applyConstraints(1e-6)
+    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
+    curvature = Curvature(system, bodies, settings.seed, settings.platform)
+    integrator.step(round(settings.settling / EVERY) * every)
+    is_hmc = isinstance(integrator, SIERHMCIntegrator)
+    if is_hmc:
+        integrator.resetStatistics()
+    rows, count = [], round(settings.time / EVERY)
+    with report.progress(settings.label, count) as show:
+        for done in range(1, count + 1):
+            integrator.step(every)
+            state = context.getState(positions=True, energy=True)
+            found = temperatures(bodies, body_state(context, bodies), False)
+            row = {"potential": state.getPotentialEnergy()._value, "kinetic": state.getKineticEnergy()._value}
+            row |= {"volume": state.getPeriodicBoxVolume()._value, **found._asdict()}
+            rows.append(row | curvature(state))
+            if done % round(SAVED / EVERY) == 0 or done == count:
+                notes = {
+                    "label": settings.label,
+                    "mass": float(bodies.masses.sum()),
+                    "atoms": system.getNumParticles(),
+                    "waters": sum(residue.name == "HOH" for residue in pdb.topology.residues()),
+                    "accepted": integrator.acceptanceRate if is_hmc else None,
+                }
+                record = Record(settings.recorded(), {"samples": pd.DataFrame(rows)}, notes)
+                record.write(settings.out / f"{settings.name}.json")
+                show(done)
+    return record
+
+
+# --- tables ---
+
+
+def table(runs: dict[str, list[Record]]) -> pd.DataFrame:
+    """A row for each kind of run; runs that differ in their seeds alone are pooled."""
+    rows, compared = [], None
+    for label, several in runs.items():
+        accepted = [record.notes["accepted"] for record in several]
+        row: dict[str, Any] = {"label": label, "accepted": math.nan if None in accepted else np.mean(accepted)}
+        tables = [record.tables["samples"] for record in several]
+        row["time"] = EVERY * sum(map(len, tables))
+        densities = [density(record.notes["mass"], record.tables["samples"]["volume"].to_numpy()) for record in several]
+        series = {name: [samples[name].to_numpy() for samples in tables] for name in ("potential", *TEMPERATURES)}
+        for name, found in {**series, "density": densities}.items():
+            row[name], row[f"{name}_error"] = _pooled([mean_and_error(values)[:2] for values in found])
+        for kind in KINDS:
+            found = [configurational(samples, kind) for samples in tables]
+            row[f"conf_{kind}"], row[f"conf_{kind}_error"] = _pooled(found)
+        independent = np.concatenate([validation.independent(values)[0] for values in series["potential"]])
+        compared = independent if compared is None else compared
+        row["probability"] = math.nan if compared is independent else ks_2samp(independent, compared).pvalue
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+TEMPERATURES = ("translation", "rotation", "flexible")
+
+
+def configurational(samples: pd.DataFrame, kind: str) -> tuple[float, float]:
+    """A configurational temperature in K and its standard error, a ratio of two means."""
+    squares, divergences = samples[f"{kind}_square"].to_numpy(), samples[f"{kind}_divergence"].to_numpy()
+    found = jackknife(lambda kept: squares[kept].mean() / divergences[kept].mean(), len(squares), groups=20)
+    return found.value / GAS_CONSTANT, found.error / GAS_CONSTANT
+
+
+def _pooled(estimates: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """The mean over runs of equal length."""
+    values, errors = np.array(estimates).T
+    return float(values.mean()), float(np.linalg.norm(errors) / len(values))
+
+
+VERDICTS = {
+    "run": "{label}",
+    "check": "{check}",
+    "samples": "{samples}",
+    "found": "{detail}",
+    "standard errors": "{distance:.1f}",
+    "p": "{probability:.2g}",
+}
+
+
+def verdicts(runs: dict[str, list[Record]]) -> pd.DataFrame:
+    """What `openmm-sier validate` says of kinetic energies."""
+    rows = []
+    for label, several in runs.items():
+        logs = []
+        for record in several:
+            samples = record.tables["samples"]
+            log = {"Potential Energy (kJ/mole)": samples["potential"], "Kinetic Energy (kJ/mole)": samples["kinetic"]}
+            log |= {"Box Volume (nm^3)": samples["volume"]}
+            log |= {validation.GROUPS[name]: samples[column] for name, column in _groups()}
+            logs.append({name: values.to_numpy() for name, values in log.items()})
+        sample = validation.sampled(logs, several[0].settings["temperature"], 1.0)
+        for verdict in validation.kinetic_verdicts(sample):
+            probability = math.erfc(verdict.distance / math.sqrt(2))
+            rows.append({"label": label, **verdict._asdict(), "probability": probability})
+    return pd.DataFrame(rows)
+
+
+def _groups() -> zip:
+    return zip(validation.GROUPS, TEMPERATURES, strict=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(MixtureSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,222 @@
+"""Models of which hybrid Monte Carlo's averages are known, an engine that moves them, and chains of trials."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from openmm_sier.dynamics import operators
+from openmm_sier.dynamics.barostat import MoleculeCentres, MonteCarloVolumeMove
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.species import Species
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
+from openmm_sier.engines.variables import SEED
+from openmm_sier.ensembles.metropolis import ACCEPTED, ERROR, TRIALS, Metropolis
+
+TEMPERATURE = 300.0
+KT = GAS_CONSTANT * TEMPERATURE
+
+
+class Wells:
+    """Points in harmonic wells of several frequencies: V = sum of k q^2/2."""
+
+    def __init__(self, n: int = 6, farthest: float = math.inf) -> None:
+        self.springs = 1000.0 * np.arange(1, n + 1)
+        self.bodies = RigidBodies([Species(np.arange(n)[:, None], np.ones(1), np.zeros((3, 1)), np.zeros(3))], n)
+        self.farthest = farthest
+
+    def forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not (self.energies(q) <= self.farthest).all():
+            raise NotFiniteError(np.where(self.energies(q) <= self.farthest, q, np.nan))
+        return -self.springs * q, np.zeros_like(q)
+
+    def energies(self, q: np.ndarray) -> np.ndarray:
+        """k q^2/kT of each coordinate, whose square root has a normal distribution of unit variance."""
+        return self.springs * q**2 / KT
+
+    def potential(self, state: BodyState) -> float:
+        return 0.5 * KT * float(self.energies(state.q).sum())
+
+    def start(self) -> BodyState:
+        n = self.bodies.n
+        zero = np.zeros((3, n))
+        return BodyState(zero, zero.copy(), np.repeat(np.eye(3)[:, :, None], n, axis=2), zero.copy())
+
+    def observed(self, state: BodyState) -> np.ndarray:
+        return self.energies(state.q)
+
+
+class Dipoles(Wells):
+    """Asymmetric bodies with a dipole along an axis that is none of their own, in a field along z."""
+
+    FIELD = 10.0  # In kT for each dipole.
+
+    def __init__(self, n: int = 6) -> None:
+        masses = np.array([16.0, 1.0, 2.0])
+        sites = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [-0.02, 0.09, 0.0]])
+        self.bodies = RigidBodies([Species.from_coordinates(np.arange(3 * n).reshape(n, 3), masses, sites)], 3 * n)
+        self.axis = np.array([0.6, 0.0, 0.8])
+
+    def start(self) -> BodyState:
+        along_the_field = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
+        return replace(super().start(), A=np.repeat(along_the_field[:, :, None], self.bodies.n, axis=2))
+
+    def directions(self, A: np.ndarray) -> np.ndarray:
+        return np.einsum("k,kxn->xn", self.axis, A)
+
+    def forces(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y, _ = self.directions(A)
+        return np.zeros_like(q), self.FIELD * KT * np.stack([y, -x, np.zeros_like(x)])
+
+    def potential(self, state: BodyState) -> float:
+        return -self.FIELD * KT * float(self.directions(state.A)[2].sum())
+
+    def observed(self, state: BodyState) -> np.ndarray:
+        return self.directions(state.A)[2]
+
+
+class ModelEngine:
+    """An engine without OpenMM: what ensembles need, for a model in a cubic box."""
+
+    def __init__(
+        self,
+        model: Wells,
+        rotation: operators.Rotation = exact,
+        removes_momentum: bool = False,
+        volume: float = 1.0,
+        molecules: list | None = None,
+    ) -> None:
+        self.model, self.bodies = model, model.bodies
+        self.removes_momentum, self.mass = removes_momentum, float(model.bodies.masses.sum())
+        self.reached, self.clock, self._volume = model.start(), Clock(0.0, 0), volume
+        forces = operators.CachedForces(model.forces)
+        self._operators = operators.body_operators(model.bodies, forces, rotation)
+        atoms = [[i] for i in range(model.bodies.n_particles)]
+        self._centres = MoleculeCentres(model.bodies, molecules or atoms)
+        self.molecules = self._centres.count
+
+    @property
+    def draws(self) -> int:
+        return self.reached.draws
+
+    @draws.setter
+    def draws(self, number: int) -> None:
+        self.reached = replace(self.reached, draws=number)
+
+    def begin(self, flow: Flow) -> None:
+        self._flow = flow
+
+    def follow(self, steps: int) -> None:
+        step = operators.stepper(self._flow.scheme, self._operators, self._flow.step)
+        try:
+            for _ in range(steps):
+                self.reached = step(self.reached)
+                self.clock = Clock(self.clock.time + self._flow.step, self.clock.steps + 1)
+        except NotFiniteError as error:
+            raise TrajectoryError(str(error)) from error
+
+    def potential_energy(self) -> float:
+        return self.model.potential(self.reached)
+
+    def kinetic_energy(self) -> float:
+        return sum(self.bodies.kinetic_energies(self.reached))
+
+    def positions(self) -> np.ndarray:
+        return self.bodies.place(self.reached.q, self.reached.A, np.zeros((self.bodies.n_particles, 3)))
+
+    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+        self.reached = bath.operator(self.bodies)(self.reached, time)
+
+    def remember(self) -> tuple:
+        return self.reached, self.clock, self._volume
+
+    def go_back(self, memory: tuple, reverse: bool = False) -> None:
+        state, self.clock, self._volume = memory
+        self.reached = replace(state, p=-state.p, L=-state.L) if reverse else state
+
+    def centre_velocity(self) -> np.ndarray:
+        return self.reached.p.sum(axis=1) / self.mass
+
+    def shift_velocities(self, velocity: np.ndarray) -> None:
+        before = self.kinetic_energy()
+        self.reached = replace(self.reached, p=self.reached.p + self.bodies.masses * velocity[:, None])
+        self.add_heat(self.kinetic_energy() - before)
+
+    def volume(self) -> float:
+        return self._volume
+
+    def scale(self, factor: float) -> None:
+        self._volume *= factor**3
+        q = self.reached.q
+        self.reached = replace(self.reached, q=q + (factor - 1) * self._centres(q))
+
+    def heat(self) -> float:
+        return self.reached.heat
+
+    def add_heat(self, energy: float) -> None:
+        self.reached = replace(self.reached, heat=self.reached.heat + energy)
+
+
+class Sample(NamedTuple):
+    """The end of a trial, with what was counted so far."""
+
+    state: BodyState
+    trials: int
+    accepted: int
+    error: float
+    volume: float
+
+
+@dataclass
+class Chain:
+    """A chain of trials: how they are made, and the numbers of steps that they have by turns.
+
+    A mode of which a trajectory is just half a period long never leaves its energy. Trajectories of several lengths
+    leave no such mode.
+    """
+
+    model: Wells
+    scheme: Scheme
+    h: float
+    steps: tuple[int, ...] = (2, 3, 4)
+    friction: float | None = None
+    at_rest: bool = False
+    rotation: operators.Rotation = exact
+    seed: int = 17
+    volume_move: MonteCarloVolumeMove | None = None
+    molecules: list | None = None
+    record: dict = field(init=False)
+    engine: ModelEngine = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.record = defaultdict(float, {SEED: self.seed})
+        volume = float(len(self.molecules)) if self.molecules else 1.0
+        self.engine = ModelEngine(self.model, self.rotation, self.at_rest, volume, self.molecules)
+
+    @property
+    def flow(self) -> Flow:
+        return Flow(self.scheme, self.h, self.rotation, updates_context=False)
+
+    def ensemble(self, steps: int) -> Metropolis:
+        return Metropolis(TEMPERATURE, self.friction, steps, self.volume_move)
+
+    def samples(self, trials: int) -> Iterator[Sample]:
+        """The samples after each of so many trials."""
+        # What a trial asks of an engine and of a record is here; what OpenMM and users ask is not.
+        engine: Any = self.engine
+        record: Any = self.record
+        engine.begin(self.flow)
+        for steps in itertools.islice(itertools.cycle(self.steps), trials):
+            self.ensemble(steps).advance(engine, self.flow, record, 1)
+            counts = int(record[TRIALS]), int(record[ACCEPTED]), record[ERROR]
+            yield Sample(engine.reached, *counts, engine.volume())

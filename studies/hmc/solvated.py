@@ -1,0 +1,196 @@
+"""Acceptance of hybrid Monte Carlo of solvated molecules by step and by size, and whether solute or water limits it.
+
+    python -m studies.hmc.solvated dhfr --scheme sier4g --step 2 --trials 100 --out solvated
+    python -m studies.hmc.solvated dhfr --moving water --trials 20 --out solvated      the protein is frozen
+    python -m studies.hmc.solvated dhfr --moving solute --trials 20 --out solvated     water is frozen
+    python -m studies.hmc.solvated systems/peptide.pdb --scheme verlet --out solvated
+    python -m studies.hmc.solvated --table solvated/*.json
+
+Steps are in fs for each force evaluation, bonds to hydrogen are constrained, and fast forces act within the drifts.
+`verlet` is the control: kick, drift, kick with all forces in the kicks, and water that RATTLE turns, solved to rounding
+so that trajectories can be reversed. All schemes begin at one equilibrated start of each box, which `--out` keeps.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from openmm_sier import SIERHMCIntegrator
+from openmm_sier.dynamics.metropolis import expected_acceptance, spread_at
+from openmm_sier.dynamics.rotation import exact, rattle
+from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
+from openmm_sier.measure.report import SILENT, Report
+from studies import records
+from studies.acceptance import pooled_spread
+from studies.command import execute
+from studies.hmc import solutes
+from studies.hmc.solutes import SoluteSettings
+from studies.records import Record
+
+COLUMNS = {
+    "box": "{box}",
+    "moves": "{moving}",
+    "scheme": "{scheme}",
+    "atoms": "{atoms}",
+    "of the solute": "{solute}",
+    "hydrogens": "{masses}",
+    "fs per force": "{per_force:g}",
+    "trial/fs": "{length:g}",
+    "trials": "{trials}",
+    "accepted": "{accepted}",
+    "acceptance": "{acceptance:.3f} ± {acceptance_error:.3f}",
+    "sd/kT": "{spread:.3f} ± {spread_error:.3f}",
+    "mean/kT": "{mean:+.3f} ± {mean_error:.3f}",
+    "by the sd": "{expected:.3f}",
+}
+
+LAWS = {
+    "moves": "{moving}",
+    "scheme": "{scheme}",
+    "hydrogens": "{masses}",
+    "fs per force": "{per_force:g}",
+    "boxes": "{boxes}",
+    "sd/kT for one": "{one:.5f} ± {one_error:.5f} {of}",
+    "atoms at 0.8": "{atoms_80:.2g}",
+    "at 0.5": "{atoms_50:.2g}",
+}
+
+
+@dataclass(frozen=True)
+class SolvatedSettings(SoluteSettings):
+    """What is run or read.
+
+    Attributes:
+        table: records of trials to be read, in place of a run.
+        scheme: by name, or `verlet`.
+        step: fs for each force evaluation.
+        length: of a trial, fs, rounded to a whole number of steps.
+        trials: how many.
+        discarded: trials before them, in which the box settles.
+    """
+
+    table: tuple[Path, ...] = ()
+    scheme: Literal["sier2", "sier4g", "sier4p", "sier4v", "verlet"] = "sier4g"
+    step: float = 2.0
+    length: float = 30.0
+    trials: int = 100
+    discarded: int = 3
+
+
+def study(settings: SolvatedSettings, report: Report = SILENT) -> None:
+    """Make trials, or tables of those made, which are written to solvated.json with all energy errors."""
+    if not settings.table:
+        report.table(records.table("Trials", pd.DataFrame([row_of(run(settings, report))]), COLUMNS, left=3))
+        return
+    rows = pd.DataFrame([row_of(records.read(path)) for path in settings.table])
+    rows = rows.sort_values(["atoms", "moving", "masses", "scheme", "per_force"])
+    found = laws(rows)
+    report.table(records.table("Trials of solvated molecules", rows, COLUMNS, left=3))
+    report.table(records.table("Laws by size", found, LAWS, left=2))
+    Record(settings.recorded(), {"rows": rows, "laws": found}, {}).write(settings.out / "solvated.json")
+
+
+def integrator_of(settings: SolvatedSettings) -> SIERHMCIntegrator:
+    """An integrator whose step is a trial."""
+    scheme = SIER2 if settings.scheme == "verlet" else CATALOGUE[settings.scheme]
+    step = settings.step * scheme.force_evaluations
+    steps = max(1, round(settings.length / step))
+    control: dict[str, Any] = {"rotation": rattle, "fastForceGroups": set()} if settings.scheme == "verlet" else {}
+    control = control or {"rotation": exact}
+    integrator = SIERHMCIntegrator(settings.temperature, 1e-3 * step, scheme, steps, **control)
+    integrator.setRandomNumberSeed(settings.seed)
+    return integrator
+
+
+def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
+    """Trials of one scheme in one box, in a file of its own, which is written as they are made."""
+    solution = solutes.read(settings)
+    integrator = integrator_of(settings)
+    context = solutes.context(solution, integrator, settings)
+    masses = f"{settings.hydrogen_mass:g}{'-heavy' if settings.heavy_water else ''}"
+    name = f"{solution.name}-{settings.moving}-{masses}-{settings.scheme}-{settings.step:g}-{settings.length:g}"
+    integrator.step(settings.discarded)
+    integrator.resetStatistics()
+    forces, begun, errors = integrator.forceEvaluations, process_time(), []
+    notes: dict[str, Any] = {
+        "box": solution.name,
+        "atoms": context.getSystem().getNumParticles(),
+        "solute": len(solution.solute),
+        "waters": solution.waters,
+        "length": 1e3 * integrator.getStepSize()._value,
+        "reversal": integrator.reversalError,
+    }
+    with report.progress(name, settings.trials) as show:
+        for done in range(1, settings.trials + 1):
+            integrator.step(1)
+            errors.append(integrator.lastEnergyError)
+            notes |= {
+                "accepted": integrator.accepted,
+                "forces": integrator.forceEvaluations - forces,
+                "processor_seconds": process_time() - begun,
+            }
+            record = Record(settings.recorded(), {"trials": pd.DataFrame({"error": errors})}, notes)
+            record.write(settings.out / f"{name}.json")
+            show(done)
+    return record
+
+
+def row_of(record: Record) -> dict[str, Any]:
+    """What trials tell: acceptance, the mean of min(1, exp(-error)), and mean and standard deviation of the errors."""
+    found = record.tables["trials"]["error"].to_numpy(dtype=float)
+    errors = np.where(np.isnan(found), math.inf, found)
+    followed, chances = errors[np.isfinite(errors)], np.exp(-np.maximum(errors, 0))
+    n, m = len(errors), len(followed)
+    spread = float(np.std(followed, ddof=1)) if m > 1 else math.nan
+    return {
+        **record.notes,
+        "moving": record.settings["moving"],
+        "masses": f"{record.settings['hydrogen_mass']:g}{', water too' if record.settings['heavy_water'] else ''}",
+        "scheme": record.settings["scheme"],
+        "per_force": record.settings["step"],
+        "trials": n,
+        "acceptance": chances.mean(),
+        "acceptance_error": chances.std(ddof=1) / math.sqrt(n) if n > 1 else math.nan,
+        "spread": spread,
+        "spread_error": spread / math.sqrt(2 * (m - 1)) if m > 1 else math.nan,
+        "mean": followed.mean() if m else math.nan,
+        "mean_error": spread / math.sqrt(m) if m > 1 else math.nan,
+        "expected": expected_acceptance(spread),
+        "errors": found.round(6),
+    }
+
+
+def laws(rows: pd.DataFrame) -> pd.DataFrame:
+    """The spread of energy errors for one atom, or one molecule of water where water moves alone, from all boxes.
+
+    Independent parts of a box add to the variance, so that it grows as their number. `atoms_80` and `atoms_50` are the
+    atoms of a box at acceptances of 0.8 and 0.5, by this law.
+    """
+    units = {"all": ("atoms", "an atom"), "water": ("waters", "a molecule"), "solute": ("solute", "an atom")}
+    found = []
+    for (moving, scheme, masses, step), mine in rows.groupby(["moving", "scheme", "masses", "per_force"], sort=False):
+        column, of = units[moving]
+        one, error = pooled_spread(mine.assign(molecules=mine[column]))
+        row = {"moving": moving, "scheme": scheme, "masses": masses, "per_force": step, "boxes": len(mine), "of": of}
+        row |= {"one": one, "one_error": error, "atoms_80": math.nan, "atoms_50": math.nan}
+        if moving == "all":
+            row |= {f"atoms_{round(100 * wanted)}": (spread_at(wanted) / one) ** 2 for wanted in (0.8, 0.5)}
+        found.append(row)
+    return pd.DataFrame(found)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(SolvatedSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""`tune`: what it prints is a run that can be made."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.tune import run_line
+from openmm_sier.integrators.tuning import Tuning
+from openmm_sier_command.arguments import parse
+from openmm_sier_command.options import OPTIONS, Options
+from tests.support.commands import complaint, log, run
+
+FOUND = Tuning(0.0080234, 4, 0.9, (), (), 100)
+
+
+@pytest.mark.slow
+def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box):
+    options = ["--platform", "Reference", "--equilibrate", "0.05", "--seed", "3", "--pressure", "1"]
+    options += ["--steps-per-trial", "3"]
+    run("tune", box, *options, "--trials", "10", "--samples", "10", "--acceptance", "0.8")
+    assert not list(Path().iterdir())
+    said = capsys.readouterr().out.splitlines()
+    table = dict(line.strip("│").split("│") for line in said if line.count("│") == 3)
+    table = {name.strip(): value.strip() for name, value in table.items()}
+
+    program, *arguments = shlex.split(said[-1])
+    assert program == "openmm-sier"
+    run(*arguments, "--steps", "3", "--report-every", "0.001")
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
+    assert plan["ensemble"] == "hmc"
+    assert plan["pressure"] == 1
+    assert plan["seed"] == 3
+    assert f"{plan['dt']:.4g} fs" == table["step"]
+    assert str(plan["steps_per_trial"]) == table["steps in a trial"]
+    assert log("box.csv")["Acceptance"][-1] in (0, pytest.approx(1 / 3), pytest.approx(2 / 3), 1)
+    # SIER4G has three forces in a step. A trial has one more at its start, and one or two for the move of the volume.
+    forces = float(table["force evaluations per trial"])
+    assert 3 * plan["steps_per_trial"] <= forces <= 3 * plan["steps_per_trial"] + 3
+
+
+def test_line_keeps_what_was_given():
+    words = "tune a/b.pdb --forcefield x.xml y.xml --dt 6 --no-minimize --hydrogen-mass 3 --start s.chk"
+    given = {name: value for name, value in vars(parse(words.split())).items() if name in OPTIONS}
+    assert run_line(Options(**given), FOUND) == (
+        "openmm-sier run a/b.pdb --ensemble hmc --forcefield x.xml y.xml --hydrogen-mass 3.0 --dt 8.023 --no-minimize "
+        "--start s.chk --steps-per-trial 4"
+    )
+
+
+def test_schemes_of_openmm_have_no_trials(capsys, box):
+    assert "OpenMM Verlet needs --ensemble" in complaint(capsys, "tune", box, "--scheme", "verlet")

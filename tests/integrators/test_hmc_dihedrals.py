@@ -1,0 +1,114 @@
+"""Phi and psi of alanine dipeptide by hybrid Monte Carlo, beside OpenMM's LangevinMiddle at steps of 0.5 fs.
+
+The molecule has no water, and a torsion that holds each angle in one basin, so that seconds suffice. The figures of the
+solvated molecule are in docs/hmc.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import SIER4G, Scheme, SIERHMCIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.stages import BATH, DRIFT, KICK, Stage
+from openmm_sier.measure.statistics import mean_and_error
+from studies.hmc.dihedrals import backbone, dihedral
+from systems import peptide
+
+TEMPERATURE, FRICTION = 300.0, 5.0
+
+#: Where the angles are held, rad, and how firmly, kJ/mol.
+CENTRES, FIRMNESS = (-1.4, 1.2), 50.0
+
+#: ps between samples, and their number.
+EVERY, SAMPLES = 0.1, 1000
+
+#: Kicks of a wrong scheme, as a part of those that are right.
+WEAKER = 0.4
+
+
+@pytest.fixture(scope="module")
+def dipeptide():
+    made = peptide.dry(("ALA",), *peptide.TORSIONS)
+    forcefield = app.ForceField(*peptide.FORCE_FIELD)
+    system = forcefield.createSystem(made.topology, constraints=app.HBonds, hydrogenMass=3, removeCMMotion=False)
+    angles = backbone(made.topology)
+    for atoms, centre in zip(angles, CENTRES, strict=True):
+        held = openmm.CustomTorsionForce(f"{FIRMNESS}*(1 - cos(theta - ({centre})))")
+        held.addTorsion(*atoms, [])
+        system.addForce(held)
+    return system, np.array(made.positions.value_in_unit(unit.nanometer)), angles
+
+
+def sampled(dipeptide, integrator, every):
+    """Means and errors (4, 2) of the cosines and sines of both angles about their centres."""
+    system, positions, angles = dipeptide
+    integrator.setRandomNumberSeed(1)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
+    context.setVelocitiesToTemperature(TEMPERATURE, 1)
+    integrator.step(20 * every)
+    found = []
+    for _ in range(SAMPLES):
+        integrator.step(every)
+        x = context.getState(positions=True).getPositions(asNumpy=True)._value
+        found.append([dihedral(x, atoms) - centre for atoms, centre in zip(angles, CENTRES, strict=True)])
+    return np.array([mean_and_error(f(angle))[:2] for angle in np.array(found).T for f in (np.cos, np.sin)])
+
+
+def distances(one, other):
+    """Differences of the means in joint standard errors, (4,)."""
+    return np.abs(one[:, 0] - other[:, 0]) / np.hypot(one[:, 1], other[:, 1])
+
+
+@pytest.fixture(scope="module")
+def expected(dipeptide):
+    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, FRICTION, 0.0005)
+    return sampled(dipeptide, integrator, round(EVERY / 0.0005))
+
+
+@pytest.mark.slow
+def test_angles_are_those_of_short_steps(dipeptide, expected):
+    """At a step of 6 fs; one number in 2000 is off by 3.5 errors by chance."""
+    integrator = SIERHMCIntegrator(TEMPERATURE, 0.006, SIER4G, 16, FRICTION, engine="native")
+    assert (distances(sampled(dipeptide, integrator, 1), expected) < 3.5).all()
+    assert 0.9 < integrator.acceptanceRate < 1
+
+
+def kicks_of(share):
+    """Stages of SIER2 with kicks that are too weak by this factor."""
+    return Stage(KICK, share / 2), Stage(DRIFT, 1.0), Stage(KICK, share / 2)
+
+
+@pytest.fixture
+def unchecked(monkeypatch):
+    """Schemes whose kicks need not sum to 1, which nobody could make otherwise."""
+
+    def keep(scheme):
+        object.__setattr__(scheme, "stages", tuple(Stage(*stage) for stage in scheme.stages))
+
+    monkeypatch.setattr(Scheme, "__post_init__", keep)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
+def test_a_wrong_scheme_shows(dipeptide, expected):
+    """Kicks that are too weak sample the ensemble of a higher temperature, here 750 K."""
+    kick, _, _ = kicks_of(0.4)
+    half = Stage(DRIFT, 0.5)
+    scheme = Scheme("weak kicks and a bath", (kick, half, Stage(BATH, 1.0), half, kick))
+    integrator = SIERLangevinIntegrator(TEMPERATURE, FRICTION, 0.002, scheme, engine="native")
+    assert distances(sampled(dipeptide, integrator, round(EVERY / 0.002)), expected).max() > 6
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
+def test_the_rule_mends_a_wrong_scheme(dipeptide, expected):
+    """Trajectories with weak kicks are reversible and keep the volume of phase space; the rule needs no more."""
+    scheme = Scheme("weak kicks", kicks_of(0.7))
+    integrator = SIERHMCIntegrator(TEMPERATURE, 0.002, scheme, 20, FRICTION, engine="native")
+    assert (distances(sampled(dipeptide, integrator, 3), expected) < 3.5).all()
+    assert 0.1 < integrator.acceptanceRate < 0.6
