@@ -140,6 +140,13 @@ def alone(kind: str, place: Path, steps: int = STEPS) -> None:
         raise Disturbed(f"{kind} alone failed: {command.said()}")
 
 
+def again(kind: str, place: Path) -> None:
+    """Carry out a killed command once more. A restart that was killed after its last step finds nothing left to do."""
+    command = Command(kind, place)
+    if command.wait() and not (kind == "restart" and f"is at step {STEPS} " in command.said()):
+        raise Disturbed(f"{kind} after it was killed failed: {command.said()}")
+
+
 def prepare(directory: Path, restart: bool) -> None:
     """Write what commands start from: the box, the plan and, for a restart, the files of half a run."""
     directory.mkdir()
@@ -195,7 +202,7 @@ def collide(directory: Path, first: str, second: str, times: int, seed: int) -> 
         if two.code == 1 and number % 4 == 3 and not one.ended():
             one.kill()
             met["first killed"] += 1
-            alone(first, here)
+            again(first, here)
         elif one.wait() and two.code:
             raise Disturbed(f"both {first} and {second} failed: {one.said()}{two.said()}")
         met[_ending(one, two)] += 1

@@ -33,7 +33,7 @@ from openmm_sier.engines.temperature import temperatures
 from openmm_sier.measure import validation
 from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import jackknife, mean_and_error
+from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, pooled
 from openmm_sier.observe.conservation import density
 from studies import records
 from studies.command import Settings, execute
@@ -240,10 +240,10 @@ def table(runs: dict[str, list[Record]]) -> pd.DataFrame:
         densities = [density(record.notes["mass"], record.tables["samples"]["volume"].to_numpy()) for record in several]
         series = {name: [samples[name].to_numpy() for samples in tables] for name in ("potential", *TEMPERATURES)}
         for name, found in {**series, "density": densities}.items():
-            row[name], row[f"{name}_error"] = _pooled([mean_and_error(values)[:2] for values in found])
+            row[name], row[f"{name}_error"], _ = pooled([mean_and_error(values) for values in found])
         for kind in KINDS:
             found = [configurational(samples, kind) for samples in tables]
-            row[f"conf_{kind}"], row[f"conf_{kind}_error"] = _pooled(found)
+            row[f"conf_{kind}"], row[f"conf_{kind}_error"], _ = pooled(found)
         independent = np.concatenate([validation.independent(values)[0] for values in series["potential"]])
         compared = independent if compared is None else compared
         row["probability"] = math.nan if compared is independent else ks_2samp(independent, compared).pvalue
@@ -254,17 +254,11 @@ def table(runs: dict[str, list[Record]]) -> pd.DataFrame:
 TEMPERATURES = ("translation", "rotation", "flexible")
 
 
-def configurational(samples: pd.DataFrame, kind: str) -> tuple[float, float]:
+def configurational(samples: pd.DataFrame, kind: str) -> Estimate:
     """A configurational temperature in K and its standard error, a ratio of two means."""
     squares, divergences = samples[f"{kind}_square"].to_numpy(), samples[f"{kind}_divergence"].to_numpy()
     found = jackknife(lambda kept: squares[kept].mean() / divergences[kept].mean(), len(squares), groups=20)
-    return found.value / GAS_CONSTANT, found.error / GAS_CONSTANT
-
-
-def _pooled(estimates: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """The mean over runs of equal length."""
-    values, errors = np.array(estimates).T
-    return float(values.mean()), float(np.linalg.norm(errors) / len(values))
+    return found.times(1 / GAS_CONSTANT)
 
 
 VERDICTS = {

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import openmm
@@ -31,7 +31,7 @@ from openmm_sier import SIER4G, SIERHMCIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.integrators.tuning import inefficiency
 from openmm_sier.measure.report import SILENT, Report
-from openmm_sier.measure.statistics import Estimate, mean_and_error
+from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from studies import records
 from studies.command import execute
 from studies.hmc import solutes
@@ -57,8 +57,11 @@ CENTRES, FIRMNESS = (-1.3, 2.5), 50.0
 #: Components of the box's dipole moment, e nm.
 DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
 
-#: The cosine of psi tells alpha from beta, the sine of phi both from the left-handed helix.
-OBSERVED = ("potential", "volume", "cos psi", "sin psi", "cos phi", "sin phi")
+ANGLES = ("phi", "psi")
+
+#: The cosine of psi tells alpha from beta, the sine of phi both from the left-handed helix; `about` are cosines of the
+#: distance from where angles are held.
+OBSERVED = ("potential", "volume", "cos psi", "sin psi", "cos phi", "sin phi", "about phi", "about psi")
 
 COLUMNS = {
     "run": "{label}",
@@ -70,6 +73,8 @@ COLUMNS = {
     "<sin psi>": "{sin psi_text}",
     "<cos phi>": "{cos phi_text}",
     "<sin phi>": "{sin phi_text}",
+    "about phi": "{about phi_text}",
+    "about psi": "{about psi_text}",
 }
 
 COSTS = {
@@ -96,6 +101,7 @@ class SampleSettings(SoluteSettings):
         held: whether torsions hold phi and psi in one basin, at constant volume.
         time: of the run, ps.
         settling: ps before it.
+        skip: ps to leave out at the beginning of each run, for the table.
     """
 
     box: Path = Path("systems/dipeptide.pdb")
@@ -108,6 +114,9 @@ class SampleSettings(SoluteSettings):
     held: bool = False
     time: float = 100.0
     settling: float = 5.0
+    skip: float = 0.0
+
+    ANY_SIGN: ClassVar[tuple[str, ...]] = ("skip",)
 
     @property
     def name(self) -> str:
@@ -130,7 +139,7 @@ def study(settings: SampleSettings, report: Report = SILENT) -> None:
     if not settings.table:
         run(settings, report)
         return
-    rows = table(settings.table)
+    rows = table(settings.table, settings.skip)
     means = records.with_text(rows, *OBSERVED)
     report.table(records.table("Means at 1 bar", means, COLUMNS))
     costs = records.with_text(rows, *(name for name in rows if name.endswith("_cost")))
@@ -243,14 +252,15 @@ class Observer:
 # --- tables ---
 
 
-def samples_of(record: Record) -> pd.DataFrame:
-    """The samples of a run, with the cosines and sines of the angles."""
-    samples = record.tables["samples"]
-    angles = {f"{f.__name__} {angle}": f(samples[angle]) for angle in ("phi", "psi") for f in (np.cos, np.sin)}
-    return samples.assign(**angles)
+def samples_of(record: Record, skip: float = 0.0) -> pd.DataFrame:
+    """The samples of a run after a time to be skipped, ps, with the cosines and sines of the angles."""
+    samples = record.tables["samples"].iloc[round(1e3 * skip / record.notes["interval"]) :]
+    angles = {f"{f.__name__} {angle}": f(samples[angle]) for angle in ANGLES for f in (np.cos, np.sin)}
+    about = {f"about {angle}": np.cos(samples[angle] - centre) for angle, centre in zip(ANGLES, CENTRES, strict=True)}
+    return samples.assign(**angles, **about)
 
 
-def table(files: Sequence[Path]) -> pd.DataFrame:
+def table(files: Sequence[Path], skip: float = 0.0) -> pd.DataFrame:
     """A row for each kind of run; runs that differ in their seeds alone are pooled."""
     runs: dict[str, list[Record]] = {}
     for path in files:
@@ -258,7 +268,7 @@ def table(files: Sequence[Path]) -> pd.DataFrame:
         runs.setdefault(record.notes["label"], []).append(record)
     rows = []
     for label, several in runs.items():
-        tables = [samples_of(record) for record in several]
+        tables = [samples_of(record, skip) for record in several]
         lengths = np.array([len(samples) for samples in tables])
         first = several[0].notes
         row: dict[str, Any] = {"label": label, "time": 1e-3 * first["interval"] * lengths.sum()}
@@ -272,7 +282,7 @@ def table(files: Sequence[Path]) -> pd.DataFrame:
         costs = {name: [cost(samples[[name]], first["forces"]) for samples in tables] for name in OBSERVED}
         costs["dipole"] = [cost(samples[list(DIPOLE)], first["forces"]) for samples in tables]
         for name, found in costs.items():
-            row[f"{name}_cost"], row[f"{name}_cost_error"] = pooled(found)[:2]
+            row[f"{name}_cost"], row[f"{name}_cost_error"], _ = pooled(found)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -281,12 +291,6 @@ def cost(samples: pd.DataFrame, forces: float) -> Estimate:
     """Forces for an independent sample; the mean over columns, which are components of one vector."""
     found = np.array([inefficiency(samples[name].to_numpy()) for name in samples])
     return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
-
-
-def pooled(estimates: Sequence[Estimate]) -> Estimate:
-    """The mean over runs of equal length."""
-    values, errors, _ = np.array(estimates).T
-    return Estimate(float(values.mean()), float(np.linalg.norm(errors) / len(values)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

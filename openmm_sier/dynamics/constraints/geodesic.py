@@ -2,7 +2,7 @@
 
 Free motion with constraints needs no force evaluations, so that its error can be made negligible. A RATTLE step is
 symmetric and of second order, and any symmetric composition for such maps applies (Hairer, Lubich and Wanner, Geometric
-Numerical Integration, 2nd ed., section V.3.2). A star of one bond, such as C-H, moves exactly whatever the composition.
+Numerical Integration, 2nd ed., section V.3.2).
 
 Errors of one drift of 200 methyl groups (C-H 0.109 nm, no H-C-H constraints) with velocities of 300 K: the largest
 error of a velocity over the thermal velocity of H, and the relative change of the kinetic energy, which geodesics

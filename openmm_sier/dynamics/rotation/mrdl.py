@@ -37,9 +37,10 @@ def mrdl(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[n
     for axis, fraction in FACTORS:
         _turn_about_axis(axis, fraction * h * axes.rates[axis] * body_L[axis], rows, body_L)
     new = axes.unsort(rows)
-    moments = np.broadcast_to(np.reshape(np.asarray(moments, dtype=float), (3, -1)), L.shape)
+    moments = np.reshape(np.asarray(moments, dtype=float), (3, -1))
     linear = (moments == 0).any(axis=0) & (moments > 0).any(axis=0)
     if linear.any():
+        moments, linear = np.broadcast_to(moments, L.shape), np.broadcast_to(linear, A.shape[2:])
         new[:, :, linear], _ = exact(A[:, :, linear], L[:, linear], moments[:, linear], h)
     return new, L.copy()
 
