@@ -223,6 +223,7 @@ def figure(record: Record, path: Path) -> None:
         made.suptitle(record.notes["title"], x=0.01, ha="left", fontsize=14, fontweight="bold")
         grid = made.subplots(len(boxes), len(PROPERTIES), squeeze=False, sharex=True)
         for box, line in zip(boxes, grid, strict=True):
+            line[0].set_title(MODELS.get(box, box))
             for key, axes in zip(PROPERTIES, line, strict=True):
                 style.curves(axes, rows[rows["box"] == box], "fs_per_force", key, apart=APART)
                 axes.set(
