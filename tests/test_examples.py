@@ -19,6 +19,7 @@ def output(directory, name, *arguments):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_free_body_turns_over_and_conserves(tmp_path):
     text = output(tmp_path, "free_body.py", "--time", "40")
     assert "turned over 3 times" in text
@@ -29,6 +30,7 @@ def test_free_body_turns_over_and_conserves(tmp_path):
     assert attitude < 1e-10
 
 
+@pytest.mark.slow
 def test_water_box_conserves_energy(tmp_path):
     text = output(tmp_path, "water_box.py", "--steps", "20")
     share = float(re.search(r"([\d.]+)% of it", text).group(1))
@@ -36,6 +38,7 @@ def test_water_box_conserves_energy(tmp_path):
     assert share < 0.2
 
 
+@pytest.mark.slow
 def test_water_box_differs_from_a_verlet_script_in_two_lines(tmp_path):
     """The commented lines put in force, with a time step of 1 fs, give OpenMM's own integrator, and that runs too."""
     text = (EXAMPLES / "water_box.py").read_text()
@@ -52,6 +55,7 @@ def test_water_box_differs_from_a_verlet_script_in_two_lines(tmp_path):
     assert re.search(r"[\d.]+% of it", text)
 
 
+@pytest.mark.slow
 def test_pdb_setup_names_the_bodies_and_writes_a_trajectory(tmp_path):
     text = output(tmp_path, "pdb_setup.py", "--steps", "10")
     assert re.search(r"494 x HOH +18\.015 dalton, 6 degrees of freedom", text)
@@ -62,6 +66,7 @@ def test_pdb_setup_names_the_bodies_and_writes_a_trajectory(tmp_path):
     assert read.n_frames == 10
 
 
+@pytest.mark.slow
 def test_peptide_has_three_temperatures(tmp_path):
     text = output(tmp_path, "peptide.py", "--steps", "3")
     assert "Force group 1 has the fast forces now: HarmonicBondForce, PeriodicTorsionForce, HarmonicAngleForce" in text

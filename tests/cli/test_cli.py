@@ -81,6 +81,7 @@ def test_run_conserves_energy_and_momentum(box):
     assert momentum.max() < 0.5
 
 
+@pytest.mark.slow
 def test_temperatures_are_those_of_the_atoms(whole_run, box):
     """The log's temperatures against the energies in it, by counting degrees of freedom: 6 a molecule, less 3."""
     rows = log(whole_run / "whole.csv")
@@ -347,6 +348,7 @@ def test_files_of_an_earlier_run_are_kept_unless_overwriting_is_allowed(box, cap
     assert len(log("a.csv")["Step"]) == 1
 
 
+@pytest.mark.slow
 def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "none.pdb: No such file or directory" in complaint(capsys, "run", "none.pdb")
     Path("text.pdb").write_text("this is no structure\n")

@@ -256,6 +256,7 @@ def test_kills_leave_no_trace(plan, tmp_path, monkeypatch):
     assert outputs(place) == outputs(tmp_path / "quiet")
 
 
+@pytest.mark.slow
 def test_a_member_does_what_is_left(plan, tmp_path, monkeypatch, capsys):
     (first, *_) = read_plan(plan)
     place = tmp_path / "member"
@@ -281,6 +282,7 @@ def test_a_member_does_what_is_left(plan, tmp_path, monkeypatch, capsys):
     assert "has another member, with 0.02: choose another directory" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_command_lists_members_and_fails_with_them(plan, tmp_path, capsys):
     plan.write_text(PLAN.replace("seed = [1, 2]", 'rigid = ["NONE"]'))
     assert main(["ensemble", str(plan), "--list"]) == 0
@@ -289,6 +291,7 @@ def test_the_command_lists_members_and_fails_with_them(plan, tmp_path, capsys):
     assert "NONE" in complaint(capsys, "ensemble", plan)
 
 
+@pytest.mark.slow
 def test_a_member_ends_with_the_process_that_started_it(plan, tmp_path):
     (first, *_) = read_plan(plan)
     place = tmp_path / "alone"

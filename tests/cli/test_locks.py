@@ -54,6 +54,7 @@ def names():
     return sorted(contents(Path()))
 
 
+@pytest.mark.slow
 def test_second_holder_is_refused_and_told_of_the_first(holder):
     first = holder("a.dcd", "a.csv")
     with FileLocks() as mine, pytest.raises(RunError) as refusal:
@@ -67,6 +68,7 @@ def test_second_holder_is_refused_and_told_of_the_first(holder):
         mine.hold([Path("a.csv")])
 
 
+@pytest.mark.slow
 def test_locks_leave_nothing_behind(holder):
     first = holder("a.dcd")
     first.communicate("", timeout=LIMIT)
@@ -85,6 +87,7 @@ def test_lock_of_a_killed_process_is_free(holder):
     assert not names()
 
 
+@pytest.mark.slow
 def test_a_file_has_one_lock_by_all_its_names(holder):
     Path("there").mkdir()
     Path("link.dcd").symlink_to("there/a.dcd")
@@ -134,6 +137,7 @@ def test_file_systems_without_locks(monkeypatch, number):
 OUTPUTS = ["--out", "a.h5", "--bodies", "b.h5", "--pressure-tensor", "p.csv"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "taken", ["a.chk", "a.chk.tmp", "a.h5", "a.h5.dcd", "a.csv", "b.h5", "b.h5.frames", "b.h5.tmp", "p.csv"]
 )
@@ -147,12 +151,14 @@ def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
     assert contents(Path()) == before
 
 
+@pytest.mark.slow
 def test_running_run_is_named_rather_than_its_files(box, holder, capsys):
     first = holder("box.chk")
     Path("box.dcd").write_text("mine\n")
     assert f"process {first.pid} on" in complaint(capsys, "run", box, *SMALL)
 
 
+@pytest.mark.slow
 def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
     run("run", box, *SMALL, "--steps", "5")
     capsys.readouterr()

@@ -29,6 +29,7 @@ def box(tmp_path_factory):
 FILES = ["--forcefield", "amber14-all.xml", "amber14/tip3p.xml"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constraints", ["hbonds", "none"])
 def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
     """From the start on: without constraints the equilibration's usual step of 6 fs would be refused."""
@@ -45,6 +46,7 @@ def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
     assert ("equilibrates in steps of" in out) == (constraints == "none")
 
 
+@pytest.mark.slow
 def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys):
     """The default step resonates with bonds to hydrogen, which only a user who asks for it has."""
     monkeypatch.chdir(tmp_path)
@@ -58,6 +60,7 @@ def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys)
     assert "createSystem" not in out
 
 
+@pytest.mark.slow
 def test_info(box, capsys):
     """Bonds to hydrogen are constrained unless something else is asked for."""
     assert main(["info", str(box), *FILES]) == 0

@@ -112,6 +112,7 @@ def refuse(capsys, place, file, field, *command):
     assert contents(place) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NOTED)
 def test_wrong_options_in_a_checkpoint(copied, capsys, name):
     original = (copied / "box.chk").read_bytes()
@@ -144,6 +145,7 @@ def test_options_in_a_checkpoint_that_contradict_each_other(copied, capsys, plan
     refuse(capsys, copied, "box.chk", expected, "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["step", "potential_energy", "start_energy", "trajectory", "log", "tensors"])
 def test_wrong_notes_in_a_checkpoint(copied, capsys, name):
     original = (copied / "box.chk").read_bytes()

@@ -191,12 +191,14 @@ def test_closed_standard_error(box):
     assert frames(Path("box.dcd"), box).n_frames == 2
 
 
+@pytest.mark.slow
 def test_standard_output_on_a_full_disk(box):
     code, _, err = run_process("$RUN run box.pdb > /dev/full")
     assert (code, err) == (1, "openmm-sier: standard output: No space left on device\n")
     assert [path.name for path in Path().iterdir()] == ["box.pdb"]
 
 
+@pytest.mark.slow
 def test_reader_of_standard_output_that_has_gone(box):
     code, _, err = run_process("{ sleep 1; $RUN info box.pdb; echo $? >code; } | :")
     assert (code, err, Path("code").read_text()) == (0, "", "1\n")
@@ -213,6 +215,7 @@ def file_size_limit():
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["box.dcd", "states.h5.frames"])
 def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
     """The run ends with the file's name, keeps its last checkpoint, and goes on when there is room."""
@@ -308,6 +311,7 @@ def test_interrupted_writes_are_completed(tmp_path):
     assert growing.path.read_bytes() == b"12345"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", ["--out", "--bodies"])
 def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, option):
     pytest.importorskip("h5py")

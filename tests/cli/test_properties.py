@@ -37,6 +37,7 @@ def runs(tmp_path_factory):
     return [place / "1.chk", place / "2.chk"]
 
 
+@pytest.mark.slow
 def test_table_and_figure(runs, tmp_path, capsys):
     assert main(["properties", *map(str, runs), "--out", str(tmp_path / "new")]) == 0
     out = capsys.readouterr().out
@@ -58,6 +59,7 @@ def test_table_and_figure(runs, tmp_path, capsys):
     assert "water, 298.15 K" in out
 
 
+@pytest.mark.slow
 def test_samples_are_those_of_all_charges(runs):
     box = read_box(BOX)
     samples = read_samples(runs[0].with_suffix(".dcd"), box, 0.004)
@@ -75,6 +77,7 @@ def test_samples_are_those_of_all_charges(runs):
         read_samples(runs[0].with_suffix(".dcd"), box, 0.004, skip=5)
 
 
+@pytest.mark.slow
 def test_positions_that_are_no_numbers_are_named(runs, tmp_path):
     data = bytearray(runs[0].with_suffix(".dcd").read_bytes())
     data[-8:-4] = np.float32(np.nan).tobytes()
@@ -90,6 +93,7 @@ def test_frames_are_those_that_the_checkpoint_notes(runs, tmp_path, capsys):
     assert f"1.dcd has 30 frames, {runs[0]} notes 29" in said
 
 
+@pytest.mark.slow
 def test_every_frame_counts_alike_in_the_pair_distribution(runs, monkeypatch):
     """Frames 1 ps apart and more are all counted, however many the chunks have in which they are read."""
     box, trajectory = read_box(BOX), runs[0].with_suffix(".dcd")
@@ -108,6 +112,7 @@ def test_every_frame_counts_alike_in_the_pair_distribution(runs, monkeypatch):
     np.testing.assert_allclose(read_samples(trajectory, box, 0.004).pairs, first, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_boxes_that_are_not_rectangular_are_refused(runs):
     box = read_box(BOX)
     box.topology.setPeriodicBoxVectors([[2.5, 0, 0], [0.8, 2.5, 0], [0, 0, 2.5]] * unit.nanometer)
@@ -128,6 +133,7 @@ def test_places_are_followed_through_faces():
     assert np.abs(moved - moved[0] - true + true[0]).max() < 0.5
 
 
+@pytest.mark.slow
 def test_wrong_input(runs, tmp_path, capsys):
     assert "1.csv has 0 rows after 5 ps, 20 are needed" in complaint(
         capsys, "properties", runs[0], "--skip", 5, "--out", tmp_path
@@ -169,6 +175,7 @@ def viscosity_of(out):
     return float(value), float(error)
 
 
+@pytest.mark.slow
 def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
     often = ["--every", 0.004, "--report-every", 0.004]
     run("run", box, *SMALL, "--steps", 25, "--ensemble", "nvt", *often, "--pressure-tensor", "p.csv")
@@ -192,6 +199,7 @@ def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
     assert "relaxes more slowly" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_runs_without_a_bath_have_a_mean_temperature(box, capsys, monkeypatch):
     monkeypatch.setattr(properties, "can_draw", lambda report: False)
     often = ["--every", 0.004, "--report-every", 0.004]
@@ -205,6 +213,7 @@ def test_runs_without_a_bath_have_a_mean_temperature(box, capsys, monkeypatch):
             assert float(found.group(1)) == pytest.approx(log("box.csv")["Temperature (K)"].mean(), abs=1)
 
 
+@pytest.mark.slow
 def test_viscosity_corrects_diffusion(tmp_path):
     """A viscosity that the runs give is taken for the effect of the box, unless another is named."""
     plan = new_plan(Options(Path("box.pdb"), ensemble="nvt", pressure_tensor=tmp_path / "p.csv"))

@@ -53,6 +53,7 @@ def follow(guard, energies, interval=0.04):
 # --- the bounds ---
 
 
+@pytest.mark.slow
 def test_sane_runs_go_on():
     rng = np.random.default_rng(1)
     # SIER2 at 8 fs: rms(H) of 20 kJ/mol, and H drifts by 1.6 % of K in a ps for a while.
@@ -94,6 +95,7 @@ def test_temperatures_that_stop():
     Guard(plan(), WATERS).look_at_temperatures(297, math.nan, math.nan)
 
 
+@pytest.mark.slow
 def test_few_degrees_of_freedom_may_be_hot_by_chance():
     """Of 3 degrees of freedom at 297 K, 10^7 samples; the bound's own claim is a chance of e^-50."""
     guard = Guard(plan(), DegreesOfFreedom(3, 0))
@@ -161,6 +163,7 @@ def test_hot_bodies_stop_between_rows(box, capsys):
     assert checkpoints.read_checkpoint(Path("box.chk"))[1]["step"] == 0
 
 
+@pytest.mark.slow
 def test_equilibration_that_breaks_down(box, capsys, monkeypatch):
     monkeypatch.setattr(starts, "STEP", 0.034)
     monkeypatch.setattr(starts, "SHARE_OF_LONGEST", 10.0)

@@ -145,6 +145,7 @@ def test_signal_before_the_first_step_ends_at_once(box, signum, monkeypatch, cap
     assert not list(Path().iterdir())
 
 
+@pytest.mark.slow
 def test_signal_in_a_minimization_that_takes_long(box):
     """OpenMM returns to Python when it is done; the program does not wait for that."""
     process = started(box, patch=f"{BUSY}\nbeginning.prepare, stopping.PATIENCE = busy, 0.1")

@@ -226,6 +226,7 @@ def test_angular_momentum_of_rigid_and_constrained_molecules(rng):
 # --- temperature ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_projected_noise_is_thermal():
     """Each tangent direction has k_B T, constrained ones none, and the heat is what the kinetic energy gained."""
     system = cage()

@@ -73,6 +73,7 @@ def test_it_is_the_force_of_the_modified_potential(rng):
 # --- order ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [-1 / 24, 0.0, 1 / 12, 1.1 / 24])
 def test_another_displacement_is_of_second_order(rng, shift):
     """Wrong sign, none, twice the size, a tenth too much: derived and seen."""
@@ -106,6 +107,7 @@ def test_a_gradient_scheme_is_of_fourth_order_at_most():
 NOISE = 3e-11
 
 
+@pytest.mark.slow
 def test_symplecticity_defect_is_of_fifth_order(rng):
     """The finite displacement leaves a defect of h s^2 in the kick, O(h^5) a step; without it there is none."""
     pair = SoftCluster([WATER] * 2)

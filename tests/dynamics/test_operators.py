@@ -46,6 +46,7 @@ def test_model_forces_are_the_gradient(rng, mixture):
 # --- order ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "steps", "order", "tolerance"),
     [
@@ -63,6 +64,7 @@ def test_global_error_falls_with_the_order(rng, request, system, scheme, steps, 
     assert slope(cluster, scheme, cluster.start(rng), steps) == pytest.approx(order, abs=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "order"), [(SIER2, 2), (SIER2V2, 2), (SIER2P3, 2), (SIER4, 4), (SIER4G, 4)])
 def test_energy_error_falls_with_the_order_and_does_not_drift(rng, waters, scheme, order):
     start = waters.start(rng)
@@ -118,6 +120,7 @@ def test_the_form_is_that_of_the_exact_flow(rng, pair):
 # --- reversal and conservation ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "h"), [(SIER2, 0.002), (SIER2V2, 0.006), (SIER2P3, 0.012), (SIER4, 0.006), (SIER4G, 0.006)]
 )

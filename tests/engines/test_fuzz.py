@@ -343,6 +343,7 @@ def test_any_sequence_of_calls_is_its_replay(number):
 # --- bodies -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @few
 @given(
     st.lists(st.sampled_from(CONSTRAINED_SHAPES), min_size=1, max_size=6),

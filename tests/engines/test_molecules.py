@@ -71,6 +71,7 @@ MODELS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", [SIER4G, SIER4P], ids=lambda scheme: scheme.name)
 @pytest.mark.parametrize("model", MODELS)
 def test_order_four(model, scheme):
@@ -132,6 +133,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bath", [False, True], ids=["NVE", "NVT"])
 @pytest.mark.parametrize("case", CASES)
 def test_runs_conserves_and_restarts(case, bath):
@@ -184,6 +186,7 @@ def test_temperatures_of_what_is_rigid_and_what_is_not():
     assert found.flexible == pytest.approx(chain, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_bath_gives_constrained_atoms_their_temperature():
     """A rotor in a strong bath: mean kinetic energy per degree of freedom, 9 of 12."""
     system, positions = system_of(rotor(3))

@@ -47,6 +47,7 @@ def trajectory(system, point, steps=6, h=0.004, **settings):
     return phase_point(context)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
 def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
     system, point = cluster
@@ -62,6 +63,7 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
     assert errors[5] < 1e-7 + errors[1] / 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_call", [1, 7])
 def test_clock_and_reporters_see_whole_steps(box, per_call):
     topology, system, (positions, velocities) = box
@@ -84,6 +86,7 @@ def test_clock_and_reporters_see_whole_steps(box, per_call):
     assert simulation.integrator.getStepSize() == 0.002 * unit.picosecond
 
 
+@pytest.mark.slow
 def test_barostat_and_motion_remover_count_whole_steps():
     topology, positions, system = periodic_system()
     point = relaxed(topology, positions, system)
@@ -184,6 +187,7 @@ print(json.dumps([energies, context.getTime()._value]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bound", ["not bound", "exact", "native"])
 def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     system, point = cluster

@@ -78,6 +78,7 @@ def test_volume_is_that_of_openmms_barostat():
 # --- in a Context -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("save", "load"), WAYS, ids=lambda value: getattr(value, "__name__", value))
 def test_restart_is_exact_at_any_step(tmp_path, box, save, load):
     """Also between two moves, which OpenMM's barostats do not allow: they count for themselves alone."""
@@ -92,6 +93,7 @@ def test_restart_is_exact_at_any_step(tmp_path, box, save, load):
     assert_same(everything(continued.context), everything(whole.context))
 
 
+@pytest.mark.slow
 def test_chunks_of_steps_do_not_matter(box):
     _, system, point = box
     ends = []
@@ -179,6 +181,7 @@ def test_particles_left_out_cannot_follow_the_box(box):
         openmm.Context(system, integrator(bodies=some), platform())
 
 
+@pytest.mark.slow
 def test_a_box_too_small_for_the_cutoff(box):
     _, system, point = box
     made = integrator(pressure=1e6, interval=1)

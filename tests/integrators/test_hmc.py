@@ -129,6 +129,7 @@ def test_the_other_engine_goes_on_from_a_sample(cluster, first, second):
     assert (other.trials, later.getStepCount()) == (3, 3)
 
 
+@pytest.mark.slow
 @ENGINES
 def test_constant_pressure_moves_the_volume_between_trials(engine):
     topology, positions, system = periodic_system()

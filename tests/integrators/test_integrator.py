@@ -89,6 +89,7 @@ def reinitialization(context, point):
     context.reinitialize(preserveState=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change", [velocity_change, position_change, box_change, minimization, thermalization, reinitialization]
 )

@@ -97,6 +97,7 @@ def test_impossible_settings(arguments, name):
         SIERLangevinIntegrator(*arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("remover", [False, True])
 def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remover):

@@ -53,6 +53,7 @@ def box():
     return topology, system, relaxed(topology, positions, system)
 
 
+@pytest.mark.slow
 @every_integrator
 @pytest.mark.parametrize(("save", "load"), WAYS, ids=lambda value: getattr(value, "__name__", value))
 @pytest.mark.parametrize("name", ["Reference", "CPU"])
@@ -104,6 +105,7 @@ def test_restart_on_the_cpu_platform_with_a_cutoff(tmp_path, box, make, save, lo
     assert_same(everything(continued.context), everything(whole.context))
 
 
+@pytest.mark.slow
 def test_positions_from_outside_end_the_past(box):
     """What follows depends on nothing but what the Context holds."""
     _, system, point = box
@@ -158,6 +160,7 @@ def stock():
 NPT = {"OpenMM": stock, **MAKERS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", NPT.values(), ids=NPT.keys())
 def test_restart_at_constant_pressure(box, make):
     """What holds for every integrator of OpenMM holds for ours.
@@ -368,6 +371,7 @@ def momentum(system, velocities):
 # --- bodies whose geometry is taken from positions --------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point():
     """On the CPU platform with one thread, where the rounding of forces depends on when the neighbour list was made."""
     topology, positions, system = periodic_system()

@@ -56,6 +56,7 @@ def killer(place, name, at, number):
     return thread
 
 
+@pytest.mark.slow
 def test_a_killed_member_goes_on(tmp_path):
     # A number that no other test counts to: processes are found by it.
     thread = killer(tmp_path, "to97", 20, 97)
@@ -114,6 +115,7 @@ def test_a_member_that_loses_all_its_workers_does_not_hinder_the_others(tmp_path
     assert (tmp_path / "to3" / LOG).read_text() == counted(3)
 
 
+@pytest.mark.slow
 def test_an_interrupt_stops_the_children(tmp_path):
     class Interrupting:
         """A report whose progress is interrupted once the member runs."""

@@ -52,6 +52,7 @@ def test_boxes_that_are_refused(tmp_path, lines, change, message):
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("interactions", "cutoff", "switch", "tolerance"),
     [
@@ -70,6 +71,7 @@ def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, toleran
     assert (force.getSwitchingDistance()._value if force.getUseSwitchingFunction() else None) == pytest.approx(switch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "interactions", "message"),
     [
@@ -83,6 +85,7 @@ def test_interactions_that_do_not_fit_a_box(name, interactions, message):
         read_box(SYSTEMS / name, interactions=interactions)
 
 
+@pytest.mark.slow
 def test_hydrogens_take_their_mass_from_what_they_are_bonded_to(tmp_path):
     topology, positions = capped_alanine_box(waters=2)
     path = tmp_path / "alanine.pdb"

@@ -95,6 +95,7 @@ def check_four_sites(positions, distance):
 # --- the boxes ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", PURE)
 def test_box_holds_512_whole_molecules_at_the_density_of_experiment(model):
     box = liquid(model)
@@ -124,6 +125,7 @@ def test_box_has_the_energy_of_the_liquid(model, energy):
     assert abs(found - energy * KCAL) < 0.75
 
 
+@pytest.mark.slow
 def test_salt_solution_has_its_ions_and_its_density():
     box = forcefields.read_box(SYSTEMS / SALT)
     assert box.choice.files == ("amber14/tip3p.xml",)
@@ -193,6 +195,7 @@ def test_rotations_are_proper_and_uniform():
     assert np.abs((R**2).mean(axis=0) - 1 / 3).max() < 4 * np.sqrt(4 / 45 / 4000)
 
 
+@pytest.mark.slow
 def test_made_box_is_read_back(tmp_path, capsys):
     out = tmp_path / "made.pdb"
     command = ["--model", "spce", "--salt", "2", "--molecules", "40", "--melt", "0.02", "--equilibrate", "0.02"]

@@ -161,6 +161,7 @@ def test_with_ions_the_file_that_has_them_is_named(tmp_path):
         read_box(tip4p)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(SYSTEMS.glob("*.pdb")), ids=lambda path: path.name)
 def test_shipped_boxes_name_their_force_field(path):
     assert read_box(path).choice.reason == "named in the PDB file"

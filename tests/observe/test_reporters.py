@@ -50,6 +50,7 @@ def test_conservation_report(tmp_path, box):
     assert last["Momentum x (dalton nm/ps)"] == motion.p[0].sum()
 
 
+@pytest.mark.slow
 def test_columns_that_openmm_reports_too_have_its_names(tmp_path, box):
     theirs = app.StateDataReporter(
         str(tmp_path / "theirs.csv"),
@@ -117,6 +118,7 @@ def test_body_states(tmp_path, box):
     simulation.reporters[0].close()
 
 
+@pytest.mark.slow
 def test_body_states_tell_where_the_atoms_are(tmp_path):
     """Atoms rebuilt from nothing but the file, of a salt solution whose box changes, against those of the Context."""
     topology, positions, system = periodic_system(ions=True)

@@ -110,6 +110,7 @@ def test_the_step_at_the_cutoff_is_smaller(tolerance):
     assert 20 < step[0] / step[1] < 26
 
 
+@pytest.mark.slow
 def test_boxes_of_the_command_line_are_balanced():
     system = read_box(SYSTEMS / "tip3p-512.pdb").system
     found = pme_of(system).getPMEParameters()

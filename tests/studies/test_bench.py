@@ -38,6 +38,7 @@ def liquid():
     return found.system, state, peers.liquid_of(found.system, state)
 
 
+@pytest.mark.slow
 def test_bench_in_miniature(box, tmp_path, monkeypatch):
     monkeypatch.setattr(accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)})
     monkeypatch.setattr(peers, "installed", list)

@@ -24,6 +24,7 @@ def box(tmp_path_factory):
     return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
 
 
+@pytest.mark.slow
 def test_platform_in_miniature(box, tmp_path, monkeypatch):
     monkeypatch.setattr(accuracy, "METHODS", {"verlet": (0.5, 2.0), "sier4g": (1.0,)})
     monkeypatch.setattr(platforms, "TURN", 1e-6)

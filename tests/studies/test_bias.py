@@ -31,6 +31,7 @@ def langevin(step):
     return integrator
 
 
+@pytest.mark.slow
 def test_bias_with_a_heat_bath():
     """Cold by 7 to 8 K, as predicted from forces alone.
 

@@ -32,6 +32,7 @@ def test_modules_that_are_commands_are_listed():
     assert commands - {"studies", "studies.paper.member"} == set(STUDIES)
 
 
+@pytest.mark.slow
 def test_figures_of_the_documentation_are_drawn_from_the_repository(tmp_path):
     figures.study(figures.FigureSettings(out=tmp_path))
     drawn = {path.name for path in tmp_path.iterdir()}

@@ -82,6 +82,7 @@ def taus():
     return miniature().tables["taus"].set_index(["method", "step_fs"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["MRDL", "SEJ4"])
 def test_tau_is_that_of_the_paper(method):
     """Within 1.5. With 1500 bodies the standard error is 10 % for MRDL and 20 % for SEJ4, whose tail is heavier.

@@ -39,6 +39,7 @@ def cells(table):
     return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
 
 
+@pytest.mark.slow
 def test_free_rotation_is_told_beside_the_paper(tmp_path):
     record = free_rotation.find(TINY)
     tau = {"MRDL": 8.0, "SEJ4": 2e3, "SIER2": 1e11, "SIER4": 5e10}
@@ -112,6 +113,7 @@ def members_of_water(members, place, processes, report):
         records.replace_file(place / member.name / water_runs.FILE, pd.DataFrame(runs).to_json(orient="records"))
 
 
+@pytest.mark.slow
 def test_all_runs_every_experiment(tmp_path, monkeypatch):
     monkeypatch.setattr(dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1))
     monkeypatch.setattr(free_rotation, "QUICK", TINY)

@@ -215,6 +215,7 @@ def ratios(record):
     return record.tables["points"].set_index(["method", "force_step_fs"])["percent"]
 
 
+@pytest.mark.slow
 def test_slopes_are_the_orders():
     """Between 0.5 and 2 fs the slope of SIER2 is 2; that of SIER4, between 0.5 and 1 fs, 4: rounding is far below.
 
@@ -241,6 +242,7 @@ def test_mrdl_and_sej4_lie_on_sier2():
     assert found["SEJ4", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)
 
 
+@pytest.mark.slow
 def test_broken_runs_are_left_out():
     """A step at which the integration fails gives no sample, and longer ones are not tried."""
     settings = replace(miniature()[0], force_steps_fs=(1.0, 30.0, 60.0), compared_from_fs=100.0, runs=1, span=0.1)
@@ -250,6 +252,7 @@ def test_broken_runs_are_left_out():
     assert math.isnan(points["percent"]["SIER4", 60.0])
 
 
+@pytest.mark.slow
 def test_runs_on_disk_are_not_made_again(tmp_path, monkeypatch):
     """What a process that was killed after its second run leaves is kept, and the rest is as if it had not been."""
     settings = replace(
@@ -314,6 +317,7 @@ def test_intersection():
     assert math.isnan(water.intersection(second, {h: v / 2 for h, v in second.items()}))
 
 
+@pytest.mark.slow
 def test_pme_liquid_runs():
     """The practical twin: SIER2's error is of second order, and SIER4's far below it.
 
@@ -341,6 +345,7 @@ def test_starting_box(n):
     assert np.linalg.norm(r[:, 1:3] - r[:, :1], axis=2) == pytest.approx(np.full((n, 2), 0.09572), abs=3e-4)
 
 
+@pytest.mark.slow
 def test_phase_points_are_liquid_water():
     """64 molecules near -40 kJ/mol each."""
     context = liquids.context(liquids.build(PME, box(), SMALL), openmm.VerletIntegrator(0.001), PME)
@@ -349,6 +354,7 @@ def test_phase_points_are_liquid_water():
     assert -46 < liquids.energies(context)[1] / 64 < -36
 
 
+@pytest.mark.slow
 def test_phase_points_are_reproducible_and_differ():
     """The same seed gives the same point, another seed another."""
     positions = [

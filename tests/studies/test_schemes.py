@@ -76,6 +76,7 @@ def finished(settings):
     return schemes.study(settings, told).tables["rows"], told
 
 
+@pytest.mark.slow
 def test_rows(finished):
     rows, _ = finished
     assert list(zip(rows["method"], rows["fs_per_force"], rows["forces"], strict=True)) == [

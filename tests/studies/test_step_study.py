@@ -46,6 +46,7 @@ READ = pd.DataFrame(
 )
 
 
+@pytest.mark.slow
 def test_the_table_is_by_box_method_and_step(tmp_path):
     record = Record({}, {"rows": step_study.in_order(READ)}, {"title": "Water"})
     lines = records.markdown(step_study.table(record)).splitlines()

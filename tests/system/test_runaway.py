@@ -61,6 +61,7 @@ def looks(integrator, calls=3):
         integrator.step(runaway.INTERVAL)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("engine", ENGINES)
 def test_hot_starts_and_hot_baths_are_the_users_own(engine):
@@ -91,6 +92,7 @@ def test_hot_starts_and_hot_baths_are_the_users_own(engine):
     assert bath.computeTemperatures().total > runaway.HOTTEST
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(liquid):
     system, (positions, _) = liquid

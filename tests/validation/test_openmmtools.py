@@ -82,6 +82,7 @@ def box():
     return system, relaxed(topology, positions, system)
 
 
+@pytest.mark.slow
 def test_the_cache_gives_what_it_is_asked_for(box):
     """In every order of two of them: each has a Context of its own, and is found again."""
     state = state_at(box)

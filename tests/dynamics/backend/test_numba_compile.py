@@ -78,6 +78,7 @@ def test_the_place_is_the_users_cache_unless_numba_is_told_another(folder, monke
     assert Path(numba_cache.UserCache("add").cache_path).is_relative_to(folder / "caches")
 
 
+@pytest.mark.slow
 def test_another_process_finds_the_code_on_disk(tmp_path):
     """Names on disk tell of the code alone, not of the process or its hashes; and it does what it did."""
     found = []

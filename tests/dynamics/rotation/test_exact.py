@@ -47,6 +47,7 @@ def test_many_bodies_of_each_family(rng, family):
         check(A, L, moments, angle, h)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_bodies_that_share_their_moments(rng, executed_by, family):
     for h in times(rng, 6):
