@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import mdtraj
+import pytest
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = ROOT / "examples"
