@@ -16,12 +16,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from openmm_sier.dynamics import fitting
-from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame, combine, displacing_rotation
+from openmm_sier.dynamics import backend, fitting
+from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
-from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import Species
 
 
@@ -303,9 +303,10 @@ class RigidBodies:
     def _sum_over_sites(
         self, vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
+        active = backend.active()
         total, moment = np.empty((2, 3, self.n))
         for sites, own in zip(self._sites, weights, strict=True):
-            sites.collect(vectors, A, own, total, moment)
+            active.collect(sites, vectors, A, own, total, moment)
         if not (_are_finite(total) and _are_finite(moment)):
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
@@ -318,8 +319,9 @@ class RigidBodies:
         Raises:
             NotFiniteError: a position is not finite. All have been written then.
         """
+        active = backend.active()
         for sites in self._sites:
-            sites.place(q, A, positions)
+            active.place(sites, q, A, positions)
         if not _are_finite(q):
             raise NotFiniteError(q)
         return positions
@@ -341,9 +343,7 @@ class RigidBodies:
             A: (3, 3, n).
             shift: half the square of a time, ps^2.
         """
-        x, y, z = A
-        rows = displacing_rotation(x, y, z, tau, self.inverse_moments, shift)
-        return q + (shift * self.inverse_masses) * F, np.stack([combine(row, x, y, z) for row in rows])
+        return backend.active().displace(q, A, F, tau, shift, self.inverse_masses, self.inverse_moments)
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:
         """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""

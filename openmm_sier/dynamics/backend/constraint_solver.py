@@ -34,6 +34,8 @@ class ConstraintTable(NamedTuple):
     """Constraints of atoms that are numbered from 0.
 
     Attributes:
+        members: column of the state for each atom, (atoms,).
+        first: the same for the first atom of its component, (atoms,).
         ends: the two atoms of each constraint, (2, c).
         squares: squared lengths, (c,), nm^2.
         inverse_masses: (atoms,), 1/dalton.
@@ -41,6 +43,8 @@ class ConstraintTable(NamedTuple):
         weights: for each pair the sum of +-1/m of the shared atoms, + where both begin or both end there, (k,).
     """
 
+    members: ndarray
+    first: ndarray
     ends: ndarray
     squares: ndarray
     inverse_masses: ndarray
@@ -63,6 +67,16 @@ def scattered(ends, vectors, atoms):
 def multiplied(rows, columns, matrix, x):
     """The product with a sparse matrix that has an element in each row."""
     return np.bincount(rows, matrix * x[columns])
+
+
+def taken(columns, vectors):
+    """Some columns of vectors (3, n)."""
+    return vectors[:, columns]
+
+
+def put(columns, values, vectors):
+    """Write some columns of vectors (3, n)."""
+    vectors[:, columns] = values
 
 
 def dots(a, b):
@@ -134,8 +148,13 @@ def constrain(table, x, p, d, guess):
     return reached, p, multipliers, residuals.argmax()
 
 
-def project(table, x, p):
-    """Momenta, or forces, without what acts along the constraints."""
+def relative(table, q):
+    """Positions (3, atoms) from the first atom of each component, of bodies at q (3, n)."""
+    return taken(table.members, q) - taken(table.first, q)
+
+
+def tangent(table, x, p):
+    """Momenta (3, atoms) without what acts along the constraints."""
     bonds = differences(table.ends, x)
     matrix, scale = linear_equations(table, bonds)
     for _ in range(2):
@@ -145,25 +164,35 @@ def project(table, x, p):
     return p
 
 
-def displace(table, x, p):
-    """Positions x + M^-1 p, put back along the bonds at x; and the constraint violated most, or -1."""
-    reached, _, _, failed = constrain(table, x, p, 1.0, np.zeros(len(table.squares)))
-    return reached, failed
+def project(table, q, p, new_p):
+    """Write momenta, or forces, of constrained bodies without what acts along the constraints; all are (3, n)."""
+    put(table.members, tangent(table, relative(table, q), taken(table.members, p)), new_p)
 
 
-def drift(table, x, p, times):
-    """Positions and momenta after RATTLE steps of some times; and the constraint violated most, or -1.
+def displace(table, q, push, new_q):
+    """Write positions q + M^-1 push, put back along the bonds at q; returns the constraint violated most, or -1."""
+    pushed, none = taken(table.members, push), np.zeros(len(table.squares))
+    x, _, _, failed = constrain(table, relative(table, q), pushed, 1.0, none)
+    put(table.members, taken(table.first, q) + x, new_q)
+    return failed
+
+
+def drift(table, q, p, times, new_q, new_p):
+    """Write positions and momenta after RATTLE steps of some times; returns the constraint violated most, or -1.
 
     Between two steps the momenta are not projected: the multipliers of the next step remove their part along the bonds.
     """
+    x, p = relative(table, q), taken(table.members, p)
     forces, before = np.zeros(len(table.squares)), 0.0
     for d in times:
         # Momenta are those of the middle of the step before.
         half = 0.5 * (d + before)
         x, p, multipliers, failed = constrain(table, x, p, d, half * forces)
         if failed >= 0:
-            return x, p, failed
+            return failed
         if abs(half) > 0.05 * abs(d):
             forces = multipliers / half
         before = d
-    return x, project(table, x, p), -1
+    put(table.members, taken(table.first, q) + x, new_q)
+    put(table.members, tangent(table, x, p), new_p)
+    return -1

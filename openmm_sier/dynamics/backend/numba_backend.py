@@ -12,6 +12,7 @@ from numpy import ndarray
 from openmm_sier.dynamics.backend import numba_loops
 from openmm_sier.dynamics.backend.numba_compile import compiled
 from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend, rotated
+from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.backend.threads import shared
 
 _compiled = cache(compiled)
@@ -30,6 +31,34 @@ class NumbaBackend(NumpyBackend):
         if shared(_compiled(numba_loops.rotate))(part, A, L, h, rates, new, far):
             left = part.start + np.flatnonzero(far[part])
             new[:, :, left] = rotated(rates, A[:, :, left], L[:, left], h, left)
+
+    def displace(
+        self,
+        q: ndarray,
+        A: ndarray,
+        F: ndarray,
+        tau: ndarray,
+        shift: float,
+        inverse_masses: ndarray,
+        inverse_moments: ndarray,
+    ) -> tuple[ndarray, ndarray]:
+        new_q, new_A = np.empty(q.shape), np.empty(A.shape)
+        loop = shared(_compiled(numba_loops.displace))
+        loop(slice(0, q.shape[1]), q, A, F, tau, shift, inverse_masses, inverse_moments, new_q, new_A)
+        return new_q, new_A
+
+    def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> None:
+        loop = shared(_compiled(numba_loops.place))
+        loop(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
+
+    def collect(
+        self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
+    ) -> None:
+        loop = shared(_compiled(numba_loops.collect))
+        loop(sites.part, sites.part.start, vectors, A, sites.places, weights, sites.atoms, total, moment)
+
+    def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
+        _compiled(numba_loops.turn_groups)(edges, part, m, q, torques, F)
 
     def execute(self, function: Callable[..., Any], *arguments: Any) -> Any:
         return _compiled(function)(*arguments)
