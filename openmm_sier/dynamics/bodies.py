@@ -120,6 +120,7 @@ class RigidBodies:
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self._sites = [Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
+        self._ones = [np.ones(len(s.masses)) for s in self.species]
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
@@ -298,7 +299,7 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(forces, A, [np.ones(len(s.masses)) for s in self.species])
+        return self._sum_over_sites(forces, A, self._ones)
 
     def _sum_over_sites(
         self, vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]

@@ -173,7 +173,8 @@ def constrained_drift(drift: Operator, constraints: Constraints, composition: Co
 
     def apply(state: BodyState, h: float) -> BodyState:
         q, p = constraints.drift(state.q, state.p, h, fractions)
-        return replace(drift(state, h), q=q, p=p)
+        free = drift(state, h)
+        return BodyState(q, p, free.A, free.L, free.heat, free.draws)
 
     return apply
 
@@ -212,13 +213,15 @@ def point_operators(
 
     def kick(state: BodyState, h: float) -> BodyState:
         (F,) = forces(state)
-        return replace(state, p=constraints.project(state.q, state.p + h * F))
+        p = constraints.project(state.q, state.p + h * F)
+        return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
 
     def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
         (F,) = forces(state)
         q = constraints.displaced(state.q, constraints.project(state.q, F), shift)
         (F,) = forces.at(q)
-        return replace(state, p=displaced_kick(state, q, F, h)[0])
+        p, _ = displaced_kick(state, q, F, h)
+        return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
 
     return {
         KICK: kick,

@@ -58,10 +58,12 @@ def differences(ends, x):
     return x[:, ends[0]] - x[:, ends[1]]
 
 
-def scattered(ends, vectors, atoms):
-    """Sums (3, atoms) of vectors (3, c) that act on the first end of each constraint, and oppositely on the second."""
+def pushed(ends, multipliers, bonds, p):
+    """Momenta (3, atoms) after multipliers (c,) along bonds (3, c) act on first ends, and oppositely on second."""
     first, second = ends
-    return np.stack([np.bincount(first, v, atoms) - np.bincount(second, v, atoms) for v in vectors])
+    atoms = p.shape[1]
+    forces = multipliers * bonds
+    return p + np.stack([np.bincount(first, f, atoms) - np.bincount(second, f, atoms) for f in forces])
 
 
 def multiplied(rows, columns, matrix, x):
@@ -114,6 +116,13 @@ def solution(table, matrix, scale, wanted, reduction):
     return scale * x
 
 
+def lengths_after(table, x, p, d):
+    """Positions x + d M^-1 p, and what their squared lengths lack, (c,)."""
+    reached = x + (d * table.inverse_masses) * p
+    bonds = differences(table.ends, reached)
+    return reached, table.squares - dots(bonds, bonds)
+
+
 def constrain(table, x, p, d, guess):
     """Momenta with which x + d M^-1 p satisfies the constraints, changed along their gradients at x.
 
@@ -123,16 +132,13 @@ def constrain(table, x, p, d, guess):
     Returns:
         (positions reached, momenta, multipliers, the constraint that is violated most if there is no solution or -1).
     """
-    atoms = len(table.inverse_masses)
     before = differences(table.ends, x)
     matrix, scale = linear_equations(table, before)
-    p = p + scattered(table.ends, guess * before, atoms)
+    p = pushed(table.ends, guess, before, p)
     multipliers = guess
     residuals = np.zeros(len(guess))
     for _ in range(NONLINEAR):
-        reached = x + (d * table.inverse_masses) * p
-        after = differences(table.ends, reached)
-        lacking = table.squares - dots(after, after)
+        reached, lacking = lengths_after(table, x, p, d)
         found = np.abs(lacking) / table.squares
         if not np.isfinite(found).all():
             # The last finite residuals show the constraints that have no solution, unless free motion is not finite.
@@ -142,7 +148,7 @@ def constrain(table, x, p, d, guess):
         residuals = found
         change = solution(table, matrix, scale, (0.5 / d) * lacking, REDUCTION)
         multipliers = multipliers + change
-        p = p + scattered(table.ends, change * before, atoms)
+        p = pushed(table.ends, change, before, p)
         if residuals.max() < CLOSE:
             return x + (d * table.inverse_masses) * p, p, multipliers, -1
     return reached, p, multipliers, residuals.argmax()
@@ -160,7 +166,7 @@ def tangent(table, x, p):
     for _ in range(2):
         rates = dots(bonds, differences(table.ends, table.inverse_masses * p))
         change = solution(table, matrix, scale, -rates, FULL_REDUCTION)
-        p = p + scattered(table.ends, change * bonds, len(table.inverse_masses))
+        p = pushed(table.ends, change, bonds, p)
     return p
 
 

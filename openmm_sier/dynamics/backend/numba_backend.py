@@ -18,6 +18,11 @@ from openmm_sier.dynamics.backend.threads import shared
 _compiled = cache(compiled)
 
 
+@cache
+def _shared(loop: Any) -> Callable[..., int]:
+    return shared(_compiled(loop))
+
+
 class NumbaBackend(NumpyBackend):
     """What `NumpyBackend` does, compiled. Bodies that turn too far for the series in a step are left to NumPy."""
 
@@ -28,9 +33,16 @@ class NumbaBackend(NumpyBackend):
             super()._rotate_kind(rates, part, A, L, h, new)
             return
         far = np.empty(A.shape[2], dtype=bool)
-        if shared(_compiled(numba_loops.rotate))(part, A, L, h, rates, new, far):
+        if _shared(numba_loops.rotate)(part, A, L, h, rates, new, far):
             left = part.start + np.flatnonzero(far[part])
             new[:, :, left] = rotated(rates, A[:, :, left], L[:, left], h, left)
+
+    def kick(
+        self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray
+    ) -> tuple[ndarray, ndarray]:
+        new_p, new_L = np.empty(p.shape), np.empty(p.shape)
+        _shared(numba_loops.kick)(slice(0, p.shape[1]), p, L, F, tau, h, q, at, new_p, new_L)
+        return new_p, new_L
 
     def displace(
         self,
@@ -43,19 +55,20 @@ class NumbaBackend(NumpyBackend):
         inverse_moments: ndarray,
     ) -> tuple[ndarray, ndarray]:
         new_q, new_A = np.empty(q.shape), np.empty(A.shape)
-        loop = shared(_compiled(numba_loops.displace))
-        loop(slice(0, q.shape[1]), q, A, F, tau, shift, inverse_masses, inverse_moments, new_q, new_A)
+        _shared(numba_loops.displace)(
+            slice(0, q.shape[1]), q, A, F, tau, shift, inverse_masses, inverse_moments, new_q, new_A
+        )
         return new_q, new_A
 
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> None:
-        loop = shared(_compiled(numba_loops.place))
-        loop(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
+        _shared(numba_loops.place)(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
     ) -> None:
-        loop = shared(_compiled(numba_loops.collect))
-        loop(sites.part, sites.part.start, vectors, A, sites.places, weights, sites.atoms, total, moment)
+        _shared(numba_loops.collect)(
+            sites.part, sites.part.start, vectors, A, sites.places, weights, sites.atoms, total, moment
+        )
 
     def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
         _compiled(numba_loops.turn_groups)(edges, part, m, q, torques, F)

@@ -17,7 +17,7 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "nump
 #: Functions on arrays that are faster as loops.
 LOOPS: dict[Any, Any] = {
     getattr(constraint_solver, name): getattr(numba_loops, name)
-    for name in ("differences", "scattered", "taken", "put", "linear_equations", "solution")
+    for name in ("differences", "pushed", "lengths_after", "taken", "put", "linear_equations", "solution")
 }
 
 

@@ -83,6 +83,17 @@ def rotate_tile(tile, rates, h):
         tile[21 * TILE + n] = reached
 
 
+def kick(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
+    """As `NumpyBackend.kick`, for a range of the bodies."""
+    for n in range(np.uint64(start), np.uint64(stop)):
+        force = F[0, n], F[1, n], F[2, n]
+        lever = cross((at[0, n] - q[0, n], at[1, n] - q[1, n], at[2, n] - q[2, n]), force)
+        for x in range(3):
+            new_p[x, n] = p[x, n] + h * force[x]
+            new_L[x, n] = L[x, n] + h * (torque[x, n] + lever[x])
+    return 0
+
+
 def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moments, new_q, new_A):
     """As `RigidBodies.displaced`, for a range of the bodies; writes q (3, n) and A (3, 3, n)."""
     for n in range(np.uint64(start), np.uint64(stop)):
@@ -165,14 +176,26 @@ def differences(ends, x):
     return out
 
 
-def scattered(ends, vectors, atoms):
-    """As `constraint_solver.scattered`."""
-    out = np.zeros((3, atoms))
+def pushed(ends, multipliers, bonds, p):
+    """As `constraint_solver.pushed`."""
+    out = p.copy()
     for axis in range(3):
         for c in range(ends.shape[1]):
-            out[axis, np.uint64(ends[0, c])] += vectors[axis, c]
-            out[axis, np.uint64(ends[1, c])] -= vectors[axis, c]
+            impulse = multipliers[c] * bonds[axis, c]
+            out[axis, np.uint64(ends[0, c])] += impulse
+            out[axis, np.uint64(ends[1, c])] -= impulse
     return out
+
+
+def lengths_after(table, x, p, d):
+    """As `constraint_solver.lengths_after`."""
+    ends, squares = table.ends, table.squares
+    reached, lacking = x + (d * table.inverse_masses) * p, np.empty(len(squares))
+    for c in range(len(squares)):
+        i, j = np.uint64(ends[0, c]), np.uint64(ends[1, c])
+        bond = reached[0, i] - reached[0, j], reached[1, i] - reached[1, j], reached[2, i] - reached[2, j]
+        lacking[c] = squares[c] - (bond[0] * bond[0] + bond[1] * bond[1] + bond[2] * bond[2])
+    return reached, lacking
 
 
 def taken(columns, vectors):
@@ -221,9 +244,11 @@ def multiply(rows, columns, matrix, x, image):
 def solution(table, matrix, scale, wanted, reduction):
     """As `constraint_solver.solution`, without temporary arrays."""
     rows, columns = table.rows, table.columns
-    residual, x, image = scale * wanted, np.zeros(len(wanted)), np.empty(len(wanted))
+    work = np.zeros((5, len(wanted)))
+    x, residual, image, direction, along = work[0], work[1], work[2], work[3], work[4]
+    residual[:] = scale * wanted
     size = multiply(rows, columns, matrix, residual, image)
-    direction, along = residual.copy(), image.copy()
+    direction[:], along[:] = residual, image
     enough = reduction**2 * size
     for _ in range(LINEAR):
         if not size > enough:

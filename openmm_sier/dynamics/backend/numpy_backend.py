@@ -59,6 +59,16 @@ class NumpyBackend:
             own = rates if rates.ndim == 1 else rates[:, block]
             new[:, :, block] = rotated(own, A[:, :, block], L[:, block], h, range(block.start, block.stop))
 
+    def kick(
+        self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray
+    ) -> tuple[ndarray, ndarray]:
+        """Momenta and angular momenta about q after forces at other points, and torques about these, for a time h.
+
+        All arrays are (3, n).
+        """
+        torque = tau if at is q else tau + cross(at - q, F)
+        return p + h * F, L + h * torque
+
     def displace(
         self,
         q: ndarray,
