@@ -2,10 +2,12 @@
 
     openmm-sier ensemble systems/step-study.toml --out step-study
     python -m studies.step_study step-study/* --skip 5 --out step-study-figure
+    python -m studies.step_study
 
-Density, energy, dielectric constant, diffusion and temperatures by box, method and step, with standard errors. Runs
-that differ in their seeds alone count as one; unfinished runs are left out. Writes step-study.json, step-study.md and
-step-study.png.
+Density, energy, diffusion and temperatures by box, method and step, with standard errors, and how far energy and
+diffusion are from those at the shortest step. Runs that differ in their seeds alone count as one; unfinished runs are
+left out. Writes step-study.json, step-study.md and step-study.png. Without runs the numbers are those in
+`studies/data`.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from openmm_sier.cli.plan import RunError
 from openmm_sier.cli.properties import ROWS, estimated, read_runs
 from openmm_sier.measure.figures import context
 from openmm_sier.measure.report import SILENT, Report, Table
-from openmm_sier.measure.statistics import pooled
+from openmm_sier.measure.statistics import Estimate, pooled
 from studies import records, style
 from studies.command import Settings, execute
 from studies.records import Record
@@ -35,7 +37,6 @@ from studies.records import Record
 PROPERTIES = {
     "density": ("density, g/cm³", "density (g/cm³)"),
     "energy": ("potential energy, kJ/mol", "potential energy (kJ/mol)"),
-    "dielectric": ("dielectric constant", "dielectric constant"),
     "diffusion": ("self-diffusion in the box, 10⁻⁹ m²/s", "self-diffusion (10⁻⁹ m²/s)"),
 }
 
@@ -51,6 +52,15 @@ COLUMNS = {
     "ps": "{time:.4g}",
 } | {heading: f"{{{key}_text}}" for key, heading in MEASURED.items()}
 
+#: Properties of which the tables of deviations tell.
+COMPARED = {"energy": "Potential energy, kJ/mol", "diffusion": "Self-diffusion, 10⁻⁹ m²/s"}
+
+#: Left out of the reference: its bath heats the liquid at any step (`studies.checks.andersen_oscillators`).
+HEATED = "OpenMM Verlet"
+
+#: Names of the models of boxes in the figure and the tables of deviations; another box has its own name there.
+MODELS = {"spce-512": "SPC/E", "tip3p-512": "TIP3P", "tip4p2005-512": "TIP4P/2005"}
+
 #: fs by which the points of different methods are shifted apart.
 APART = 0.03
 
@@ -58,12 +68,16 @@ APART = 0.03
 SHARED = ("temperature", "pressure")
 
 
+#: The numbers of the documentation.
+KEPT = Path(__file__).parent / "data" / "step-study.json"
+
+
 @dataclass(frozen=True)
 class StepSettings(Settings):
     """What is read.
 
     Attributes:
-        runs: checkpoints, or directories of an ensemble's members.
+        runs: checkpoints, or directories of an ensemble's members; none: the numbers of the documentation.
         skip: ps to leave out at the beginning of each run.
     """
 
@@ -80,17 +94,23 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
         RunError: temperatures or pressures differ, or no run is finished.
         RecordError, NoLiquidError, OSError: as their messages say.
     """
+    record = _measured(settings, report) if settings.runs else records.read(KEPT)
+    tables = [table(record), *(deviations(record, key) for key in COMPARED)]
+    for made in tables:
+        report.table(made)
+    (settings.out / "step-study.md").write_text("\n".join(records.markdown(made) for made in tables))
+    record.write(settings.out / "step-study.json")
+    figure(record, settings.out / "step-study.png")
+    return record
+
+
+def _measured(settings: StepSettings, report: Report) -> Record:
     points = _finished(settings.runs, report)
     first = points[0][0].plan
     rows = in_order(with_shared_errors(pd.DataFrame([_row(point, settings.skip) for point in points])))
     pressure = f", {first.pressure:g} bar" if first.moves_volume else ""
     title = f"Water against the step, {first.temperature:g} K{pressure}"
-    record = Record(settings.recorded(), {"rows": rows}, {"title": title})
-    report.table(table(record))
-    (settings.out / "step-study.md").write_text(records.markdown(table(record)))
-    record.write(settings.out / "step-study.json")
-    figure(record, settings.out / "step-study.png")
-    return record
+    return Record(settings.recorded(), {"rows": rows}, {"title": title})
 
 
 def _finished(paths: Sequence[Path], report: Report) -> list[list[FinishedRun]]:
@@ -164,6 +184,34 @@ def table(record: Record) -> Table:
     return records.table(record.notes["title"], records.with_text(record.tables["rows"], *MEASURED), COLUMNS, left=2)
 
 
+def deviations(record: Record, key: str) -> Table:
+    """How far a property is from its mean over the rows of the shortest step at which it is known, by box.
+
+    Those rows are chosen by their step, not by their results; the weights are inverse squares of the errors. Errors of
+    differences have that of the mean in them.
+    """
+    rows = record.tables["rows"].dropna(subset=[key])
+    error = f"{key}_error"
+    found: dict[tuple[str, str], dict[str, str]] = {}
+    for box, own in rows.groupby("box", sort=False):
+        cold = own[own["method"] != HEATED]
+        shortest = cold["fs_per_force"].min()
+        reference = cold[cold["fs_per_force"] == shortest]
+        weights = reference[error] ** -2
+        mean, doubt = np.average(reference[key], weights=weights), weights.sum() ** -0.5
+        found.setdefault(("mean at the shortest step", f"{shortest:g}"), {})[box] = str(Estimate(mean, doubt))
+        for _, row in own[own["fs_per_force"] > shortest].iterrows():
+            difference = Estimate(row[key] - mean, math.hypot(row[error], doubt))
+            found.setdefault((row["method"], f"{row['fs_per_force']:g}"), {})[box] = str(difference)
+    boxes = list(rows["box"].unique())
+    lines = [[*point, *(texts.get(box, "-") for box in boxes)] for point, texts in found.items()]
+    return Table(
+        f"{COMPARED[key]}, less its mean at the shortest step",
+        ["method", "fs per force", *(MODELS.get(box, box) for box in boxes)],
+        lines,
+    )
+
+
 def figure(record: Record, path: Path) -> None:
     """A row of panels for each box: properties against simulated time per force evaluation, with standard errors."""
     from matplotlib.figure import Figure
@@ -175,9 +223,12 @@ def figure(record: Record, path: Path) -> None:
         made.suptitle(record.notes["title"], x=0.01, ha="left", fontsize=14, fontweight="bold")
         grid = made.subplots(len(boxes), len(PROPERTIES), squeeze=False, sharex=True)
         for box, line in zip(boxes, grid, strict=True):
+            line[0].set_title(MODELS.get(box, box))
             for key, axes in zip(PROPERTIES, line, strict=True):
                 style.curves(axes, rows[rows["box"] == box], "fs_per_force", key, apart=APART)
-                axes.set(xlim=(0, None), ylabel=PROPERTIES[key][1], title=box if key == "density" else "")
+                axes.set(
+                    xlim=(0, None), ylabel=PROPERTIES[key][1], title=MODELS.get(box, box) if key == "density" else ""
+                )
         for axes in grid[-1]:
             axes.set_xlabel("simulated time per force evaluation (fs)")
         handles, labels = grid[0][0].get_legend_handles_labels()

@@ -31,7 +31,7 @@ METHODS = {
     "SEJ4": ("#56b4e9", "<"),
     "OpenMM Verlet": ("#4d4d4d", "s"),
     "Verlet, RATTLE": ("#7f7f7f", "s"),
-    "OpenMM LangevinMiddle": ("#4d4d4d", "X"),
+    "OpenMM LangevinMiddle": ("#b5651d", "X"),
     "LAMMPS rigid/nve/small": ("#8c6d31", "d"),
     "GROMACS md-vv, mixed": ("#9c9ede", ">"),
     "GROMACS md-vv, double": ("#5254a3", "p"),

@@ -235,7 +235,7 @@ SIER4P = Scheme(
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44",
 )
 
-#: Two stages of Verlet of unequal lengths, with the least error of second order: for 3 fs per force evaluation.
+#: Two stages with the least sum of squares of their two errors of second order: for 3 fs per force evaluation.
 SIER2V2 = alternating(
     "SIER2V2",
     KICK,
@@ -264,7 +264,7 @@ SIER2P3 = alternating(
 )
 
 #: The schemes that users can name. Which one conserves the energy of liquid water best depends on the simulated time
-#: per force evaluation (docs/accuracy.md). It is SIER4P up to 1.5 fs, SIER4G or SIER4P at 2 fs, SIER2V2 or SIER2P3 at
-#: 3 fs, and SIER2P3 at 4 fs. SIER4V is the best of fourth order without a gradient, SIER2 the cheapest step, and SIER4
-#: is the paper's.
+#: per force evaluation (docs/accuracy.md). It is SIER4P up to 1.5 fs, SIER4G or SIER4P at 2 fs, SIER2V2, SIER2P3 or
+#: SIER4P at 3 fs, and SIER2P3 beyond. SIER4V is the best of fourth order without a gradient, SIER2 has the cheapest
+#: step, and SIER4 is the paper's.
 CATALOGUE = {scheme.name.lower(): scheme for scheme in (SIER2, SIER2V2, SIER2P3, SIER4, SIER4V, SIER4G, SIER4P)}

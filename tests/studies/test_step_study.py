@@ -51,7 +51,7 @@ def test_the_table_is_by_box_method_and_step(tmp_path):
     lines = records.markdown(step_study.table(record)).splitlines()
     assert len(lines) == 2 + len(READ)
     assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | - | 2.50 ± 0.10"
+    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | 2.50 ± 0.10"
     assert lines[2] == f"| spce-512 | SIER4G | 6 | 2 | 2 | 180 | {found} |"
     assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
     assert lines[-1].startswith("| tip3p-512")
@@ -91,6 +91,20 @@ def test_momenta_that_are_drawn_anew_tell_no_diffusion():
     plan = new_plan(Options(Path("box.pdb"), ensemble="hmc"))
     (diffusion,) = [row for row in ROWS if row.key == "diffusion"]
     assert estimated(diffusion, [Run(plan, {}, None, 512, None)]) == {plan.out: None}
+
+
+def test_deviations_are_from_the_shortest_step_and_share_its_error():
+    rows = [
+        row("SIER2", 1.0, energy=(-46.0, 0.3)),
+        row("SIER4G", 1.0, 3, energy=(-45.0, 0.3)),
+        # Left out of the reference, since its bath heats the liquid.
+        row("OpenMM Verlet", 1.0, energy=(-40.0, 0.3)),
+        row("SIER4G", 2.0, 3, energy=(-45.3, 0.4)),
+    ]
+    made = step_study.deviations(Record({}, {"rows": pd.DataFrame(rows)}, {}), "energy")
+    assert made.columns == ["method", "fs per force", "SPC/E"]
+    # The mean of two rows with errors of 0.3 has 0.3 / sqrt(2), and the difference sqrt(0.4^2 + 0.3^2 / 2).
+    assert made.rows == [["mean at the shortest step", "1", "-45.50 ± 0.21"], ["SIER4G", "2", "0.20 ± 0.45"]]
 
 
 @pytest.mark.slow
