@@ -16,12 +16,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from openmm_sier.dynamics import fitting
-from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame, combine, displacing_rotation
+from openmm_sier.dynamics import backend, fitting
+from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.fitting import RigidityError as RigidityError
-from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import Species
 
 
@@ -120,6 +120,7 @@ class RigidBodies:
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self._sites = [Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
+        self._ones = [np.ones(len(s.masses)) for s in self.species]
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
@@ -298,14 +299,15 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(forces, A, [np.ones(len(s.masses)) for s in self.species])
+        return self._sum_over_sites(forces, A, self._ones)
 
     def _sum_over_sites(
         self, vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
+        active = backend.active()
         total, moment = np.empty((2, 3, self.n))
         for sites, own in zip(self._sites, weights, strict=True):
-            sites.collect(vectors, A, own, total, moment)
+            active.collect(sites, vectors, A, own, total, moment)
         if not (_are_finite(total) and _are_finite(moment)):
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
@@ -318,8 +320,9 @@ class RigidBodies:
         Raises:
             NotFiniteError: a position is not finite. All have been written then.
         """
+        active = backend.active()
         for sites in self._sites:
-            sites.place(q, A, positions)
+            active.place(sites, q, A, positions)
         if not _are_finite(q):
             raise NotFiniteError(q)
         return positions
@@ -341,9 +344,7 @@ class RigidBodies:
             A: (3, 3, n).
             shift: half the square of a time, ps^2.
         """
-        x, y, z = A
-        rows = displacing_rotation(x, y, z, tau, self.inverse_moments, shift)
-        return q + (shift * self.inverse_masses) * F, np.stack([combine(row, x, y, z) for row in rows])
+        return backend.active().displace(q, A, F, tau, shift, self.inverse_masses, self.inverse_moments)
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:
         """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""

@@ -34,8 +34,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.backend.formulas import LINE, cross, spin
+from openmm_sier.dynamics import backend, operators
+from openmm_sier.dynamics.backend.formulas import cross
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP, Composition
@@ -123,7 +123,10 @@ def constrained_gradient_kick(
 
 
 class DisplacedKick:
-    """A kick by forces at displaced positions, which satisfy all constraints between members of a group of points."""
+    """A kick by forces at displaced positions, which satisfy all constraints between members of a group of points.
+
+    Where a group lies on a line or is a single point, errors of its torque are of second order in the displacement.
+    """
 
     def __init__(self, constraints: Constraints, groups: ArrayLike | None):
         """
@@ -137,8 +140,8 @@ class DisplacedKick:
         part = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
         self._constraints, self._grouped = constraints, groups >= 0
         self._part = part[np.argsort(group[part], kind="stable")]
-        self._starts = np.flatnonzero(np.diff(group[self._part], prepend=-1))
-        self._group = np.cumsum(np.isin(np.arange(len(part)), self._starts)) - 1
+        starts = np.flatnonzero(np.diff(group[self._part], prepend=-1))
+        self._edges = np.append(starts, len(self._part))
         self._masses = constraints.masses[self._part]
 
     def __call__(self, state: BodyState, q: np.ndarray, F: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -153,24 +156,9 @@ class DisplacedKick:
         F = self._constraints.project(q, F)
         torques = np.array(cross(q - state.q, F))
         if len(self._part):
-            F[:, self._part] += self._turning_forces(state.q[:, self._part], torques[:, self._part])
+            backend.active().turn_groups(self._edges, self._part, self._masses, state.q, torques, F)
         torques[:, self._grouped] = 0.0
         return self._constraints.project(state.q, state.p + h * F), torques
-
-    def _turning_forces(self, q: np.ndarray, torques: np.ndarray) -> np.ndarray:
-        """Forces that turn each group rigidly and exert the torques of its members, (3, m) each.
-
-        There is no such rotation about a line that the whole group lies on, and the torque of a single point is lost;
-        both errors are of second order in the displacement.
-        """
-        m, starts, group = self._masses, self._starts, self._group
-        x, y, z = (row - (np.add.reduceat(m * row, starts) / np.add.reduceat(m, starts))[group] for row in q)
-        products = m * np.array([x * x, y * y, z * z, x * y, y * z, z * x])
-        torque = np.add.reduceat(torques, starts, axis=1)
-        turned, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
-        line = determinant <= LINE * half**3
-        rates = np.where(line, torque / half, np.array(turned) / np.where(line, 1.0, determinant))
-        return m * np.array(cross(rates[:, group], (x, y, z)))
 
 
 # --- drifts ---
@@ -185,7 +173,8 @@ def constrained_drift(drift: Operator, constraints: Constraints, composition: Co
 
     def apply(state: BodyState, h: float) -> BodyState:
         q, p = constraints.drift(state.q, state.p, h, fractions)
-        return replace(drift(state, h), q=q, p=p)
+        free = drift(state, h)
+        return BodyState(q, p, free.A, free.L, free.heat, free.draws)
 
     return apply
 
@@ -224,13 +213,15 @@ def point_operators(
 
     def kick(state: BodyState, h: float) -> BodyState:
         (F,) = forces(state)
-        return replace(state, p=constraints.project(state.q, state.p + h * F))
+        p = constraints.project(state.q, state.p + h * F)
+        return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
 
     def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
         (F,) = forces(state)
         q = constraints.displaced(state.q, constraints.project(state.q, F), shift)
         (F,) = forces.at(q)
-        return replace(state, p=displaced_kick(state, q, F, h)[0])
+        p, _ = displaced_kick(state, q, F, h)
+        return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
 
     return {
         KICK: kick,

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend.formulas import cross
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.rotation.arguments import axes_of
@@ -82,7 +81,8 @@ def kick(forces: CachedForces) -> Operator:
 
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
-        return BodyState(state.q, state.p + h * F, state.A, state.L + h * tau, state.heat, state.draws)
+        p, L = backend.active().kick(state.p, state.L, F, tau, h, state.q, state.q)
+        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
 
     return apply
 
@@ -104,8 +104,8 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
         F, tau = forces(state)
         q, A = bodies.displaced(state.q, state.A, F, tau, shift)
         F, tau = forces.at(q, A)
-        L = state.L + h * (tau + cross(q - state.q, F))
-        return BodyState(state.q, state.p + h * F, state.A, L, state.heat, state.draws)
+        p, L = backend.active().kick(state.p, state.L, F, tau, h, state.q, q)
+        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
 
     return apply
 

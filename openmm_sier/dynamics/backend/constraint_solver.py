@@ -34,6 +34,8 @@ class ConstraintTable(NamedTuple):
     """Constraints of atoms that are numbered from 0.
 
     Attributes:
+        members: column of the state for each atom, (atoms,).
+        first: the same for the first atom of its component, (atoms,).
         ends: the two atoms of each constraint, (2, c).
         squares: squared lengths, (c,), nm^2.
         inverse_masses: (atoms,), 1/dalton.
@@ -41,6 +43,8 @@ class ConstraintTable(NamedTuple):
         weights: for each pair the sum of +-1/m of the shared atoms, + where both begin or both end there, (k,).
     """
 
+    members: ndarray
+    first: ndarray
     ends: ndarray
     squares: ndarray
     inverse_masses: ndarray
@@ -54,15 +58,27 @@ def differences(ends, x):
     return x[:, ends[0]] - x[:, ends[1]]
 
 
-def scattered(ends, vectors, atoms):
-    """Sums (3, atoms) of vectors (3, c) that act on the first end of each constraint, and oppositely on the second."""
+def pushed(ends, multipliers, bonds, p):
+    """Momenta (3, atoms) after multipliers (c,) along bonds (3, c) act on first ends, and oppositely on second."""
     first, second = ends
-    return np.stack([np.bincount(first, v, atoms) - np.bincount(second, v, atoms) for v in vectors])
+    atoms = p.shape[1]
+    forces = multipliers * bonds
+    return p + np.stack([np.bincount(first, f, atoms) - np.bincount(second, f, atoms) for f in forces])
 
 
 def multiplied(rows, columns, matrix, x):
     """The product with a sparse matrix that has an element in each row."""
     return np.bincount(rows, matrix * x[columns])
+
+
+def taken(columns, vectors):
+    """Some columns of vectors (3, n)."""
+    return vectors[:, columns]
+
+
+def put(columns, values, vectors):
+    """Write some columns of vectors (3, n)."""
+    vectors[:, columns] = values
 
 
 def dots(a, b):
@@ -100,6 +116,13 @@ def solution(table, matrix, scale, wanted, reduction):
     return scale * x
 
 
+def lengths_after(table, x, p, d):
+    """Positions x + d M^-1 p, and what their squared lengths lack, (c,)."""
+    reached = x + (d * table.inverse_masses) * p
+    bonds = differences(table.ends, reached)
+    return reached, table.squares - dots(bonds, bonds)
+
+
 def constrain(table, x, p, d, guess):
     """Momenta with which x + d M^-1 p satisfies the constraints, changed along their gradients at x.
 
@@ -109,16 +132,13 @@ def constrain(table, x, p, d, guess):
     Returns:
         (positions reached, momenta, multipliers, the constraint that is violated most if there is no solution or -1).
     """
-    atoms = len(table.inverse_masses)
     before = differences(table.ends, x)
     matrix, scale = linear_equations(table, before)
-    p = p + scattered(table.ends, guess * before, atoms)
+    p = pushed(table.ends, guess, before, p)
     multipliers = guess
     residuals = np.zeros(len(guess))
     for _ in range(NONLINEAR):
-        reached = x + (d * table.inverse_masses) * p
-        after = differences(table.ends, reached)
-        lacking = table.squares - dots(after, after)
+        reached, lacking = lengths_after(table, x, p, d)
         found = np.abs(lacking) / table.squares
         if not np.isfinite(found).all():
             # The last finite residuals show the constraints that have no solution, unless free motion is not finite.
@@ -128,42 +148,57 @@ def constrain(table, x, p, d, guess):
         residuals = found
         change = solution(table, matrix, scale, (0.5 / d) * lacking, REDUCTION)
         multipliers = multipliers + change
-        p = p + scattered(table.ends, change * before, atoms)
+        p = pushed(table.ends, change, before, p)
         if residuals.max() < CLOSE:
             return x + (d * table.inverse_masses) * p, p, multipliers, -1
     return reached, p, multipliers, residuals.argmax()
 
 
-def project(table, x, p):
-    """Momenta, or forces, without what acts along the constraints."""
+def relative(table, q):
+    """Positions (3, atoms) from the first atom of each component, of bodies at q (3, n)."""
+    return taken(table.members, q) - taken(table.first, q)
+
+
+def tangent(table, x, p):
+    """Momenta (3, atoms) without what acts along the constraints."""
     bonds = differences(table.ends, x)
     matrix, scale = linear_equations(table, bonds)
     for _ in range(2):
         rates = dots(bonds, differences(table.ends, table.inverse_masses * p))
         change = solution(table, matrix, scale, -rates, FULL_REDUCTION)
-        p = p + scattered(table.ends, change * bonds, len(table.inverse_masses))
+        p = pushed(table.ends, change, bonds, p)
     return p
 
 
-def displace(table, x, p):
-    """Positions x + M^-1 p, put back along the bonds at x; and the constraint violated most, or -1."""
-    reached, _, _, failed = constrain(table, x, p, 1.0, np.zeros(len(table.squares)))
-    return reached, failed
+def project(table, q, p, new_p):
+    """Write momenta, or forces, of constrained bodies without what acts along the constraints; all are (3, n)."""
+    put(table.members, tangent(table, relative(table, q), taken(table.members, p)), new_p)
 
 
-def drift(table, x, p, times):
-    """Positions and momenta after RATTLE steps of some times; and the constraint violated most, or -1.
+def displace(table, q, push, new_q):
+    """Write positions q + M^-1 push, put back along the bonds at q; returns the constraint violated most, or -1."""
+    pushed, none = taken(table.members, push), np.zeros(len(table.squares))
+    x, _, _, failed = constrain(table, relative(table, q), pushed, 1.0, none)
+    put(table.members, taken(table.first, q) + x, new_q)
+    return failed
+
+
+def drift(table, q, p, times, new_q, new_p):
+    """Write positions and momenta after RATTLE steps of some times; returns the constraint violated most, or -1.
 
     Between two steps the momenta are not projected: the multipliers of the next step remove their part along the bonds.
     """
+    x, p = relative(table, q), taken(table.members, p)
     forces, before = np.zeros(len(table.squares)), 0.0
     for d in times:
         # Momenta are those of the middle of the step before.
         half = 0.5 * (d + before)
         x, p, multipliers, failed = constrain(table, x, p, d, half * forces)
         if failed >= 0:
-            return x, p, failed
+            return failed
         if abs(half) > 0.05 * abs(d):
             forces = multipliers / half
         before = d
-    return x, project(table, x, p), -1
+    put(table.members, taken(table.first, q) + x, new_q)
+    put(table.members, tangent(table, x, p), new_p)
+    return -1

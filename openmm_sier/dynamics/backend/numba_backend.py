@@ -12,9 +12,15 @@ from numpy import ndarray
 from openmm_sier.dynamics.backend import numba_loops
 from openmm_sier.dynamics.backend.numba_compile import compiled
 from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend, rotated
+from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.backend.threads import shared
 
 _compiled = cache(compiled)
+
+
+@cache
+def _shared(loop: Any) -> Callable[..., int]:
+    return shared(_compiled(loop))
 
 
 class NumbaBackend(NumpyBackend):
@@ -27,9 +33,45 @@ class NumbaBackend(NumpyBackend):
             super()._rotate_kind(rates, part, A, L, h, new)
             return
         far = np.empty(A.shape[2], dtype=bool)
-        if shared(_compiled(numba_loops.rotate))(part, A, L, h, rates, new, far):
+        if _shared(numba_loops.rotate)(part, A, L, h, rates, new, far):
             left = part.start + np.flatnonzero(far[part])
             new[:, :, left] = rotated(rates, A[:, :, left], L[:, left], h, left)
+
+    def kick(
+        self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray
+    ) -> tuple[ndarray, ndarray]:
+        new_p, new_L = np.empty(p.shape), np.empty(p.shape)
+        _shared(numba_loops.kick)(slice(0, p.shape[1]), p, L, F, tau, h, q, at, new_p, new_L)
+        return new_p, new_L
+
+    def displace(
+        self,
+        q: ndarray,
+        A: ndarray,
+        F: ndarray,
+        tau: ndarray,
+        shift: float,
+        inverse_masses: ndarray,
+        inverse_moments: ndarray,
+    ) -> tuple[ndarray, ndarray]:
+        new_q, new_A = np.empty(q.shape), np.empty(A.shape)
+        _shared(numba_loops.displace)(
+            slice(0, q.shape[1]), q, A, F, tau, shift, inverse_masses, inverse_moments, new_q, new_A
+        )
+        return new_q, new_A
+
+    def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> None:
+        _shared(numba_loops.place)(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
+
+    def collect(
+        self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
+    ) -> None:
+        _shared(numba_loops.collect)(
+            sites.part, sites.part.start, vectors, A, sites.places, weights, sites.atoms, total, moment
+        )
+
+    def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
+        _compiled(numba_loops.turn_groups)(edges, part, m, q, torques, F)
 
     def execute(self, function: Callable[..., Any], *arguments: Any) -> Any:
         return _compiled(function)(*arguments)

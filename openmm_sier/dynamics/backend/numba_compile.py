@@ -16,9 +16,8 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "nump
 
 #: Functions on arrays that are faster as loops.
 LOOPS: dict[Any, Any] = {
-    constraint_solver.differences: numba_loops.differences,
-    constraint_solver.scattered: numba_loops.scattered,
-    constraint_solver.multiplied: numba_loops.multiplied,
+    getattr(constraint_solver, name): getattr(numba_loops, name)
+    for name in ("differences", "pushed", "lengths_after", "taken", "put", "linear_equations", "solution")
 }
 
 

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from openmm_sier.dynamics.backend.constraint_solver import LINEAR
 from openmm_sier.dynamics.backend.elliptic import long_series
-from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, combine, rotation_matrix, small_sine_cosine
+from openmm_sier.dynamics.backend.formulas import (
+    LINE,
+    SMALL_ANGLE,
+    combine,
+    cross,
+    displacing_rotation,
+    plus,
+    rotation_matrix,
+    small_sine_cosine,
+    spin,
+)
 from openmm_sier.dynamics.backend.short_steps import free_rotation
 
 #: Bodies that are rotated together, and numbers that each needs for it, 22 kB in all, for the nearest cache.
@@ -72,6 +83,90 @@ def rotate_tile(tile, rates, h):
         tile[21 * TILE + n] = reached
 
 
+def kick(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
+    """As `NumpyBackend.kick`, for a range of the bodies."""
+    for n in range(np.uint64(start), np.uint64(stop)):
+        force = F[0, n], F[1, n], F[2, n]
+        lever = cross((at[0, n] - q[0, n], at[1, n] - q[1, n], at[2, n] - q[2, n]), force)
+        for x in range(3):
+            new_p[x, n] = p[x, n] + h * force[x]
+            new_L[x, n] = L[x, n] + h * (torque[x, n] + lever[x])
+    return 0
+
+
+def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moments, new_q, new_A):
+    """As `RigidBodies.displaced`, for a range of the bodies; writes q (3, n) and A (3, 3, n)."""
+    for n in range(np.uint64(start), np.uint64(stop)):
+        x = (A[0, 0, n], A[0, 1, n], A[0, 2, n])
+        y = (A[1, 0, n], A[1, 1, n], A[1, 2, n])
+        z = (A[2, 0, n], A[2, 1, n], A[2, 2, n])
+        turn = (torque[0, n], torque[1, n], torque[2, n])
+        inverses = (inverse_moments[0, n], inverse_moments[1, n], inverse_moments[2, n])
+        rows = displacing_rotation(x, y, z, turn, inverses, shift)
+        for axis in range(3):
+            new_q[axis, n] = q[axis, n] + (shift * inverse_masses[n]) * F[axis, n]
+            new_A[0, axis, n] = combine(rows[0], x[axis], y[axis], z[axis])
+            new_A[1, axis, n] = combine(rows[1], x[axis], y[axis], z[axis])
+            new_A[2, axis, n] = combine(rows[2], x[axis], y[axis], z[axis])
+    return 0
+
+
+def place(start, stop, first, q, A, places, atoms, positions):
+    """As `Sites.place`, for a range of the bodies of which `first` is the one with the first row of atoms."""
+    for n in range(np.uint64(start), np.uint64(stop)):
+        for j in range(atoms.shape[1]):
+            place = (places[0, j], places[1, j], places[2, j])
+            atom = np.uint64(atoms[n - np.uint64(first), j])
+            for x in range(3):
+                positions[atom, x] = q[x, n] + combine(place, A[0, x, n], A[1, x, n], A[2, x, n])
+    return 0
+
+
+def collect(start, stop, first, vectors, A, places, weights, atoms, total, moment):
+    """As `Sites.collect`, for a range of the bodies; see `place`."""
+    for n in range(np.uint64(start), np.uint64(stop)):
+        sums, moments = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for j in range(atoms.shape[1]):
+            place = (places[0, j], places[1, j], places[2, j])
+            arm = (
+                combine(place, A[0, 0, n], A[1, 0, n], A[2, 0, n]),
+                combine(place, A[0, 1, n], A[1, 1, n], A[2, 1, n]),
+                combine(place, A[0, 2, n], A[1, 2, n], A[2, 2, n]),
+            )
+            atom = np.uint64(atoms[n - np.uint64(first), j])
+            weighted = (weights[j] * vectors[atom, 0], weights[j] * vectors[atom, 1], weights[j] * vectors[atom, 2])
+            sums, moments = plus(sums, weighted), plus(moments, cross(arm, weighted))
+        for x in range(3):
+            total[x, n], moment[x, n] = sums[x], moments[x]
+    return 0
+
+
+def turn_groups(edges, part, m, q, torques, F):
+    """As `NumpyBackend.turn_groups`."""
+    for g in range(len(edges) - 1):
+        mass, centre, torque = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for k in range(edges[g], edges[g + 1]):
+            n = np.uint64(part[k])
+            mass += m[k]
+            centre = plus(centre, (m[k] * q[0, n], m[k] * q[1, n], m[k] * q[2, n]))
+            torque = plus(torque, (torques[0, n], torques[1, n], torques[2, n]))
+        centre = centre[0] / mass, centre[1] / mass, centre[2] / mass
+        xx = yy = zz = xy = yz = zx = 0.0
+        for k in range(edges[g], edges[g + 1]):
+            n = np.uint64(part[k])
+            x, y, z = q[0, n] - centre[0], q[1, n] - centre[1], q[2, n] - centre[2]
+            xx, yy, zz = xx + m[k] * (x * x), yy + m[k] * (y * y), zz + m[k] * (z * z)
+            xy, yz, zx = xy + m[k] * (x * y), yz + m[k] * (y * z), zx + m[k] * (z * x)
+        turned, determinant, half = spin((xx, yy, zz, xy, yz, zx), torque)
+        if determinant <= LINE * half**3:
+            turned, determinant = torque, half
+        for k in range(edges[g], edges[g + 1]):
+            n = np.uint64(part[k])
+            force = cross(turned, (q[0, n] - centre[0], q[1, n] - centre[1], q[2, n] - centre[2]))
+            for axis in range(3):
+                F[axis, n] += m[k] / determinant * force[axis]
+
+
 def differences(ends, x):
     """As `constraint_solver.differences`."""
     out = np.empty((3, ends.shape[1]))
@@ -81,19 +176,94 @@ def differences(ends, x):
     return out
 
 
-def scattered(ends, vectors, atoms):
-    """As `constraint_solver.scattered`."""
-    out = np.zeros((3, atoms))
+def pushed(ends, multipliers, bonds, p):
+    """As `constraint_solver.pushed`."""
+    out = p.copy()
     for axis in range(3):
         for c in range(ends.shape[1]):
-            out[axis, np.uint64(ends[0, c])] += vectors[axis, c]
-            out[axis, np.uint64(ends[1, c])] -= vectors[axis, c]
+            impulse = multipliers[c] * bonds[axis, c]
+            out[axis, np.uint64(ends[0, c])] += impulse
+            out[axis, np.uint64(ends[1, c])] -= impulse
     return out
 
 
-def multiplied(rows, columns, matrix, x):
-    """As `constraint_solver.multiplied`."""
-    out = np.zeros(len(x))
+def lengths_after(table, x, p, d):
+    """As `constraint_solver.lengths_after`."""
+    ends, squares = table.ends, table.squares
+    reached, lacking = x + (d * table.inverse_masses) * p, np.empty(len(squares))
+    for c in range(len(squares)):
+        i, j = np.uint64(ends[0, c]), np.uint64(ends[1, c])
+        bond = reached[0, i] - reached[0, j], reached[1, i] - reached[1, j], reached[2, i] - reached[2, j]
+        lacking[c] = squares[c] - (bond[0] * bond[0] + bond[1] * bond[1] + bond[2] * bond[2])
+    return reached, lacking
+
+
+def taken(columns, vectors):
+    """As `constraint_solver.taken`."""
+    out = np.empty((3, len(columns)))
+    for axis in range(3):
+        for c in range(len(columns)):
+            out[axis, c] = vectors[axis, np.uint64(columns[c])]
+    return out
+
+
+def put(columns, values, vectors):
+    """As `constraint_solver.put`."""
+    for axis in range(3):
+        for c in range(len(columns)):
+            vectors[axis, np.uint64(columns[c])] = values[axis, c]
+
+
+def linear_equations(table, bonds):
+    """As `constraint_solver.linear_equations`."""
+    ends, inverse_masses = table.ends, table.inverse_masses
+    rows, columns, weights = table.rows, table.columns, table.weights
+    scale, matrix = np.empty(ends.shape[1]), np.empty(len(rows))
+    for c in range(len(scale)):
+        both = inverse_masses[np.uint64(ends[0, c])] + inverse_masses[np.uint64(ends[1, c])]
+        square = bonds[0, c] * bonds[0, c] + bonds[1, c] * bonds[1, c] + bonds[2, c] * bonds[2, c]
+        scale[c] = 1 / np.sqrt(square * both)
     for k in range(len(rows)):
-        out[np.uint64(rows[k])] += matrix[k] * x[np.uint64(columns[k])]
-    return out
+        i, j = np.uint64(rows[k]), np.uint64(columns[k])
+        dot = bonds[0, i] * bonds[0, j] + bonds[1, i] * bonds[1, j] + bonds[2, i] * bonds[2, j]
+        matrix[k] = weights[k] * (scale[i] * scale[j]) * dot
+    return matrix, scale
+
+
+def multiply(rows, columns, matrix, x, image):
+    """Write the product with a sparse matrix, which has its diagonal; returns its scalar product with x."""
+    image[:] = 0.0
+    for k in range(len(rows)):
+        image[np.uint64(rows[k])] += matrix[k] * x[np.uint64(columns[k])]
+    size = 0.0
+    for c in range(len(x)):
+        size += x[c] * image[c]
+    return size
+
+
+def solution(table, matrix, scale, wanted, reduction):
+    """As `constraint_solver.solution`, without temporary arrays."""
+    rows, columns = table.rows, table.columns
+    work = np.zeros((5, len(wanted)))
+    x, residual, image, direction, along = work[0], work[1], work[2], work[3], work[4]
+    residual[:] = scale * wanted
+    size = multiply(rows, columns, matrix, residual, image)
+    direction[:], along[:] = residual, image
+    enough = reduction**2 * size
+    for _ in range(LINEAR):
+        if not size > enough:
+            break
+        square = 0.0
+        for c in range(len(x)):
+            square += along[c] * along[c]
+        step = size / square
+        for c in range(len(x)):
+            x[c] += step * direction[c]
+            residual[c] -= step * along[c]
+        last, size = size, multiply(rows, columns, matrix, residual, image)
+        if not size > enough:
+            break
+        for c in range(len(x)):
+            direction[c] = residual[c] + (size / last) * direction[c]
+            along[c] = image[c] + (size / last) * along[c]
+    return scale * x

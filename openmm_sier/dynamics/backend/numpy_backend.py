@@ -10,8 +10,17 @@ from numpy import ndarray
 
 from openmm_sier.dynamics.backend import long_steps
 from openmm_sier.dynamics.backend.elliptic import shortest_series
-from openmm_sier.dynamics.backend.formulas import body_frame, combine, rotation_matrix
+from openmm_sier.dynamics.backend.formulas import (
+    LINE,
+    body_frame,
+    combine,
+    cross,
+    displacing_rotation,
+    rotation_matrix,
+    spin,
+)
 from openmm_sier.dynamics.backend.short_steps import free_rotation
+from openmm_sier.dynamics.backend.sites import Sites
 
 #: Bodies that are rotated at a time, so that temporaries stay in cache.
 ROTATED = 4096
@@ -50,9 +59,74 @@ class NumpyBackend:
             own = rates if rates.ndim == 1 else rates[:, block]
             new[:, :, block] = rotated(own, A[:, :, block], L[:, block], h, range(block.start, block.stop))
 
+    def kick(
+        self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray
+    ) -> tuple[ndarray, ndarray]:
+        """Momenta and angular momenta about q after forces at other points, and torques about these, for a time h.
+
+        All arrays are (3, n).
+        """
+        torque = tau if at is q else tau + cross(at - q, F)
+        return p + h * F, L + h * torque
+
+    def displace(
+        self,
+        q: ndarray,
+        A: ndarray,
+        F: ndarray,
+        tau: ndarray,
+        shift: float,
+        inverse_masses: ndarray,
+        inverse_moments: ndarray,
+    ) -> tuple[ndarray, ndarray]:
+        """Centres and attitudes of bodies displaced by `shift` times their accelerations.
+
+        Args:
+            q, F, tau: centres, forces and torques, (3, n).
+            A: attitudes, (3, 3, n).
+            shift: half the square of a time.
+            inverse_masses: (n,).
+            inverse_moments: (3, n).
+        """
+        x, y, z = A
+        rows = displacing_rotation(x, y, z, tau, inverse_moments, shift)
+        return q + (shift * inverse_masses) * F, np.stack([combine(row, x, y, z) for row in rows])
+
+    def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> None:
+        """Write the positions (N, 3) of atoms, see `Sites.place`."""
+        sites.place(q, A, positions)
+
+    def collect(
+        self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
+    ) -> None:
+        """Write sums over atoms, see `Sites.collect`."""
+        sites.collect(vectors, A, weights, total, moment)
+
+    def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
+        """Add forces (3, n) that turn each group of points rigidly, and exert the torques of its members.
+
+        There is no such rotation about a line that the whole group lies on, and the torque of a single point is lost.
+
+        Args:
+            edges: where each group begins in `part`, and where the last one ends.
+            part: columns of the members, group by group, (k,).
+            m: their masses, (k,).
+            q, torques: (3, n).
+            F: (3, n), changed.
+        """
+        starts, group = edges[:-1], np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+        x, y, z = (row - (np.add.reduceat(m * row, starts) / np.add.reduceat(m, starts))[group] for row in q[:, part])
+        products = m * np.array([x * x, y * y, z * z, x * y, y * z, z * x])
+        torque = np.add.reduceat(torques[:, part], starts, axis=1)
+        turned, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
+        line = determinant <= LINE * half**3
+        rates = np.where(line, torque / half, np.array(turned) / np.where(line, 1.0, determinant))
+        F[:, part] += m * np.array(cross(rates[:, group], (x, y, z)))
+
     def execute(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Call a function of `constraint_solver`."""
-        return function(*arguments)
+        with np.errstate(all="ignore"):
+            return function(*arguments)
 
 
 def rotated(rates: ndarray, A: ndarray, L: ndarray, h: float, numbers: Sequence[int] | ndarray) -> ndarray:

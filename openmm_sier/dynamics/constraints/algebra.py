@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -117,8 +116,7 @@ class Constraints:
 
     @cached_property
     def _table(self) -> constraint_solver.ConstraintTable:
-        pairs = np.searchsorted(self.members, self.pairs)
-        return constraint_table(pairs, self.lengths, self.masses[self.members])
+        return constraint_table(self.pairs, self.lengths, self.masses, self.members, self._first)
 
     def restricted(self, bodies: ArrayLike) -> Constraints:
         """The constraints in the numbering of a subset of the bodies, which must not split a component.
@@ -175,20 +173,16 @@ class Constraints:
 
     def _ranks(self, q: np.ndarray) -> np.ndarray:
         """Rank of the component that begins with each column, (n,), at positions (3, n)."""
-        return np.bincount(self.groups[self.pairs[:, 0]], independent(self._table, self._relative(q)), len(self.masses))
-
-    def _relative(self, q: np.ndarray) -> np.ndarray:
-        """Positions of the constrained bodies from the first of their component."""
-        return q[:, self.members] - q[:, self._first]
+        return np.bincount(self.groups[self.pairs[:, 0]], independent(self._table, q), len(self.masses))
 
     # --- the algebra ---
 
     def project(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Momenta or forces, (3, n), tangent to the constraints at q; those of unconstrained bodies are unchanged."""
-        new_p = np.array(p, dtype=float)
+        q, p = _plain(q), _plain(p)
+        new_p = p.copy()
         if len(self.pairs):
-            solved = self._solve(constraint_solver.project, self._relative(q), new_p[:, self.members])
-            new_p[:, self.members] = solved
+            backend.active().execute(constraint_solver.project, self._table, q, p, new_p)
         return new_p
 
     def displaced(self, q: np.ndarray, force: np.ndarray, shift: float) -> np.ndarray:
@@ -197,12 +191,10 @@ class Constraints:
         Raises:
             ConstraintError: there are no such positions.
         """
-        new_q = q + (shift / self.masses) * force
+        q, push = _plain(q), shift * _plain(force)
+        new_q = q + push / self.masses
         if len(self.pairs):
-            push = shift * np.asarray(force, dtype=float)[:, self.members]
-            x, failed = self._solve(constraint_solver.displace, self._relative(q), push)
-            self._demand(failed)
-            new_q[:, self.members] = q[:, self._first] + x
+            self._demand(backend.active().execute(constraint_solver.displace, self._table, q, push, new_q))
         return new_q
 
     def satisfied(self, q: np.ndarray) -> np.ndarray:
@@ -229,19 +221,12 @@ class Constraints:
         Raises:
             ConstraintError: a RATTLE step has no solution nearby: momenta are far too large for t.
         """
-        new_q, new_p = q + (t / self.masses) * p, np.array(p, dtype=float)
+        q, p = _plain(q), _plain(p)
+        new_q, new_p = q + (t / self.masses) * p, p.copy()
         if t != 0 and len(self.pairs):
             times = t * np.asarray(fractions, dtype=float)
-            x, moved, failed = self._solve(constraint_solver.drift, self._relative(q), new_p[:, self.members], times)
-            self._demand(failed)
-            new_q[:, self.members], new_p[:, self.members] = q[:, self._first] + x, moved
+            self._demand(backend.active().execute(constraint_solver.drift, self._table, q, p, times, new_q, new_p))
         return new_q, new_p
-
-    def _solve(self, function: Callable[..., Any], *arguments: np.ndarray) -> Any:
-        # Numba would compile everything once more for another layout or type of number.
-        plain = [np.ascontiguousarray(array, dtype=float) for array in arguments]
-        with np.errstate(all="ignore"):
-            return backend.active().execute(function, self._table, *plain)
 
     def _demand(self, failed: int) -> None:
         """Refuse a solution in which a constraint, or none if the number is negative, is not satisfied."""
@@ -253,3 +238,8 @@ class Constraints:
             )
             error.bodies = bodies
             raise error
+
+
+def _plain(vectors: ArrayLike) -> np.ndarray:
+    """Vectors (3, n) as contiguous doubles: for another layout Numba would compile everything once more."""
+    return np.ascontiguousarray(vectors, dtype=float)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.constraint_solver import ConstraintTable, differences, linear_equations
+from openmm_sier.dynamics.backend.constraint_solver import ConstraintTable, differences, linear_equations, relative
 
 #: A pivot below this is that of a redundant constraint, with a diagonal of ones to which this shift is added.
 PIVOT, SHIFT = 1e-9, 1e-12
@@ -24,28 +24,33 @@ def joined(n: int, pairs: np.ndarray) -> np.ndarray:
     return first
 
 
-def constraint_table(pairs: np.ndarray, lengths: np.ndarray, masses: np.ndarray) -> ConstraintTable:
+def constraint_table(
+    pairs: np.ndarray, lengths: np.ndarray, masses: np.ndarray, members: np.ndarray, first: np.ndarray
+) -> ConstraintTable:
     """Constraints as backends take them.
 
     Args:
-        pairs: (c, 2), numbers of atoms.
+        pairs: columns of bodies, (c, 2).
         lengths: (c,), nm.
-        masses: of the atoms, dalton.
+        masses: of all bodies, (n,), dalton.
+        members: columns of constrained bodies, ascending, (m,).
+        first: for each of these the smallest column of its component, (m,).
     """
     # Most systems have no constraints between bodies, and need not import this.
     from scipy import sparse
 
+    pairs, masses = np.searchsorted(members, pairs), masses[members]
     numbers = np.arange(len(pairs))
     incidence = sparse.csr_array((np.ones(len(pairs)), (numbers, pairs[:, 0])), (len(pairs), len(masses)))
     incidence -= sparse.csr_array((np.ones(len(pairs)), (numbers, pairs[:, 1])), (len(pairs), len(masses)))
     weights = (incidence @ sparse.diags_array(1 / masses) @ incidence.T).tocoo()
     ends = np.ascontiguousarray(pairs.T)
     rows, columns = weights.row.astype(np.int64), weights.col.astype(np.int64)
-    return ConstraintTable(ends, lengths**2, 1 / masses, rows, columns, weights.data)
+    return ConstraintTable(members, first, ends, lengths**2, 1 / masses, rows, columns, weights.data)
 
 
-def independent(table: ConstraintTable, x: np.ndarray) -> np.ndarray:
-    """Which constraints at positions (3, atoms) do not follow from others to first order, (c,): pivots that are not 0.
+def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
+    """Which constraints of bodies at q (3, n) do not follow from others to first order, (c,): pivots that are not 0.
 
     The matrix of the constraints is factorized with pivots on the diagonal. What is added to the diagonal keeps those
     of redundant constraints from being 0.
@@ -53,7 +58,7 @@ def independent(table: ConstraintTable, x: np.ndarray) -> np.ndarray:
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
-    elements, _ = linear_equations(table, differences(table.ends, x))
+    elements, _ = linear_equations(table, differences(table.ends, relative(table, q)))
     c = len(table.squares)
     matrix = sparse.csc_array((elements, (table.rows, table.columns)), (c, c)) + SHIFT * sparse.eye_array(c)
     factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

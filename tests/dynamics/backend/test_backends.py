@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from openmm_sier.dynamics import backend, operators, rotation
-from openmm_sier.dynamics.bodies import BodyState
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError
+from openmm_sier.dynamics.constrained import DisplacedKick
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI
 from openmm_sier.dynamics.schemes import SIER4G
 from tests.support import flexible, molecules
@@ -67,6 +68,48 @@ def test_steps_agree(mixture):
         one, other = getattr(plain, name), getattr(fast, name)
         # Some stages, of the fast body by angles up to 30, each rounded.
         assert np.abs(one - other).max() < 100 * ROUNDING * np.abs(one).max(), name
+
+
+def test_atoms_and_sums_over_them_agree(mixture):
+    bodies, state, forces = mixture
+
+    def placed():
+        return bodies.place(state.q, state.A, np.zeros((bodies.n_particles, 3)))
+
+    for function, terms in ((placed, 1), (lambda: np.stack(bodies.forces_and_torques(forces, state.A)), 10)):
+        plain, fast = both(function)
+        assert np.count_nonzero(plain) > bodies.n
+        # Sums over the few atoms of a body.
+        assert np.abs(plain - fast).max() < terms * ROUNDING * np.abs(plain).max()
+
+
+def test_what_is_not_finite_is_found_by_both(mixture):
+    bodies, state, forces = mixture
+    forces[bodies.atoms_of(7)[0], 1] = np.nan
+    far = state.q.copy()
+    far[2, 9] = np.inf
+
+    def found():
+        with pytest.raises(NotFiniteError) as force:
+            bodies.forces_and_torques(forces, state.A)
+        with pytest.raises(NotFiniteError) as place:
+            bodies.place(far, state.A, np.zeros((bodies.n_particles, 3)))
+        return force.value.body, place.value.body
+
+    assert both(found) == ((7, 9), (7, 9))
+
+
+def test_kicks_of_constrained_groups_agree(rng):
+    """Kicks at displaced positions turn groups of every shape, among them a pair, which is a line."""
+    system = flexible.mixture()
+    constraints, state = system.constraints(), system.start(rng)
+    q = constraints.displaced(state.q, state.p, 0.01)
+    F = 1000 * rng.normal(size=q.shape)
+    plain, fast = both(lambda: DisplacedKick(constraints, None)(state, q, F, 0.01)[0])
+    turned = plain - constraints.project(state.q, state.p + 0.01 * constraints.project(q, F))
+    assert np.abs(turned).max() > 1e-3 * np.abs(plain).max()
+    # Rounding times the condition of the cage.
+    assert np.abs(plain - fast).max() < 100 * ROUNDING * np.abs(plain).max()
 
 
 def test_steps_of_no_bodies_and_of_points(rng):
