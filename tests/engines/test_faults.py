@@ -134,8 +134,8 @@ def test_a_fault_at_any_line_at_constant_pressure():
 def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     """Three threads place atoms and sum forces: none may write any more when the last completed step is written."""
     shared = []
-    run = threads.Team.run
-    monkeypatch.setattr(threads.Team, "run", lambda team, spans: shared.append(len(spans)) or run(team, spans))
+    pool = threads.ThreadPoolExecutor
+    monkeypatch.setattr(threads, "ThreadPoolExecutor", lambda team: shared.append(team) or pool(team))
     with backend.using(backend.NumbaBackend()), threads.use(3, share=1):
         test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
     assert set(shared) == {3}

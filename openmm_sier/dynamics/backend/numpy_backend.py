@@ -94,13 +94,15 @@ class NumpyBackend:
 
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> None:
         """Write the positions (N, 3) of atoms, see `Sites.place`."""
-        sites.place(q, A, positions)
+        with np.errstate(invalid="ignore"):
+            sites.place(q, A, positions)
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
     ) -> None:
         """Write sums over atoms, see `Sites.collect`."""
-        sites.collect(vectors, A, weights, total, moment)
+        with np.errstate(invalid="ignore"):  # Sums that are not finite are the caller's to refuse.
+            sites.collect(vectors, A, weights, total, moment)
 
     def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
         """Add forces (3, n) that turn each group of points rigidly, and exert the torques of its members.
