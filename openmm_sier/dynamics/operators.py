@@ -131,7 +131,7 @@ def _exact_drift(bodies: RigidBodies) -> Operator:
 
     def apply(state: BodyState, h: float) -> BodyState:
         A = backend.active().rotate(kinds, state.A, state.L, h)
-        q = state.q + (h * bodies.inverse_masses) * state.p
+        q = backend.active().advance(state.q, state.p, h, bodies.inverse_masses)
         return BodyState(q, state.p, A, state.L, state.heat, state.draws)
 
     return apply
@@ -145,7 +145,7 @@ def _drift_by(bodies: RigidBodies, rotation: Rotation) -> Operator:
             if species.moments.any():
                 turned = rotation(*turned, species.moments, h)
             A[:, :, part], L[:, part] = turned
-        q = state.q + (h * bodies.inverse_masses) * state.p
+        q = backend.active().advance(state.q, state.p, h, bodies.inverse_masses)
         return BodyState(q, state.p, A, L, state.heat, state.draws)
 
     return apply

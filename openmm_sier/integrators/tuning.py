@@ -110,9 +110,10 @@ class Tuning:
                 lines.append(f"{each.steps:10}  {each.refused}")
                 continue
             (trials, error), (forces, uncertain) = each.inefficiency, each.cost
-            lines.append(
-                f"{each.steps:10}{each.acceptance:12.3f}  {trials:.1f} ± {error:.1f}, {forces:.0f} ± {uncertain:.0f}"
-            )
+            known = math.isfinite(error)
+            needed = f"{trials:.1f} ± {f'{error:.1f}' if known else '?'}"
+            cost = f"{forces:.0f} ± {f'{uncertain:.0f}' if known else '?'}"
+            lines.append(f"{each.steps:10}{each.acceptance:12.3f}  {needed}, {cost}")
         return "\n".join(lines)
 
 

@@ -50,8 +50,8 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
       NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
       forces is that of the System without preparation.
 
-    Preparing a System again renews all of this. A Context must be created after the preparation: the integrator refuses
-    the next step if its System was changed.
+    Preparing a System again for the same bodies renews all of this; for other bodies prepare a new System. A Context
+    must be created after the preparation: the integrator refuses the next step if its System was changed.
 
     >>> system = openmm.System()
     >>> print(prepare_system(system))
@@ -84,7 +84,7 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
         if force.getForceGroup() == group and force not in fast:
             raise ValueError(
                 f"{force.getName()} is in force group {group}, which is to be that of the fast forces: give another "
-                "fastForceGroup"
+                "fastForceGroup or, if it was prepared for other bodies, prepare a new System"
             )
     done = []
     if meshed_forces(system):

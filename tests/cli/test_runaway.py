@@ -215,6 +215,7 @@ def fluctuating(rms, time=10.0, drift=0.0, walk=0.0, interval=0.04):
 )
 def test_fluctuations_that_are_warned_about(scheme, log, warns):
     assert (runaway.fluctuation_warning(plan(scheme=scheme, dt=2.0), log) is not None) == warns
+    assert runaway.fluctuation_warning(plan(scheme=scheme, dt=2.0, ensemble="hmc"), log) is None
 
 
 @pytest.mark.slow

@@ -37,11 +37,19 @@ class NumbaBackend(NumpyBackend):
             left = part.start + np.flatnonzero(far[part])
             new[:, :, left] = rotated(rates, A[:, :, left], L[:, left], h, left)
 
+    def advance(self, q: ndarray, p: ndarray, h: float, inverse_masses: ndarray) -> ndarray:
+        new = np.empty(q.shape)
+        _shared(numba_loops.advance)(slice(0, q.shape[1]), q, p, h, inverse_masses, new)
+        return new
+
     def kick(
         self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray
     ) -> tuple[ndarray, ndarray]:
-        new_p, new_L = np.empty(p.shape), np.empty(p.shape)
-        _shared(numba_loops.kick)(slice(0, p.shape[1]), p, L, F, tau, h, q, at, new_p, new_L)
+        new_p, new_L, every = np.empty(p.shape), np.empty(p.shape), slice(0, p.shape[1])
+        if at is q:
+            _shared(numba_loops.kick)(every, p, L, F, tau, h, new_p, new_L)
+        else:
+            _shared(numba_loops.kick_elsewhere)(every, p, L, F, tau, h, q, at, new_p, new_L)
         return new_p, new_L
 
     def displace(

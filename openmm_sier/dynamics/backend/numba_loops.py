@@ -83,8 +83,25 @@ def rotate_tile(tile, rates, h):
         tile[21 * TILE + n] = reached
 
 
-def kick(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
-    """As `NumpyBackend.kick`, for a range of the bodies."""
+def advance(start, stop, q, p, h, inverse_masses, new_q):
+    """As `NumpyBackend.advance`, for a range of the bodies."""
+    for x in range(3):
+        for n in range(np.uint64(start), np.uint64(stop)):
+            new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
+    return 0
+
+
+def kick(start, stop, p, L, F, torque, h, new_p, new_L):
+    """As `NumpyBackend.kick` by forces at the centres, for a range of the bodies."""
+    for x in range(3):
+        for n in range(np.uint64(start), np.uint64(stop)):
+            new_p[x, n] = p[x, n] + h * F[x, n]
+            new_L[x, n] = L[x, n] + h * torque[x, n]
+    return 0
+
+
+def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
+    """As `NumpyBackend.kick` by forces at other points, for a range of the bodies."""
     for n in range(np.uint64(start), np.uint64(stop)):
         force = F[0, n], F[1, n], F[2, n]
         lever = cross((at[0, n] - q[0, n], at[1, n] - q[1, n], at[2, n] - q[2, n]), force)

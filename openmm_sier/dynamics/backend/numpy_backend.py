@@ -59,6 +59,10 @@ class NumpyBackend:
             own = rates if rates.ndim == 1 else rates[:, block]
             new[:, :, block] = rotated(own, A[:, :, block], L[:, block], h, range(block.start, block.stop))
 
+    def advance(self, q: ndarray, p: ndarray, h: float, inverse_masses: ndarray) -> ndarray:
+        """Centres (3, n) after a time h, of bodies with momenta (3, n) and inverse masses (n,)."""
+        return q + (h * inverse_masses) * p
+
     def kick(
         self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray
     ) -> tuple[ndarray, ndarray]:

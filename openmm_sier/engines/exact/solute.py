@@ -49,7 +49,10 @@ def solute_system(
 
 def _refuse(force: openmm.Force, moving: np.ndarray, rigid: np.ndarray) -> None:
     """Refuse a Force that is not bonded, or has a term on an atom that does not move by itself."""
-    remedy = f"Put it into another group than {force.getForceGroup()} with setForceGroup"
+    remedy = (
+        f"Put it into another group than {force.getForceGroup()} with setForceGroup or, if prepare_system put it "
+        "there, prepare a new System for these bodies: prepare_system(system, bodies)"
+    )
     kind = bonded_kind(force)
     if kind is None:
         possible = ", ".join(kind.__name__ for kind in TERMS)
