@@ -7,7 +7,6 @@ Arrays of atoms have OpenMM's shape (N, 3).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -306,9 +305,10 @@ class RigidBodies:
     ) -> tuple[np.ndarray, np.ndarray]:
         active = backend.active()
         total, moment = np.empty((2, 3, self.n))
+        finite = True
         for sites, own in zip(self._sites, weights, strict=True):
-            active.collect(sites, vectors, A, own, total, moment)
-        if not (_are_finite(total) and _are_finite(moment)):
+            finite &= active.collect(sites, vectors, A, own, total, moment)
+        if not finite:
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
 
@@ -321,17 +321,19 @@ class RigidBodies:
             NotFiniteError: a position is not finite. All have been written then.
         """
         active = backend.active()
+        finite = True
         for sites in self._sites:
-            active.place(sites, q, A, positions)
-        if not _are_finite(q):
-            raise NotFiniteError(q)
+            finite &= active.place(sites, q, A, positions)
+        if not finite:
+            raise NotFiniteError(np.concatenate([q, A.reshape(9, -1)]))
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
+        active = backend.active()
         v, omega = state.p * self.inverse_masses, self.angular_velocities(state)
         for sites in self._sites:
-            sites.move(v, state.A, omega, velocities)
+            active.move(sites, v, state.A, omega, velocities)
         return velocities
 
     def displaced(
@@ -390,8 +392,3 @@ class RigidBodies:
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
-
-
-def _are_finite(vectors: np.ndarray) -> bool:
-    """Whether all components (3, n) are finite, as their sum shows if it does not overflow; einsum does not warn."""
-    return math.isfinite(np.einsum("ij->", vectors)) or bool(np.isfinite(vectors).all())

@@ -68,13 +68,16 @@ class NumbaBackend(NumpyBackend):
         )
         return new_q, new_A
 
-    def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> None:
-        _shared(numba_loops.place)(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
+    def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
+        return not _shared(numba_loops.place)(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
+
+    def move(self, sites: Sites, v: ndarray, A: ndarray, omega: ndarray, velocities: ndarray) -> None:
+        _shared(numba_loops.move)(sites.part, sites.part.start, v, A, omega, sites.places, sites.atoms, velocities)
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
-    ) -> None:
-        _shared(numba_loops.collect)(
+    ) -> bool:
+        return not _shared(numba_loops.collect)(
             sites.part, sites.part.start, vectors, A, sites.places, weights, sites.atoms, total, moment
         )
 

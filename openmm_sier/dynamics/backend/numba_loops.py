@@ -128,34 +128,60 @@ def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moment
     return 0
 
 
+def arm_of(places, j, A, n):
+    """The place of a site relative to the centre of its body, in the lab frame."""
+    place = (places[0, j], places[1, j], places[2, j])
+    return (
+        combine(place, A[0, 0, n], A[1, 0, n], A[2, 0, n]),
+        combine(place, A[0, 1, n], A[1, 1, n], A[2, 1, n]),
+        combine(place, A[0, 2, n], A[1, 2, n], A[2, 2, n]),
+    )
+
+
 def place(start, stop, first, q, A, places, atoms, positions):
-    """As `Sites.place`, for a range of the bodies of which `first` is the one with the first row of atoms."""
+    """As `Sites.place`, for a range of the bodies of which `first` is the one with the first row of atoms.
+
+    Returns how many bodies have an atom whose position is not finite.
+    """
+    broken = 0
     for n in range(np.uint64(start), np.uint64(stop)):
+        total = 0.0
         for j in range(atoms.shape[1]):
-            place = (places[0, j], places[1, j], places[2, j])
+            arm = arm_of(places, j, A, n)
             atom = np.uint64(atoms[n - np.uint64(first), j])
             for x in range(3):
-                positions[atom, x] = q[x, n] + combine(place, A[0, x, n], A[1, x, n], A[2, x, n])
+                positions[atom, x] = q[x, n] + arm[x]
+                total += abs(positions[atom, x])
+        broken += not total < np.inf
+    return broken
+
+
+def move(start, stop, first, v, A, omega, places, atoms, velocities):
+    """As `Sites.move`, for a range of the bodies; see `place`."""
+    for n in range(np.uint64(start), np.uint64(stop)):
+        for j in range(atoms.shape[1]):
+            swing = cross((omega[0, n], omega[1, n], omega[2, n]), arm_of(places, j, A, n))
+            atom = np.uint64(atoms[n - np.uint64(first), j])
+            for x in range(3):
+                velocities[atom, x] = v[x, n] + swing[x]
     return 0
 
 
 def collect(start, stop, first, vectors, A, places, weights, atoms, total, moment):
-    """As `Sites.collect`, for a range of the bodies; see `place`."""
+    """As `Sites.collect`, for a range of the bodies; returns how many have a sum that is not finite. See `place`."""
+    broken = 0
     for n in range(np.uint64(start), np.uint64(stop)):
         sums, moments = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for j in range(atoms.shape[1]):
-            place = (places[0, j], places[1, j], places[2, j])
-            arm = (
-                combine(place, A[0, 0, n], A[1, 0, n], A[2, 0, n]),
-                combine(place, A[0, 1, n], A[1, 1, n], A[2, 1, n]),
-                combine(place, A[0, 2, n], A[1, 2, n], A[2, 2, n]),
-            )
             atom = np.uint64(atoms[n - np.uint64(first), j])
             weighted = (weights[j] * vectors[atom, 0], weights[j] * vectors[atom, 1], weights[j] * vectors[atom, 2])
-            sums, moments = plus(sums, weighted), plus(moments, cross(arm, weighted))
+            sums, moments = plus(sums, weighted), plus(moments, cross(arm_of(places, j, A, n), weighted))
+        size = 0.0
         for x in range(3):
             total[x, n], moment[x, n] = sums[x], moments[x]
-    return 0
+            size += abs(sums[x]) + abs(moments[x])
+        broken += not size < np.inf
+    return broken
 
 
 def turn_groups(edges, part, m, q, torques, F):

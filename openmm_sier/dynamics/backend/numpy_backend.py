@@ -96,17 +96,23 @@ class NumpyBackend:
         rows = displacing_rotation(x, y, z, tau, inverse_moments, shift)
         return q + (shift * inverse_masses) * F, np.stack([combine(row, x, y, z) for row in rows])
 
-    def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> None:
-        """Write the positions (N, 3) of atoms, see `Sites.place`."""
+    def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
+        """Write the positions (N, 3) of atoms, see `Sites.place`; returns whether all are finite."""
         with np.errstate(invalid="ignore"):
             sites.place(q, A, positions)
+        return bool(np.isfinite(q[:, sites.part]).all() and np.isfinite(A[:, :, sites.part]).all())
+
+    def move(self, sites: Sites, v: ndarray, A: ndarray, omega: ndarray, velocities: ndarray) -> None:
+        """Write the velocities (N, 3) of atoms, see `Sites.move`."""
+        sites.move(v, A, omega, velocities)
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
-    ) -> None:
-        """Write sums over atoms, see `Sites.collect`."""
-        with np.errstate(invalid="ignore"):  # Sums that are not finite are the caller's to refuse.
+    ) -> bool:
+        """Write sums over atoms, see `Sites.collect`; returns whether all are finite."""
+        with np.errstate(invalid="ignore"):
             sites.collect(vectors, A, weights, total, moment)
+        return bool(np.isfinite(total[:, sites.part]).all() and np.isfinite(moment[:, sites.part]).all())
 
     def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
         """Add forces (3, n) that turn each group of points rigidly, and exert the torques of its members.

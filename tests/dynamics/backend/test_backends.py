@@ -76,7 +76,14 @@ def test_atoms_and_sums_over_them_agree(mixture):
     def placed():
         return bodies.place(state.q, state.A, np.zeros((bodies.n_particles, 3)))
 
-    for function, terms in ((placed, 1), (lambda: np.stack(bodies.forces_and_torques(forces, state.A)), 10)):
+    def moved():
+        return bodies.move(state, np.zeros((bodies.n_particles, 3)))
+
+    for function, terms in (
+        (placed, 1),
+        (moved, 10),
+        (lambda: np.stack(bodies.forces_and_torques(forces, state.A)), 10),
+    ):
         plain, fast = both(function)
         assert np.count_nonzero(plain) > bodies.n
         # Sums over the few atoms of a body.
@@ -88,15 +95,20 @@ def test_what_is_not_finite_is_found_by_both(mixture):
     forces[bodies.atoms_of(7)[0], 1] = np.nan
     far = state.q.copy()
     far[2, 9] = np.inf
+    # An attitude can overflow where the centres do not.
+    turned = state.A.copy()
+    turned[1, 2, 11] = np.nan
 
     def found():
         with pytest.raises(NotFiniteError) as force:
             bodies.forces_and_torques(forces, state.A)
         with pytest.raises(NotFiniteError) as place:
             bodies.place(far, state.A, np.zeros((bodies.n_particles, 3)))
-        return force.value.body, place.value.body
+        with pytest.raises(NotFiniteError) as turn:
+            bodies.place(state.q, turned, np.zeros((bodies.n_particles, 3)))
+        return force.value.body, place.value.body, turn.value.body
 
-    assert both(found) == ((7, 9), (7, 9))
+    assert both(found) == ((7, 9, 11), (7, 9, 11))
 
 
 def test_kicks_of_constrained_groups_agree(rng):
