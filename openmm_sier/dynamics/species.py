@@ -53,6 +53,12 @@ class Species:
         sites = (r @ axes).T
         sites[np.abs(sites) <= ON_AXIS * np.abs(sites).max()] = 0.0
         sites[np.abs(sites).max(axis=1) <= resolution] = 0.0
+        return cls.from_sites(atoms, masses, sites)
+
+    @classmethod
+    def from_sites(cls, atoms: ArrayLike, masses: np.ndarray, sites: np.ndarray) -> Species:
+        """Species whose moments depend, to the bit, on nothing but its sites (3, k) and masses."""
+        sites = np.ascontiguousarray(sites)
         squares = (masses * sites**2).sum(axis=1)
         moments = squares.sum() - squares
         moments[moments <= LINEAR_MOMENT * moments.max()] = 0.0

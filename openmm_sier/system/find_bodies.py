@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -112,7 +113,7 @@ class BodyPlan:
                 raise RigidityError("the geometry of these bodies is known from positions only: give positions")
             positions = np.empty((0, 3))
         species: list[Species] = []
-        shared = [kind.sharing for kind in self.kinds if kind.sharing is not None and kind.model is not None]
+        shared = [Sharing(kind.clusters, kind.deviations) for kind in self.kinds if kind.model is not None]
         for kind in self.kinds:
             if kind.needs_positions:
                 self._demand_extent(kind, positions)
@@ -129,52 +130,62 @@ class BodyPlan:
         return self._links.tie(RigidBodies(species, self._n, self._labels))
 
     def _say(self, shared: list[Sharing]) -> None:
-        shared = [some for some in shared if some.deviation > geometries.ROUNDING]
+        shared = [some for some in shared if some.deviations.max() > geometries.ROUNDING]
         if not shared:
             return
-        first = max(shared, key=lambda some: some.deviation)
+        first = max(shared, key=lambda some: some.deviations.max())
         others = sum(len(some.clusters) for some in shared) - len(first.clusters)
         more = f"; {others} bodies of {len(shared) - 1} more kinds do alike, with less deviation" if others else ""
         tell(
             f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} share one geometry, the average of "
-            f"theirs, from which they differ by up to {first.deviation:.1g} nm ({self._describe(first.worst)}){more}"
+            f"theirs, from which they differ by up to {first.deviations.max():.1g} nm "
+            f"({self._describe(first.clusters[first.deviations.argmax()])}){more}"
         )
 
     # --- which particles ---
 
     def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
         """Named bodies without their virtual sites; those that are frozen entirely are none."""
-        clusters = []
-        seen: set[int] = set()
+        clusters: list[Cluster] = []
         for indices in groups:
-            cluster = tuple(int(i) for i in indices if not (0 <= int(i) < self._n and system.isVirtualSite(int(i))))
-            for i in cluster:
-                if not 0 <= i < self._n:
-                    raise ValueError(f"bodies name particle {i}, the System has {self._n} particles")
-                if i in seen:
-                    raise ValueError(f"bodies name particle {i} twice")
-                seen.add(i)
-            massive = self._masses[list(cluster)] > 0
-            if not massive.any():
+            particles = [int(i) for i in indices]
+            if outside := [i for i in particles if not 0 <= i < self._n]:
+                raise ValueError(f"bodies name particle {outside[0]}, the System has {self._n} particles")
+            cluster = tuple(i for i in particles if not system.isVirtualSite(i))
+            without = [i for i in cluster if not self._masses[i]]
+            if len(without) == len(cluster):
                 continue
-            for i, has_mass in zip(cluster, massive.tolist(), strict=True):
-                if not has_mass:
-                    raise RigidityError(
-                        f"{self._describe(cluster)}: atom {i} has no mass and is no virtual site. Give it a mass, or "
-                        "leave it out of the body; or freeze all atoms of the body"
-                    )
+            if without:
+                raise RigidityError(
+                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is no virtual site. Give it a mass, "
+                    "or leave it out of the body; or freeze all atoms of the body"
+                )
             clusters.append(cluster)
+        particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
+        if times > 1:
+            raise ValueError(f"bodies name particle {particle} twice")
         return clusters
 
     def _clusters(self, named: list[Cluster], lengths: Lengths) -> Iterator[tuple[Cluster, Lengths]]:
-        """All bodies, with the constraints inside them."""
-        inside, loose = _inside(named, lengths)
-        constrained = [cluster for cluster, rigid in _constrained_clusters(loose, self._links) if rigid]
+        """All bodies, with the constraints inside them.
+
+        Raises:
+            RigidityError: a constraint joins a body to another particle.
+        """
+        owner = {i: cluster for cluster in named for i in cluster}
+        inside: dict[Cluster, Lengths] = {cluster: {} for cluster in named}
+        loose: Lengths = {}
+        for (a, b), length in lengths.items():
+            if owner.get(a) != owner.get(b):
+                raise joins_a_body(a, b)
+            (inside[owner[a]] if a in owner else loose)[a, b] = length
+        yield from inside.items()
         free = self._masses > 0
-        free[[i for cluster in (*named, *constrained) for i in cluster]] = False
-        yield from zip(named, inside, strict=True)
-        for cluster in constrained:
-            yield cluster, {pair: lengths[pair] for pair in combinations(cluster, 2)}
+        free[list(owner)] = False
+        for cluster, rigid in _constrained_clusters(loose, self._links):
+            if rigid:
+                free[list(cluster)] = False
+                yield cluster, {pair: lengths[pair] for pair in combinations(cluster, 2)}
         for atom in np.flatnonzero(free).tolist():
             yield (atom,), {}
 
@@ -229,23 +240,13 @@ def _named(
         raise ValueError(f'rigid must be lists of particles, a mapping or "{HYDROGEN_GROUPS}", got "{rigid}"')
     if topology is None:
         raise ValueError("bodies by name need the topology: RigidBodies.from_system(system, topology, rigid)")
-    return (
-        _hydrogen_groups(topology, _constrained_clusters(lengths, links))
-        if isinstance(rigid, str)
-        else _residues_named(topology, rigid)
-    )
-
-
-def _residues_named(topology: openmm.app.Topology, rigid: Mapping[str, str]) -> Iterable[list[int]]:
-    """Particle indices of the residues in a mapping {residue name: "rigid"}."""
-    wrong = [value for value in rigid.values() if value != "rigid"]
-    if wrong:
+    if isinstance(rigid, str):
+        return _hydrogen_groups(topology, _constrained_clusters(lengths, links))
+    if wrong := [value for value in rigid.values() if value != "rigid"]:
         raise ValueError(f'bodies by residue name must be "rigid", got {wrong[0]!r}')
-    residues = list(topology.residues())
-    for name in rigid:
-        if all(residue.name != name for residue in residues):
-            raise ValueError(f"bodies name residue {name}, which the topology does not have")
-    return [[atom.index for atom in residue.atoms()] for residue in residues if residue.name in rigid]
+    if missing := [name for name in rigid if name not in {residue.name for residue in topology.residues()}]:
+        raise ValueError(f"bodies name residue {missing[0]}, which the topology does not have")
+    return [[atom.index for atom in residue.atoms()] for residue in topology.residues() if residue.name in rigid]
 
 
 def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Cluster, bool]]) -> list[list[int]]:
@@ -278,24 +279,6 @@ def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str
 # --- constraints ------------------------------------------------------------------------------------------------------
 
 
-def _inside(named: Sequence[Cluster], lengths: Lengths) -> tuple[list[Lengths], Lengths]:
-    """The constraints inside each named body, and those of other particles.
-
-    Raises:
-        RigidityError: a constraint joins a body to another particle.
-    """
-    if not named:
-        return [], lengths
-    owner = {i: number for number, cluster in enumerate(named) for i in cluster}
-    inside: list[Lengths] = [{} for _ in named]
-    loose: Lengths = {}
-    for (a, b), length in lengths.items():
-        if owner.get(a) != owner.get(b):
-            raise joins_a_body(a, b)
-        (inside[owner[a]] if a in owner else loose)[a, b] = length
-    return inside, loose
-
-
 def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Cluster, bool]]:
     """Clusters that constraints join, each with whether it is a molecule in which every distance is constrained.
 
@@ -318,15 +301,9 @@ def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidB
         ValueError: the System has another number of particles or other masses.
         RigidityError: a constraint joins a body of several atoms to something else.
     """
-    n = system.getNumParticles()
-    if bodies.n_particles != n:
-        raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {n}")
-    _refuse_other_masses(system, bodies)
-    return Links(system).tie(bodies)
-
-
-def _refuse_other_masses(system: openmm.System, bodies: dynamics.RigidBodies) -> None:
     masses = tables.masses(system)
+    if bodies.n_particles != len(masses):
+        raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {len(masses)}")
     for species in bodies.species:
         wrong = np.argwhere(masses[species.atoms] != species.masses)
         if len(wrong):
@@ -336,3 +313,4 @@ def _refuse_other_masses(system: openmm.System, bodies: dynamics.RigidBodies) ->
                 f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
                 f"{atom}, the System has {masses[atom]}: make the bodies anew"
             )
+    return Links(system).tie(bodies)

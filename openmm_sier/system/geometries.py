@@ -6,13 +6,13 @@ rounded, and would make every molecule a kind of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from openmm_sier.dynamics.bodies import RigidityError
-from openmm_sier.dynamics.species import LINEAR_MOMENT, Species
+from openmm_sier.dynamics.species import Species
 
 #: Largest error in nm of a constraint in the geometry that all constraints of a cluster define.
 EMBEDDING_TOLERANCE = 1e-4
@@ -40,36 +40,34 @@ Lengths = dict[tuple[int, int], float]
 
 
 class Sharing(NamedTuple):
-    """Bodies whose own geometries differ slightly from the one that they share.
+    """Bodies that share one geometry, and how far their own differ from it.
 
     Attributes:
-        clusters: particle indices of each.
-        deviation: the largest deviation, nm.
-        worst: particle indices of the body that has it.
+        clusters: particle indices of each, (m, k).
+        deviations: (m,), nm.
     """
 
     clusters: np.ndarray
-    deviation: float
-    worst: np.ndarray
+    deviations: np.ndarray
 
 
 class Kind(NamedTuple):
     """Clusters of particles with the same masses in the same order, and the same constraints.
 
     Attributes:
-        masses: dalton.
-        clusters: particle indices of each body.
+        masses: (k,), dalton.
+        clusters: particle indices of each body, (m, k).
         pairs: constrained pairs of atoms, by their numbers in the cluster.
         lengths: of the pairs, nm; the mean over the clusters.
-        sharing: set if the lengths of the clusters differ.
+        deviations: for each body the largest deviation of its lengths from the mean, (m,), nm.
         model: the bodies with the geometry that constraints define; None if constraints do not define it.
     """
 
-    masses: tuple[float, ...]
+    masses: np.ndarray
     clusters: np.ndarray
     pairs: tuple[tuple[int, int], ...]
     lengths: np.ndarray
-    sharing: Sharing | None
+    deviations: np.ndarray
     model: Species | None = None
 
     @property
@@ -99,37 +97,17 @@ def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], 
         rows.append([length for _, _, length in numbered])
     found = []
     for (mine, pairs), (same, lists) in members.items():
-        table = np.array(lists).reshape(len(same), len(pairs))
-        for alike in _alike(table):
-            kind = _kind(mine, np.array(same)[alike], pairs, table[alike])
+        left, table = np.array(same), np.array(lists).reshape(len(same), len(pairs))
+        while len(left):
+            near = np.abs(table - table[0]).max(axis=1, initial=0.0) <= LENGTH_TOLERANCE
+            # The mean of equal lengths may differ from them by rounding.
+            mean = table[0] if (table[near] == table[0]).all() else table[near].mean(axis=0)
+            deviations = np.abs(table[near] - mean).max(axis=1, initial=0.0)
+            kind = Kind(np.array(mine), left[near], pairs, mean, deviations)
             complete = len(pairs) == len(mine) * (len(mine) - 1) // 2
             found.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
+            left, table = left[~near], table[~near]
     return found
-
-
-def _alike(rows: np.ndarray) -> Iterator[np.ndarray]:
-    """Masks of rows that agree within `LENGTH_TOLERANCE` with the most frequent one among them."""
-    if not rows.size:
-        yield np.ones(len(rows), dtype=bool)
-        return
-    unique, inverse, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
-    inverse = inverse.reshape(-1)
-    left = np.ones(len(unique), dtype=bool)
-    while left.any():
-        leader = unique[np.argmax(counts * left)]
-        near = left & (np.abs(unique - leader).max(axis=1, initial=0.0) <= LENGTH_TOLERANCE)
-        left &= ~near
-        yield near[inverse]
-
-
-def _kind(
-    masses: tuple[float, ...], clusters: np.ndarray, pairs: tuple[tuple[int, int], ...], rows: np.ndarray
-) -> Kind:
-    if not rows.size or (rows == rows[0]).all():
-        return Kind(masses, clusters, pairs, rows[0], None)
-    mean = rows.mean(axis=0)
-    off = np.abs(rows - mean).max(axis=1)
-    return Kind(masses, clusters, pairs, mean, Sharing(clusters, float(off.max()), clusters[off.argmax()]))
 
 
 # --- from constraints -------------------------------------------------------------------------------------------------
@@ -143,7 +121,7 @@ def _embedded(kind: Kind, describe: Callable) -> Species:
             f"the constraints of {describe(kind.clusters[0])} contradict each other: no geometry has the "
             f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one misses by {excess:.4f} nm"
         )
-    resolution = 0.0 if kind.sharing is None else RESOLUTION
+    resolution = RESOLUTION if kind.deviations.any() else 0.0
     return Species.from_coordinates(kind.clusters, kind.masses, coordinates, resolution)
 
 
@@ -186,59 +164,47 @@ def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tup
     Raises:
         RigidityError: constraints inside a body contradict each other.
     """
-    species, sharing = [], []
-    clusters, masses = kind.clusters, np.array(kind.masses)
+    species, sharing, clusters = [], [], kind.clusters
     while len(clusters):
-        arms = _arms(masses, positions[clusters])
-        model = _model(kind, arms[0], describe)
-        near = model.fit(arms)[1] <= SHARING_TOLERANCE
-        # The first body always shares the geometry, even if constraints move the model away from it.
-        near[0] = True
-        misfit = np.zeros(len(arms))
-        # The first body may be as far from the mean as any other: others can be near the mean but not near the first.
-        for _ in range(2 if near.sum() > 1 else 0):
-            model = _model(kind, _mean_shape(model, arms[near]), describe)
-            misfit = model.fit(arms)[1]
-            near = misfit <= SHARING_TOLERANCE
-            near[0] = True
+        arms = _arms(kind.masses, positions[clusters])
+        model, misfit, near = _superimposed(kind, arms, describe)
         if near.sum() > 1:
-            worst = int(np.where(near, misfit, -1.0).argmax())
-            sharing.append(Sharing(clusters[near], float(misfit[worst]), clusters[worst]))
+            sharing.append(Sharing(clusters[near], misfit[near]))
         species.append(model.of_atoms(clusters[near]))
         clusters = clusters[~near]
     return species, sharing
 
 
-def _mean_shape(model: Species, arms: np.ndarray) -> np.ndarray:
-    """Mean (k, 3) of arms (m, k, 3), each turned onto the model.
+def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Species, np.ndarray, np.ndarray]:
+    """The geometry of the first body and those like it, how far all are from it, (m,), and which share it, (m,)."""
+    shape = arms[0]
+    # The first may be as far from the mean as any other: others can be near the mean but not near the first. The mean
+    # of bodies turned onto a mean would change only in second order of their deviations.
+    for _ in range(3):
+        shape, excess = _constrained(shape, kind)
+        if excess > EMBEDDING_TOLERANCE:
+            raise RigidityError(
+                f"the constraints inside {describe(kind.clusters[0])} contradict each other: the geometry that comes "
+                f"nearest to the positions misses them by {excess:.4f} nm"
+            )
+        model = Species.from_coordinates(kind.clusters, kind.masses, shape, resolution=RESOLUTION)
+        attitudes, misfit = model.fit(arms)
+        near = misfit <= SHARING_TOLERANCE
+        # The first body always shares the geometry, even if constraints move the model away from it.
+        near[0] = True
+        if near.sum() == 1:
+            break
+        shape = np.einsum("axm,mkx->ka", attitudes[:, :, near], arms[near]) / near.sum()
+    return model, misfit, near
 
-    Iterating, with the mean as the next model, would change it only in second order of their deviations.
-    """
-    attitudes = model.fit(arms)[0]
-    return np.einsum("axm,mkx->ka", attitudes, arms) / len(arms)
 
-
-def _model(kind: Kind, shape: np.ndarray, describe: Callable) -> Species:
-    masses = np.array(kind.masses)
-    shape, excess = _constrained(shape, masses, kind.pairs, kind.lengths)
-    if excess > EMBEDDING_TOLERANCE:
-        raise RigidityError(
-            f"the constraints inside {describe(kind.clusters[0])} contradict each other: the geometry that comes "
-            f"nearest to the positions misses them by {excess:.4f} nm"
-        )
-    species = Species.from_coordinates(kind.clusters, masses, shape, resolution=RESOLUTION)
-    return of_sites(kind.clusters, masses, species.sites.T)
-
-
-def _constrained(
-    shape: np.ndarray, masses: np.ndarray, pairs: tuple[tuple[int, int], ...], lengths: np.ndarray
-) -> tuple[np.ndarray, float]:
+def _constrained(shape: np.ndarray, kind: Kind) -> tuple[np.ndarray, float]:
     """A shape (k, 3) moved onto constraints one after another, as SHAKE does, and the largest remaining error."""
-    shape, largest = shape.copy(), 0.0
+    shape, largest, masses = shape.copy(), 0.0, kind.masses
     # It converges in some ten rounds for the hydrogens of one atom, and more slowly the more constraints share atoms.
     for _ in range(500):
         largest = 0.0
-        for (i, j), length in zip(pairs, lengths, strict=True):
+        for (i, j), length in zip(kind.pairs, kind.lengths, strict=True):
             bond = shape[i] - shape[j]
             found = np.linalg.norm(bond)
             shift = bond * ((1 - length / found) / (masses[i] + masses[j]))
@@ -255,7 +221,7 @@ def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
 
     Bodies whose sites are bit-identical form one species.
     """
-    clusters, masses = kind.clusters, np.array(kind.masses)
+    clusters, masses = kind.clusters, kind.masses
     frames = sites[clusters]
     inertia = np.einsum("k,mkx,mky->mxy", masses, frames, frames)
     spread = np.trace(inertia, axis1=1, axis2=2)
@@ -267,18 +233,9 @@ def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
     species = []
     while len(clusters):
         same = (frames == frames[0]).all(axis=(1, 2))
-        species.append(of_sites(clusters[same], masses, frames[0]))
+        species.append(Species.from_sites(clusters[same], masses, frames[0].T))
         clusters, frames = clusters[~same], frames[~same]
     return species
-
-
-def of_sites(clusters: np.ndarray, masses: np.ndarray, frame: np.ndarray) -> Species:
-    """A species whose moments depend, to the bit, on nothing but its sites (k, 3) and masses."""
-    sites = np.ascontiguousarray(frame.T)
-    squares = (masses * sites**2).sum(axis=1)
-    moments = squares.sum() - squares
-    moments[moments <= LINEAR_MOMENT * moments.max()] = 0.0
-    return Species(np.array(clusters, dtype=np.int64), masses, sites, moments)
 
 
 def _arms(masses: np.ndarray, positions: np.ndarray) -> np.ndarray:

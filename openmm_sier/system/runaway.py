@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable
-from contextlib import suppress
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import openmm
@@ -49,14 +48,6 @@ def hottest(temperature: float, freedoms: float) -> float:
     return max(HOTTEST, temperature * (1 + 2 * math.sqrt(excess) + 2 * excess))
 
 
-class Bathed(Protocol):
-    """An integrator as the watch sees it."""
-
-    def computeSystemTemperature(self) -> Any: ...
-
-    def getStepSize(self) -> Any: ...
-
-
 class RunawayWatch:
     """Warns if steps have made a System hotter than rigid molecules are meant for; once after each change from outside.
 
@@ -66,65 +57,51 @@ class RunawayWatch:
     def __init__(self, context: openmm.Context):
         # The Context owns its integrator, which holds this.
         self._context = weakref.ref(context)
-        self._masses: np.ndarray | None = None
-        self._start: float | None = None
-        self._steps = 0
-        self._warned = self._stepping = False
+        self._masses = tables.masses(context.getSystem())
+        self._atoms = int(np.count_nonzero(self._masses))
+        self._held = len(tables.constraints(context.getSystem()).pairs)
+        self._stepping = False
+        self.forget()
 
     def forget(self) -> None:
         """Positions or velocities were set. Unless steps did so, what they are then is a new start."""
         if not self._stepping:
-            self._start = None
-            self._warned = False
+            self._start: float | None = None
+            self._steps, self._warned = 0, False
 
-    def over(self, make: Callable[[int], None], steps: int, integrator: Bathed) -> None:
-        """Make steps and look.
-
-        Args:
-            make: makes a number of steps.
-            steps: how many to make.
-            integrator: gives the exact temperature, which is asked only if there is a suspicion, and that of its bath.
-        """
+    def over(self, make: Callable[[int], None], steps: int, integrator: Any) -> None:
+        """Make steps by a function of their number, and look; an integrator with a bath knows its temperature."""
+        if self._atoms < FEWEST_ATOMS:
+            return make(steps)
         if self._start is None:
-            self._start, self._steps = self._largest_temperature(), 0
+            self._start = self._temperature()
         self._stepping = True
         try:
             make(steps)
         finally:
             self._stepping = False
         self._steps += steps
-        if self._steps >= INTERVAL and not self._warned:
-            self._steps = 0
-            self._look(integrator)
-
-    def _look(self, integrator: Bathed) -> None:
-        now = self._largest_temperature()
-        atoms = 0 if self._masses is None else int(np.count_nonzero(self._masses))
-        if now <= max(HOTTEST, GROWTH * (self._start or 0.0)) or atoms < FEWEST_ATOMS:
-            return
-        found, bath = now, getattr(integrator, "getTemperature", lambda: None)()
-        # Molecules that are torn have no temperature.
-        with suppress(ValueError, openmm.OpenMMException):
-            found = integrator.computeSystemTemperature()._value
-        if bath is not None and found <= hottest(bath._value, atoms):
-            # A hot bath, which may be cooled later.
-            self._start = now
-        elif not found <= HOTTEST:
+        if self._steps < INTERVAL or self._warned:
+            return None
+        self._steps, now = 0, self._temperature()
+        bath = integrator.getTemperature()._value if hasattr(integrator, "getTemperature") else 0.0
+        if now <= hottest(bath, self._atoms):
+            # A hot bath may be cooled later.
+            self._start = max(self._start, now) if now > HOTTEST else self._start
+        elif now > GROWTH * self._start:
             self._warned = True
-            step = 1000 * integrator.getStepSize()._value
             tell(
-                f"Steps of {step:.3g} fs have raised the temperature to {found:.3g} K; above {HOTTEST:g} K "
-                "rigid molecules make no sense. Is the step too long, or did atoms overlap at the start? Take a "
-                "shorter step, or minimize the energy first"
+                f"Steps of {1000 * integrator.getStepSize()._value:.3g} fs have raised the temperature to {now:.3g} K; "
+                f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
+                "start? Take a shorter step, or minimize the energy first"
             )
+        return None
 
-    def _largest_temperature(self) -> float:
-        """A bound of the temperature in K that needs no constraints: one degree of freedom for each atom with mass."""
+    def _temperature(self) -> float:
+        """Of all atoms, K. Bodies that no constraint holds have fewer degrees of freedom, and are hotter by that."""
         context = self._context()
         if context is None:
             return 0.0
-        if self._masses is None:
-            self._masses = tables.masses(context.getSystem())
         velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
-        return float(2 * energy / (max(1, int(np.count_nonzero(self._masses))) * GAS_CONSTANT))
+        return float(2 * energy / (max(1, 3 * self._atoms - self._held) * GAS_CONSTANT))

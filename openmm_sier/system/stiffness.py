@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import openmm
@@ -20,74 +18,40 @@ DISPLACEMENT = 1e-4
 MOST_ATOMS = 8
 
 
-class Stiffness(NamedTuple):
-    """The largest second derivative of one Force by the position of one atom.
-
-    Attributes:
-        frequency: angular, of the atom alone on that spring, 1/ps.
-        strength: kJ/mol/nm^2.
-        atom: particle index.
-        force: name and class of the Force.
-        group: its force group.
-    """
-
-    frequency: float
-    strength: float
-    atom: int
-    force: str
-    group: int
-
-    def __str__(self) -> str:
-        period = 2000 * math.pi / self.frequency
-        return (
-            f"the stiffest force on these atoms is {self.force} of force group {self.group}, with "
-            f"{self.strength:.3g} kJ/mol/nm^2 on atom {self.atom}, which alone would have a period of {period:.3g} fs"
-        )
-
-
-def stiffest_force(context: openmm.Context, positions: np.ndarray, atoms: Sequence[int]) -> Stiffness | None:
-    """The stiffest Force on some atoms, at positions (N, 3) in nm; None if no Force curves the energy.
+def stiffest_force(context: openmm.Context, positions: np.ndarray, atoms: Sequence[int]) -> str | None:
+    """What a message says of the stiffest Force on some atoms, at positions (N, 3) in nm; None if no Force is stiff.
 
     A second Context is made for it, and the given one is left alone.
     """
     system = openmm.XmlSerializer.clone(context.getSystem())
-    masses, names = tables.masses(system), _one_group_each(system)
-    other = openmm.Context(system, openmm.VerletIntegrator(0.001), context.getPlatform())
-    other.setState(context.getState(parameters=True))
-    found = []
-    for atom in [i for i in atoms if masses[i] > 0][:MOST_ATOMS]:
-        for group, (name, theirs) in enumerate(names):
-            strength = _largest_curvature(other, positions, atom, group)
-            if strength > 0:
-                found.append(Stiffness(math.sqrt(strength / masses[atom]), strength, atom, name, theirs))
-    return max(found, default=None)
-
-
-def _one_group_each(system: openmm.System) -> list[tuple[str, int]]:
-    """Give each Force that exerts forces a group of its own; returns their names and former groups."""
-    names = []
-    acting = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES)]
-    for group, force in enumerate(acting[:GROUPS]):
-        kind, name = type(force).__name__, force.getName()
-        names.append((kind if name == kind else f"{name} ({kind})", force.getForceGroup()))
+    forces = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES)][:GROUPS]
+    names = [f"{force.getName()} ({type(force).__name__}) of force group {force.getForceGroup()}" for force in forces]
+    for group, force in enumerate(forces):
         force.setForceGroup(group)
         if isinstance(force, openmm.NonbondedForce):
             force.setReciprocalSpaceForceGroup(group)
-    return names
+    other = openmm.Context(system, openmm.VerletIntegrator(0.001), context.getPlatform())
+    other.setState(context.getState(parameters=True))
+    masses, found = tables.masses(system), []
+    for atom in [i for i in atoms if masses[i] > 0][:MOST_ATOMS]:
+        for group, name in enumerate(names):
+            strength = max(_pull_back(other, positions, atom, axis, group) for axis in range(3))
+            if np.isfinite(strength) and strength > 0:
+                found.append((strength / masses[atom], strength, atom, name))
+    if not found:
+        return None
+    _, strength, atom, name = max(found)
+    return f"the stiffest force on these atoms is {name}, with {strength:.3g} kJ/mol/nm^2 on atom {atom}"
 
 
-def _largest_curvature(context: openmm.Context, positions: np.ndarray, atom: int, group: int) -> float:
-    """Largest eigenvalue of the second derivatives of a group's energy by an atom's position, kJ/mol/nm^2."""
-    columns = []
-    for axis in range(3):
-        forces = []
-        for sign in (1, -1):
-            moved = positions.copy()
-            moved[atom, axis] += sign * DISPLACEMENT
-            context.setPositions(moved)
-            context.computeVirtualSites()
-            found = context.getState(forces=True, groups={group}).getForces(asNumpy=True)._value
-            forces.append(found[atom].copy())
-        columns.append((forces[1] - forces[0]) / (2 * DISPLACEMENT))
-    curvature = np.array(columns)
-    return float(np.linalg.eigvalsh((curvature + curvature.T) / 2)[-1]) if np.isfinite(curvature).all() else 0.0
+def _pull_back(context: openmm.Context, positions: np.ndarray, atom: int, axis: int, group: int) -> float:
+    """Second derivative of a group's energy by a coordinate of an atom, kJ/mol/nm^2."""
+    forces = []
+    for shift in (DISPLACEMENT, -DISPLACEMENT):
+        moved = positions.copy()
+        moved[atom, axis] += shift
+        context.setPositions(moved)
+        context.computeVirtualSites()
+        state = context.getState(forces=True, groups={group})
+        forces.append(state.getForces(asNumpy=True)._value[atom, axis])
+    return float(forces[1] - forces[0]) / (2 * DISPLACEMENT)

@@ -1,20 +1,26 @@
-"""Unconstrained bonds and librations, and the steps at which they are stable."""
+"""Unconstrained bonds, and swings of molecules among others: the steps at which both are stable.
+
+How fast the forces between molecules turn and shake them is estimated before any position is known. An atom that can
+move with an inverse mass u, its body's rotation included, and that the surroundings hold with a stiffness k swings with
+the angular frequency sqrt(k u). For the hydrogens of rigid water u is 1/m, since out of the plane of the molecule they
+move as if they were free. Heavier hydrogens, and those of larger bodies, are slower.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
-from openmm_sier.system.librations import HEATING, HOPELESS, Libration, fastest_librations
 from openmm_sier.system.notices import tell
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
@@ -22,6 +28,38 @@ RESONANCE = 0.45
 
 #: From this step in ps on, a number in fs has more likely been given than a step of picoseconds been meant.
 SLIP = 0.5
+
+#: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
+#: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER2V2 12.8, SIER2P3 23.4, SIER4G
+#: 17.4, SIER4 15.1, SIER4V and SIER4P 15.8. In 64 molecules of liquid the energy grew within 1.2 ps by this share of
+#: the kinetic energy:
+#:     TIP3P     SIER2   9 fs 0.03, 10 fs 0.14, 11 fs 0.8     SIER4G  13 fs 0.04, 16 fs 0.11, 18 fs 0.6, 20 fs 1.7
+#:     SPC/E     SIER2   8 fs 0.03, 10 fs 0.28, 11 fs 3.6     SIER4G  14 fs 0.06, 16 fs 0.37, 18 fs 1.0, 20 fs 2.9
+#:     TIP4P-Ew  SIER2   8 fs 0.06, 10 fs 0.97, 11 fs 1e20    SIER4G  13 fs 0.02, 16 fs 0.54, 18 fs 1.1, 20 fs 3.3
+#:     TIP3P     SIER4  13 fs 0.06, 16 fs 0.31, 18 fs 3.0     SIER4P  18 fs 0.04, 20 fs 0.07     SIER4V  20 fs 0.05
+#:     TIP3P     SIER2V2  10 fs 0, 12 fs 0.04, 14 fs 0.35       SIER2P3  20 fs 0, 23 fs 0.10, 26 fs 0.77
+#: At the accuracy limits of the schemes of fourth order, 11 to 15 fs, rms(H) is 0.02 to 0.06 rms(V), and at SIER2's,
+#: 3.0 fs, it is 0.02.
+HYDROGEN_BOND = 4.0e4
+
+#: By the table above energy grows from this share of the stability limit on, since some librations are faster.
+HEATING = 0.8
+
+#: A step is refused at so many times the stability limit of a libration. There all librations of water are unstable,
+#: since the slowest have half the frequency of the fastest.
+HOPELESS = 2.0
+
+#: Charge in e, of either sign, of an atom with hydrogen bonds. TIP5P's hydrogens have 0.24, those of amides 0.27, and
+#: those on carbon up to 0.15.
+CHARGED = 0.2
+
+#: Stiffness of a Lennard-Jones atom's surroundings in units of epsilon/sigma^2: the second derivative at the minimum,
+#: 72/2^(1/3), for twelve neighbours, a third of which counts in each direction. For liquid argon it gives 6.7/ps; its
+#: Einstein frequency is 7.5/ps.
+LENNARD_JONES = 4 * 72 / 2 ** (1 / 3)
+
+#: So many bodies of one kind are looked at, since charges of one kind of body are most often the same.
+SAMPLED = 100
 
 SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
 MORE_SUBSTEPS = "Take more substeps or a shorter step"
@@ -31,17 +69,17 @@ CONSTRAIN = (
 )
 
 
-class Bond(NamedTuple):
-    """A bond as a harmonic oscillator.
+class Motion(NamedTuple):
+    """A bond or a libration as a harmonic oscillator.
 
     Attributes:
-        period: 2 pi sqrt(mu / k), ps.
-        atoms: particle indices of its ends.
-        group: the force group that it is in.
+        period: ps.
+        atoms: particle indices of the ends of the bond, or of the one atom that swings.
+        group: the force group that moves them.
     """
 
     period: float
-    atoms: tuple[int, int]
+    atoms: tuple[int, ...]
     group: int
 
 
@@ -51,8 +89,8 @@ class Vibrations:
     Of bonded forces only the System's HarmonicBondForces are looked at, as they are when the Context is created. Each
     bond is treated on its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms that share an
     atom (CO2) vibrate up to a quarter faster. Angles are ignored: those of hydrogens are slower than bonds by a factor
-    of two. The energy of a CustomBondForce, or of any other force, is an expression, from which no period can be read.
-    Librations are estimates, see `librations`.
+    of two. Of forces between molecules only the NonbondedForces are looked at. The energy of any other force is an
+    expression, from which no period can be read.
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
@@ -63,8 +101,9 @@ class Vibrations:
         """
         self._bodies = bodies
         mobility = mobilities(bodies)
-        self._bonds = list(_fastest_bonds(system, bodies, mobility))
-        self._librations = fastest_librations(system, bodies, mobility)
+        constraints = tables.constraints(system)
+        self._bonds = list(_fastest_bonds(system, bodies, constraints, mobility))
+        self._librations = list(_fastest_librations(system, bodies, constraints, mobility))
         self._warned = False
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
@@ -81,8 +120,19 @@ class Vibrations:
         Raises:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
         """
-        self._check("A step", scheme, h, groups, SHORTER_STEP)
-        self._check_libration(scheme, h, groups)
+        self._check_bonds("A step", scheme, h, groups, SHORTER_STEP)
+        libration = _fastest(self._librations, groups)
+        if libration is None:
+            return
+        stable, accurate = _limits(scheme, libration.period)
+        body = self._bodies.describe(int(self._bodies.owners[libration.atoms[0]]))
+        described = (
+            f"other molecules can make {body} swing with a period of {_fs(libration.period)}. {scheme.name} follows "
+            f"that accurately with steps of up to {_fs(accurate)}, and liquids heat up from about "
+            f"{_fs(max(accurate, HEATING * stable))} on. Take a shorter step"
+        )
+        slip = f". A number is a time in ps: for {h:g} fs give {h:g}*unit.femtoseconds" if h >= SLIP else ""
+        self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described + slip)
 
     def check_nested(self, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
         """The same for fast forces within drifts, which must also not resonate with the kicks.
@@ -100,7 +150,7 @@ class Vibrations:
         Raises:
             openmm.OpenMMException: the inner step is beyond the inner scheme's stability limit.
         """
-        self._check("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
+        self._check_bonds("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
         bond = _fastest(self._bonds, groups)
         if bond is not None and h > RESONANCE * bond.period:
             self._tell_once(
@@ -117,12 +167,12 @@ class Vibrations:
             groups: bit mask of the force groups that act in its kicks.
             fast: bit mask of those that act within its drifts, with inner steps that are short enough.
         """
-        slow = _fastest(self._bonds, groups), _fastest(self._librations, groups)
-        limits = [_limits(scheme, motion.period)[1] for motion in slow if motion is not None]
+        slow = _fastest(self._bonds + self._librations, groups)
         within = _fastest(self._bonds, fast)
+        limits = [_limits(scheme, slow.period)[1]] if slow else []
         return min([*limits, *([RESONANCE * within.period] if within else [])], default=math.inf)
 
-    def _check(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
+    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
         bond = _fastest(self._bonds, groups)
         if bond is None:
             return
@@ -132,29 +182,15 @@ class Vibrations:
             f"accurately with steps of up to {_fs(accurate)}, and is unstable from {_fs(stable)} on. {remedy}, or "
             f"{CONSTRAIN}"
         )
-        if h >= stable:
-            raise openmm.OpenMMException(f"{what} of {_fs(h)} is too long: {described}")
-        if h > accurate:
-            self._tell_once(f"{what} of {_fs(h)} is long: {described}")
+        self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
 
-    def _check_libration(self, scheme: Scheme, h: float, groups: int) -> None:
-        libration = _fastest(self._librations, groups)
-        if libration is None:
-            return
-        stable, accurate = _limits(scheme, libration.period)
-        body = self._bodies.describe(int(self._bodies.owners[libration.atom]))
-        described = (
-            f"other molecules can make {body} swing with a period of {_fs(libration.period)}. {scheme.name} follows "
-            f"that accurately with steps of up to {_fs(accurate)}, and liquids heat up from about "
-            f"{_fs(max(accurate, HEATING * stable))} on"
-        )
-        if h >= HOPELESS * stable:
-            slip = f". A number is a time in ps: for {h:g} fs give {h:g}*unit.femtoseconds" if h >= SLIP else ""
-            raise openmm.OpenMMException(f"A step of {_fs(h)} is too long: {described}{slip}")
+    def _judge(self, what: str, h: float, refused: float, accurate: float, described: str) -> None:
+        if h >= refused:
+            raise openmm.OpenMMException(f"{what} is too long: {described}")
         if h > accurate:
-            self._tell_once(f"A step of {_fs(h)} is long: {described}. Take a shorter step")
+            self._tell_once(f"{what} is long: {described}")
 
-    def _name(self, bond: Bond) -> str:
+    def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels
         residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in bond.atoms))})"
         return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}"
@@ -174,27 +210,53 @@ def _fs(time: float) -> str:
     return f"{1000 * time:.3g} fs" if time < 1 else f"{time:.4g} ps"
 
 
-Motion = TypeVar("Motion", Bond, Libration)
-
-
 def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
     """The motion of shortest period in force groups, a bit mask; None if there is none."""
     return min((motion for motion in motions if groups >> motion.group & 1), default=None)
 
 
-def _fastest_bonds(system: openmm.System, bodies: RigidBodies, mobility: np.ndarray) -> Iterator[Bond]:
+def _fastest_bonds(
+    system: openmm.System, bodies: RigidBodies, constraints: tables.Constraints, mobility: np.ndarray
+) -> Iterator[Motion]:
     """Of each HarmonicBondForce the bond of shortest period between two bodies that no constraint holds."""
-    forces = [force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
-    for force in [force for force in forces if force.getNumBonds()]:
+    for force in system.getForces():
+        if not isinstance(force, openmm.HarmonicBondForce) or not force.getNumBonds():
+            continue
         ends, strength = harmonic_bonds(force)
-        held, owner = tables.constraints(system).by_pair(), bodies.owners[ends]
+        held, owner = constraints.by_pair(), bodies.owners[ends]
         apart = (owner[:, 0] != owner[:, 1]) | (owner[:, 0] < 0)
         apart &= np.array([pair not in held for pair in map(tuple, np.sort(ends, axis=1).tolist())])
         squares = apart * strength * mobility[ends].sum(axis=1)
         fastest = int(squares.argmax())
         if squares[fastest] > 0:
-            a, b = ends[fastest].tolist()
-            yield Bond(2 * math.pi / math.sqrt(squares[fastest]), (a, b), force.getForceGroup())
+            yield Motion(
+                2 * math.pi / math.sqrt(squares[fastest]), tuple(ends[fastest].tolist()), force.getForceGroup()
+            )
+
+
+def _fastest_librations(
+    system: openmm.System, bodies: RigidBodies, constraints: tables.Constraints, mobility: np.ndarray
+) -> Iterator[Motion]:
+    """For each NonbondedForce the fastest swing that it causes; none where a molecule held by constraints is alone."""
+    if bodies.n <= SAMPLED and not tables.frozen_atoms(system).size:
+        molecules = joined(bodies.n_particles, constraints.pairs)[bodies.owners >= 0]
+        if bodies.n <= 1 or not np.ptp(molecules):
+            return
+    sample = [atom for species in bodies.species for atom in species.atoms[:SAMPLED].T.ravel().tolist()]
+    for force in system.getForces():
+        if not isinstance(force, openmm.NonbondedForce) or not sample:
+            continue
+        squares = {atom: _stiffness(force, atom) * mobility[atom] for atom in sample}
+        atom = max(squares, key=squares.__getitem__)
+        if squares[atom] > 0:
+            yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), force.getForceGroup())
+
+
+def _stiffness(force: openmm.NonbondedForce, atom: int) -> float:
+    """With which its surroundings are taken to hold an atom, kJ/mol/nm^2."""
+    charge, sigma, epsilon = (value._value for value in force.getParticleParameters(atom))
+    dispersion = LENNARD_JONES * epsilon / sigma**2 if sigma > 0 else 0.0
+    return max(HYDROGEN_BOND if abs(charge) >= CHARGED else 0.0, dispersion)
 
 
 def mobilities(bodies: RigidBodies) -> np.ndarray:

@@ -10,8 +10,7 @@ import pytest
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIER2Integrator, SIER4GIntegrator, SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.system.librations import HOPELESS
-from openmm_sier.system.vibrations import Vibrations, mobilities
+from openmm_sier.system.vibrations import HOPELESS, Vibrations, mobilities
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, platform, relaxed
 
 ENGINES = ("exact", "native")
