@@ -30,22 +30,13 @@ def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
     return integrator
 
 
-def plain_clone(integrator: openmm.CustomIntegrator) -> openmm.CustomIntegrator:
-    """A copy by OpenMM alone."""
-    return inspect.unwrap(openmm.XmlSerializer._cloneIntegrator)(integrator)
-
-
-def restored(plain: openmm.CustomIntegrator, cls: type, attributes: dict[str, Any]) -> Any:
-    """Turn a plain CustomIntegrator back into one of ours, with the attributes that XML does not hold in full."""
+def unpickled(xml: str, cls: type, attributes: dict[str, Any]) -> Any:
+    """An integrator from its XML, with the attributes that XML does not hold in full."""
+    plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml)
     _give_class(plain, cls, attributes["_settings"])
     for name in attributes.keys() - vars(plain).keys():
         setattr(plain, name, copy.deepcopy(attributes[name]))
     return plain
-
-
-def unpickled(xml: str, cls: type, attributes: dict[str, Any]) -> Any:
-    """An integrator from its pickle."""
-    return restored(inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml), cls, attributes)
 
 
 def _give_class(plain: Any, cls: type, found: Settings) -> None:

@@ -303,21 +303,16 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def __copy__(self) -> SIERIntegrator:
         """An integrator with the same settings and variables, bound to no Context."""
-        return copies.restored(copies.plain_clone(self), type(self), self._attributes())
+        make, arguments = self.__reduce__()
+        return make(*arguments)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> SIERIntegrator:
         return self.__copy__()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return copies.unpickled, (openmm.XmlSerializer.serialize(self), type(self), self._attributes())
-
-    def _attributes(self) -> dict[str, Any]:
-        """What XML does not hold in full: the settings with their objects, and attributes of subclasses."""
-        return {
-            name: value
-            for name, value in vars(self).items()
-            if name not in ("this", "_engine", "_system", "_record", "_watch")
-        }
+        bound = "this", "_engine", "_system", "_record", "_watch"
+        attributes = {name: value for name, value in vars(self).items() if name not in bound}
+        return copies.unpickled, (openmm.XmlSerializer.serialize(self), type(self), attributes)
 
     # --- for the hooks ---
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import openmm
@@ -28,8 +29,7 @@ FEWEST = 10
 WINDOW = 5
 
 
-@dataclass(frozen=True)
-class StepFound:
+class StepFound(NamedTuple):
     """Results of trials at one step size.
 
     Attributes:
@@ -43,8 +43,7 @@ class StepFound:
     acceptance: float
 
 
-@dataclass(frozen=True)
-class LengthFound:
+class LengthFound(NamedTuple):
     """Results of trials of one length.
 
     Attributes:
@@ -67,13 +66,12 @@ class LengthFound:
         value, error = self.inefficiency
         return value * self.forces, error * self.forces
 
-    @property
-    def bound(self) -> tuple[int, float]:
-        """Sort key of lengths, by the cost plus its error; lengths without an error come next, refused ones last."""
-        cost, error = self.cost
+    def __str__(self) -> str:
         if self.refused:
-            return 2, math.inf
-        return (1, cost) if math.isnan(error) else (0, cost + error)
+            return f"{self.steps:10}  {self.refused}"
+        (trials, error), (forces, uncertain) = self.inefficiency, self.cost
+        errors = (f"{error:.1f}", f"{uncertain:.0f}") if math.isfinite(error) else ("?", "?")
+        return f"{self.steps:10}{self.acceptance:12.3f}  {trials:.1f} ± {errors[0]}, {forces:.0f} ± {errors[1]}"
 
 
 @dataclass(frozen=True)
@@ -105,16 +103,7 @@ class Tuning:
         ]
         lines += [f"{1e3 * each.step:10.4g}{each.spread:10.3g}{each.acceptance:12.3f}" for each in self.steps]
         lines += ["", "     steps  acceptance  trials, and forces, for an independent potential energy"]
-        for each in self.lengths:
-            if each.refused:
-                lines.append(f"{each.steps:10}  {each.refused}")
-                continue
-            (trials, error), (forces, uncertain) = each.inefficiency, each.cost
-            known = math.isfinite(error)
-            needed = f"{trials:.1f} ± {f'{error:.1f}' if known else '?'}"
-            cost = f"{forces:.0f} ± {f'{uncertain:.0f}' if known else '?'}"
-            lines.append(f"{each.steps:10}{each.acceptance:12.3f}  {needed}, {cost}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *map(str, self.lengths)])
 
 
 def tune(
@@ -196,12 +185,14 @@ def _set(integrator: SIERHMCIntegrator, step: float, steps: int) -> None:
     integrator.step(1)
 
 
-def _chances(errors: np.ndarray) -> float:
+def _trial(integrator: SIERHMCIntegrator) -> float:
+    integrator.step(1)
+    return integrator.lastEnergyError
+
+
+def _chances(errors: Sequence[float]) -> float:
     """Mean probability of acceptance for energy errors in kT, which may be infinite."""
     return float(np.exp(-np.maximum(errors, 0)).mean())
-
-
-# --- step ---
 
 
 def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tuple[tuple[StepFound, ...], float]:
@@ -217,8 +208,9 @@ def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tup
             # For example, the step is too long for a bond.
             found, refusal, longest = StepFound(step, math.inf, 0.0), error, step
         tried.append(found)
-        factor = _factor(found, wanted, order)
-        following = min(step * factor, 0.9 * longest)
+        # Of errors that are all zero, a longer step is tried.
+        factor = (spread_at(wanted) / found.spread) ** (1 / order) if found.spread else LONGER
+        following = min(step * min(LONGER, max(SHORTER, factor)), 0.9 * longest)
         if abs(following / step - 1) < SETTLED:
             return tuple(tried), following if refusal is None else step
         step = following
@@ -230,31 +222,16 @@ def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tup
 
 def _try_step(integrator: SIERHMCIntegrator, step: float, steps: int, trials: int) -> StepFound:
     _set(integrator, step, steps)
-    errors = np.array([_trial(integrator) for _ in range(trials)])
-    followed = errors[np.isfinite(errors)]
-    spread = float(followed.std(ddof=1)) if len(followed) > len(errors) / 2 else math.inf
+    errors = [_trial(integrator) for _ in range(trials)]
+    followed = [error for error in errors if math.isfinite(error)]
+    spread = float(np.std(followed, ddof=1)) if len(followed) > trials / 2 else math.inf
     return StepFound(step, spread, _chances(errors))
-
-
-def _factor(found: StepFound, wanted: float, order: int) -> float:
-    """The factor for a step that gives its energy errors the wanted spread."""
-    if not found.spread:
-        return LONGER
-    return min(LONGER, max(SHORTER, (spread_at(wanted) / found.spread) ** (1 / order)))
-
-
-def _trial(integrator: SIERHMCIntegrator) -> float:
-    integrator.step(1)
-    return integrator.lastEnergyError
-
-
-# --- length ---
 
 
 def _find_length(
     integrator: SIERHMCIntegrator, step: float, samples: int, counts: list[int] | None, time: float
 ) -> tuple[tuple[LengthFound, ...], int]:
-    """The lengths that were compared, and the cheapest."""
+    """The lengths that were compared, and the cheapest; of those without an error, or refused, only if no other is."""
     if counts is None:
         counts = [max(1, round(factor * time / step)) for factor in LENGTHS]
     found = []
@@ -263,7 +240,7 @@ def _find_length(
             found.append(_try_length(integrator, step, steps, max(FEWEST, round(samples * time / (step * steps)))))
         except openmm.OpenMMException as error:
             found.append(LengthFound(steps, refused=" ".join(str(error).split())))
-    best = min(found, key=lambda each: each.bound)
+    best = min(found, key=lambda each: (each.refused != "", math.isnan(each.cost[1]), np.nansum(each.cost)))
     if best.refused:
         raise openmm.OpenMMException(best.refused)
     return tuple(found), best.steps
@@ -276,7 +253,7 @@ def _try_length(integrator: SIERHMCIntegrator, step: float, steps: int, samples:
         errors.append(_trial(integrator))
         energies.append(integrator._bound().potential_energy())
     forces = (integrator.forceEvaluations - before) / samples
-    return LengthFound(steps, _chances(np.array(errors)), forces, inefficiency(np.array(energies)))
+    return LengthFound(steps, _chances(errors), forces, inefficiency(np.array(energies)))
 
 
 def inefficiency(values: np.ndarray) -> tuple[float, float]:
