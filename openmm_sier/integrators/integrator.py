@@ -22,7 +22,6 @@ from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.program import VECTORS, WORK, Program
 from openmm_sier.engines.native.refusals import why_not
-from openmm_sier.engines.native.rewriting import rewrite
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.temperature import Temperatures
 from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_VARIABLES, Record
@@ -336,7 +335,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             return
         self._settings = replace(self._settings, fast_groups=groups)
         self._program = _written(self._settings)
-        rewrite(self, self._program if isinstance(self._program, Program) else None)
+        installation.rewrite(self, self._program if isinstance(self._program, Program) else None)
         self._store()
 
     def _bind(self, context: openmm.Context) -> None:

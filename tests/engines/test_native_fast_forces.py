@@ -36,17 +36,13 @@ def end_of(points: Points, program, start, h, steps):
 
 
 @pytest.mark.parametrize("constrained", [True, False], ids=["C-H constrained", "C-H by springs"])
-@pytest.mark.parametrize(
-    ("scheme", "inner", "order"),
-    [(SIER4G, SIER4G, 4), (SIER4P, SIER4G, 4), (SIER4G, SIER2, 2), (SIER2, SIER2, 2)],
-    ids=["SIER4G", "SIER4P", "SIER4G with velocity Verlet inside", "SIER2"],
-)
-def test_schemes_with_fast_forces_have_their_order(constrained, scheme, inner, order):
+@pytest.mark.parametrize(("scheme", "order"), [(SIER4G, 4), (SIER4P, 4), (SIER2, 2)], ids=["SIER4G", "SIER4P", "SIER2"])
+def test_schemes_with_fast_forces_have_their_order(constrained, scheme, order):
     """Against DOP853, which knows nothing of kicks, drifts and groups."""
     points = chains(constrained)
     state, start = start_of(points)
     exact = points.exact_flow(state, 0.016).q.T
-    program = native_program.write(scheme, 1, {FAST}, inner)
+    program = native_program.write(scheme, 1, {FAST})
     # The stiffest springs have a period of 10 fs.
     counts = (8, 16) if order == 4 else (32, 64)
     errors = [np.abs(end_of(points, program, start, 0.016 / n, n)[0] - exact).max() for n in counts]
@@ -88,7 +84,7 @@ def test_program_prints_its_inner_step_once():
     assert len(lines) < 20
     assert sum("inner steps of SIER4G  for e/h = 0.25, 0.25" in line for line in lines) == 2
     assert lines.count("an inner step e:") == 1
-    assert "v = v + 0.5*e*f1/m" in str(native_program.write(SIER4G, 2, {FAST}, SIER2))
+    assert any("v = v + 0.16666666666666666*e*f1/m" in line for line in lines)
 
 
 # --- what can be fast ---

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
+from xml.etree import ElementTree
+
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
@@ -14,12 +17,18 @@ from openmm_sier.engines.native.program import (
     UPDATE,
     VECTORS,
     Program,
-    Statement,
 )
 from openmm_sier.engines.variables import PART, PREFIX
 
 #: Global variable that is 1 if only the exact engine can do what the integrator was made for.
 EXACT_ONLY = PREFIX + "exact_only"
+
+#: OpenMM's own computations, by the targets of statements without an expression.
+OWN = {
+    CONSTRAIN_X: openmm.CustomIntegrator.addConstrainPositions,
+    CONSTRAIN_V: openmm.CustomIntegrator.addConstrainVelocities,
+    UPDATE: openmm.CustomIntegrator.addUpdateContextState,
+}
 
 #: The name of an undefined variable, so that OpenMM's error message about it tells what is wrong.
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
@@ -50,9 +59,33 @@ def install(program: Program | None, integrator: openmm.CustomIntegrator) -> Non
         integrator.beginIfBlock(f"{PART} = {k}")
         for line in part:
             for statement, lengths in line.executed():
-                _add_statement(statement, integrator, f"{lengths}; h = {n}*dt")
+                if statement.target in OWN:
+                    OWN[statement.target](integrator)
+                else:
+                    integrator.addComputePerDof(statement.target, f"{statement.expression}{lengths}; h = {n}*dt")
         integrator.endBlock()
     integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
+
+
+def rewrite(integrator: openmm.CustomIntegrator, program: Program | None) -> None:
+    """Give an integrator another program. Its variables, functions, seed, tolerance and force groups stay.
+
+    A program is written before its System is known, and OpenMM cannot take a computation back. So the Python object
+    gets another OpenMM object, from the XML of its present one with other computations. This is possible until a
+    Context is created, which holds the OpenMM object.
+
+    Args:
+        integrator: in no Context, and with the variables that `install` adds.
+        program: None for an integrator that only the exact engine can execute.
+    """
+    donor = openmm.CustomIntegrator(1.0)
+    install(program, donor)
+    root, other = (ElementTree.fromstring(openmm.XmlSerializer.serialize(one)) for one in (integrator, donor))
+    computations = [child.tag for child in root].index("Computations")
+    root[computations] = other[[child.tag for child in other].index("Computations")]
+    # Unwrapped, it makes a plain CustomIntegrator and not one of ours.
+    plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)
+    integrator.this = plain(ElementTree.tostring(root, encoding="unicode")).this
 
 
 def set_variables(integrator: openmm.CustomIntegrator, bath: OrnsteinUhlenbeck | None, is_guarded: bool) -> None:
@@ -80,14 +113,3 @@ def _add_guard(integrator: openmm.CustomIntegrator) -> None:
     integrator.addComputePerDof("x", f"x + sqrt(-{EXACT_ONLY})")
     integrator.addComputeGlobal(EXACT_ONLY, "energy")
     integrator.endBlock()
-
-
-def _add_statement(statement: Statement, integrator: openmm.CustomIntegrator, definitions: str) -> None:
-    if statement.target == CONSTRAIN_X:
-        integrator.addConstrainPositions()
-    elif statement.target == CONSTRAIN_V:
-        integrator.addConstrainVelocities()
-    elif statement.target == UPDATE:
-        integrator.addUpdateContextState()
-    else:
-        integrator.addComputePerDof(statement.target, statement.expression + definitions)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK
 from openmm_sier.engines.variables import PREFIX
 
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
@@ -45,6 +45,9 @@ COMPOSITIONS = {
 
 #: Steps of RATTLE in each drift of an inner step.
 INNER_SUBSTEPS = 3
+
+#: A drift longer than this many times the simulated time per force takes five RATTLE steps.
+LONG_DRIFT = 2.0
 
 
 class Statement(NamedTuple):
@@ -76,8 +79,8 @@ class Statement(NamedTuple):
 #: Counts the kinetic energy gained since velocities were kept.
 GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 
-#: A force as a sum of OpenMM's forces, each with its sign, "" or "-".
-Force = tuple[tuple[str, str], ...]
+#: A force as a sum of OpenMM's forces, each with its sign.
+Force = list[tuple[str, str]]
 
 
 class Line(NamedTuple):
@@ -145,20 +148,12 @@ class Program:
         return "\n".join(lines)
 
 
-#: A drift longer than this many times the simulated time per force takes five RATTLE steps.
-LONG_DRIFT = 2.0
-
-
-def usual_substeps(scheme: Scheme, nested: bool = False) -> int:
+def usual_substeps(scheme: Scheme, nested: bool) -> int:
     """The least number of substeps whose errors are below those of the scheme at usual steps, see docs/native.md.
 
     SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three RATTLE steps
-    suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces an inner step is at most as long as
-    a drift of SIER4G, 3 fs.
-
-    Args:
-        scheme: the scheme.
-        nested: whether there are fast forces.
+    suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
+    as long as a drift of SIER4G, 3 fs.
     """
     is_long = scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT
     if nested:
@@ -172,52 +167,39 @@ def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
 
 
 def write(
-    scheme: Scheme,
-    substeps: int | None = None,
-    fast_groups: Collection[int] = (),
-    inner: Scheme = WITHIN_DRIFTS,
-    updates_context: bool = True,
+    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), updates_context: bool = True
 ) -> Program:
     """The program of a scheme.
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
-    move from the kicks into the drift, which becomes `substeps` steps of an inner scheme: its kicks use the fast
+    move from the kicks into the drift, which becomes `substeps` steps of `WITHIN_DRIFTS`: its kicks use the fast
     forces, and each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs
     follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md).
-
-    Within a drift virtual sites stay where they are, so fast forces are right only if they act on atoms alone:
-    `refusals.refuse_fast_forces` checks this.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
         substeps: without fast groups, RATTLE steps in each drift: 3 and 5 make it fourth order (`COMPOSITIONS`), other
-            numbers are equal steps. With fast groups, equal steps of the inner scheme in each drift. None:
-            `usual_substeps`.
-        fast_groups: force groups of the fast forces, from 0 to 31. OpenMM's integration force groups must include them.
-        inner: scheme of the drift with fast forces, made of kicks, gradient kicks and drifts. SIER2 is velocity Verlet.
+            numbers are equal steps. With fast groups, equal steps of the inner scheme. None: `usual_substeps`.
+        fast_groups: force groups of the fast forces, which must act on atoms alone, see `refusals.refuse_fast_forces`.
         updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
             counted as heat.
 
     Raises:
-        ValueError: a scheme has another operator, or needs more than `MOST_PARTS` native steps.
+        ValueError: the scheme has another operator, or needs more than `MOST_PARTS` native steps.
     """
     fast = [f"f{group}" for group in sorted(fast_groups)]
-    if substeps is None:
-        substeps = usual_substeps(scheme, bool(fast))
-    slow_force = (("", "f"), *(("-", name) for name in fast))
-    within = _inner_step(inner, tuple(("", name) for name in fast)) if fast else ()
+    number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
+    within = _lines(
+        WITHIN_DRIFTS, "e", [("+", name) for name in fast], lambda part: _drift(part, INNER_SUBSTEPS, "d/e")
+    )
+
+    def drift(fraction: float) -> Line:
+        if not fast:
+            return _drift(fraction, number)
+        return Line(f"inner steps of {WITHIN_DRIFTS.name}", (), (fraction / number,) * number, "e/h", tuple(within))
+
     lines = [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))] if updates_context else []
-    for stage in scheme.stages:
-        if stage.operator == DRIFT:
-            equal = (stage.fraction / substeps,) * substeps
-            lines.append(
-                Line(f"inner steps of {inner.name}", (), equal, "e/h", within)
-                if fast
-                else _drift(stage.fraction, substeps)
-            )
-        else:
-            lines += _writer(scheme, stage)(stage.times(1.0), "h", slow_force)
-    parts = _divided(lines)
+    parts = _divided(lines + _lines(scheme, "h", [("+", "f"), *(("-", name) for name in fast)], drift))
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     return Program(scheme.name, parts)
@@ -236,23 +218,22 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     return tuple(map(tuple, parts))
 
 
-def _inner_step(inner: Scheme, fast: Force) -> tuple[Line, ...]:
-    """A step of length e of a scheme with the fast forces alone."""
+def _lines(scheme: Scheme, h: str, force: Force, drift: Callable[[float], Line]) -> list[Line]:
+    """The stages of a scheme for a step called `h`; `drift` writes one from its fraction of the step."""
     lines: list[Line] = []
-    for stage in inner.stages:
+    for stage in scheme.stages:
+        time = f"{stage.fraction!r}*{h}"
         if stage.operator == DRIFT:
-            lines.append(_drift(stage.fraction, INNER_SUBSTEPS, "d/e"))
+            lines.append(drift(stage.fraction))
+        elif stage.operator == KICK:
+            lines.append(Line("kick", (*_kicked("v", f"{time}*", force), Statement(CONSTRAIN_V))))
+        elif stage.operator == GRADIENT_KICK:
+            lines += _gradient_kick(time, f"{stage.shift!r}*{h}*{h}", force)
+        elif stage.operator == BATH:
+            lines.append(_bath(time))
         else:
-            lines += _writer(inner, stage)(stage.times(1.0), "e", fast)
-    return tuple(lines)
-
-
-def _writer(scheme: Scheme, stage: Stage) -> Callable[[tuple[float, ...], str, Force], list[Line]]:
-    """Writes an operator, (its times for a step of 1, name of the step, force) -> lines."""
-    known = {KICK: _kick, GRADIENT_KICK: _gradient_kick, BATH: _bath}
-    if stage.operator not in known:
-        raise ValueError(f"the operator '{stage.operator}' of the scheme {scheme.name} cannot be written out")
-    return known[stage.operator]
+            raise ValueError(f"the operator '{stage.operator}' of the scheme {scheme.name} cannot be written out")
+    return lines
 
 
 def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
@@ -271,21 +252,17 @@ def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
     return Line("drift", statements, tuple(fraction * weight for weight in weights), unit)
 
 
-def _kick(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
-    return [Line("kick", (*_kicked("v", f"{times[0]!r}*{h}*", force), Statement(CONSTRAIN_V)))]
-
-
 def _kicked(start: str, time: str, force: Force) -> list[Statement]:
     """`v = start + time*f/m`, one statement for each group: OpenMM allows only one in an expression."""
     statements = []
     for sign, name in force:
-        expression = f"{start} {sign or '+'} {time}{name}/m" if start else f"{sign}{time}{name}/m"
+        expression = f"{start} {sign} {time}{name}/m" if start else f"{sign.strip('+')}{time}{name}/m"
         statements.append(Statement("v", expression))
         start = "v"
     return statements
 
 
-def _gradient_kick(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
+def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
     """A kick by the forces at positions displaced by the constrained accelerations.
 
     OpenMM's constraints act along the directions of the last positions that satisfied them. So positions are
@@ -293,37 +270,29 @@ def _gradient_kick(times: tuple[float, ...], h: str, force: Force) -> list[Line]
     rather than the positions, since GPU platforms may carry a molecule to the other side of the box between two native
     steps.
     """
-    time, shift = times
+    acceleration = (*_kicked("", "", force), Statement(CONSTRAIN_V))
     displace = (
         Statement(MOVED, "x"),
         Statement(V0, "v"),
-        *_kicked("", "", force),
-        Statement(CONSTRAIN_V),
-        Statement("x", f"x + {shift!r}*{h}*{h}*v"),
+        *acceleration,
+        Statement("x", f"x + {shift}*v"),
         Statement(CONSTRAIN_X),
         Statement(MOVED, f"x - {MOVED}"),
     )
     kick = (
-        *_kicked("", "", force),
-        Statement(CONSTRAIN_V),
+        *acceleration,
         Statement(KEPT, "v"),
         Statement("x", f"x - {MOVED}"),
         Statement(CONSTRAIN_X),
         Statement("v", KEPT),
         Statement(CONSTRAIN_V),
-        Statement("v", f"{V0} + {time!r}*{h}*v"),
+        Statement("v", f"{V0} + {time}*v"),
     )
     return [Line("displace", displace), Line("kick from there", kick)]
 
 
-def _bath(times: tuple[float, ...], h: str, force: Force) -> list[Line]:
+def _bath(time: str) -> Line:
     """The exact Ornstein-Uhlenbeck process of the constrained velocities: constraining projects the noise too."""
-    t = f"{times[0]!r}*{h}"
-    spread = f"sqrt((1 - exp(-2*{FRICTION}*{t}))*{THERMAL}/m)"
-    statements = (
-        Statement(V0, "v"),
-        Statement("v", f"exp(-{FRICTION}*{t})*v + {spread}*gaussian"),
-        Statement(CONSTRAIN_V),
-        GAINED,
-    )
-    return [Line("bath", statements)]
+    spread = f"sqrt((1 - exp(-2*{FRICTION}*{time}))*{THERMAL}/m)"
+    drawn = Statement("v", f"exp(-{FRICTION}*{time})*v + {spread}*gaussian")
+    return Line("bath", (Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))
