@@ -25,24 +25,16 @@ HIGHEST_GRADIENT_ORDER = 4
 Word = tuple[str, ...]
 
 
-def order_of_flow(stages: Sequence[Stage], letters: Sequence[str]) -> int:
-    """Largest n for which stages in sequence are a flow of the exact motion up to and including h^n.
-
-    Args:
-        stages: all or some of the stages of a step.
-        letters: the flows that make up the exact motion. Its time is the sum of the fractions of the first flow; if
-            another flow has a different sum, the order is 0.
-    """
-    time = math.fsum(stage.fraction for stage in stages if stage.flow == letters[0])
+def order_of(stages: Sequence[Stage]) -> int:
+    """Largest n for which the stages of a step are the exact motion up to and including h^n."""
     coefficients: dict[Word, float] = {(): 1.0}
     for stage in stages:
         coefficients = _product(coefficients, _exponential(_generator(stage)))
     order = 0
     highest = HIGHEST_GRADIENT_ORDER if any(stage.shift for stage in stages) else HIGHEST_ORDER
     for length in range(1, highest + 1):
-        exact = time**length / math.factorial(length)
-        words = itertools.product(letters, repeat=length)
-        errors = _reduced({word: coefficients.get(word, 0.0) - exact for word in words})
+        words = itertools.product({stage.flow for stage in stages}, repeat=length)
+        errors = _reduced({word: coefficients.get(word, 0.0) - 1 / math.factorial(length) for word in words})
         if any(abs(error) > CONDITION_TOLERANCE for error in errors.values()):
             break
         order = length

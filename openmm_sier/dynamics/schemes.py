@@ -11,10 +11,9 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 from openmm_sier.dynamics import stability
-from openmm_sier.dynamics.order import HIGHEST_ORDER, order_of_flow
+from openmm_sier.dynamics.order import order_of
 from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
 
 
@@ -98,24 +97,23 @@ class Scheme:
         return Scheme(self.name, tuple(stages), self.source)
 
     def with_bath(self) -> Scheme:
-        """This scheme with a heat bath, placed so that averages keep the scheme's order (`sampling_order`).
+        """This scheme with a heat bath, placed so that averages keep the scheme's order.
 
-        The bath is in the middle of the middle drift if that costs no order; otherwise half of it is at either end.
-        SIER2 becomes kick, half drift, bath, half drift, kick (Leimkuhler and Matthews, Appl. Math. Res. Express 2013,
-        34), in which the positions of a harmonic oscillator have no error at all. In the middle of a higher-order
-        scheme positions and momenta are not those of a whole step, and a bath there would reduce the order to two: such
-        schemes have it at the ends. A scheme that already has a bath is returned unchanged.
+        A palindrome of second order with a drift in the middle has the bath in the middle of that. SIER2 becomes kick,
+        half drift, bath, half drift, kick (Leimkuhler and Matthews, Appl. Math. Res. Express 2013, 34), in which the
+        positions of a harmonic oscillator have no error at all. Other schemes have half of the bath at either end. In
+        the middle of a higher-order scheme positions and momenta are not those of a whole step, and a bath there would
+        reduce the order to two. A scheme that already has a bath is returned unchanged.
         """
         if BATH in self.operators:
             return self
         middle = len(self.stages) // 2
-        if len(self.stages) % 2 and self.stages[middle].operator == DRIFT:
+        if self.is_palindrome and self.stages[middle].operator == DRIFT and self.order == 2:
             half = Stage(DRIFT, 0.5 * self.stages[middle].fraction)
             stages = (*self.stages[:middle], half, Stage(BATH, 1.0), half, *self.stages[middle + 1 :])
-            inside = Scheme(self.name, stages, self.source)
-            if inside.sampling_order >= self.order:
-                return inside
-        return Scheme(self.name, (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5)), self.source)
+        else:
+            stages = (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5))
+        return Scheme(self.name, stages, self.source)
 
     @property
     def longest_drift(self) -> float:
@@ -135,28 +133,7 @@ class Scheme:
     @cached_property
     def order(self) -> int:
         """Largest n for which the step is exact up to and including h^n, see `openmm_sier.dynamics.order`."""
-        return order_of_flow(self.stages, self._flows)
-
-    @cached_property
-    def sampling_order(self) -> int:
-        """Power of the step in the error of averages at whole steps, for a scheme with a bath.
-
-        The bath leaves exp(-H/kT) unchanged, whatever the friction. So does the motion from one bath to the next, up to
-        its order n, so that the density at the bath is right up to h^n. The stages between the last bath and the end of
-        the step carry this density along a flow of some order m, which changes the energy by O(h^(m+1)).
-
-        Raises:
-            ValueError: the scheme has no bath.
-        """
-        baths = [i for i, stage in enumerate(self.stages) if stage.operator == BATH]
-        if not baths:
-            raise ValueError(f"scheme {self.name} has no '{BATH}'")
-        flows = tuple(flow for flow in self._flows if flow != BATH)
-        before, after = self.stages[: baths[0]], self.stages[baths[-1] + 1 :]
-        between = [self.stages[a + 1 : b] for a, b in pairwise(baths)]
-        motions = [stages for stages in (after + before, *between) if stages]
-        carried = [order_of_flow(after, flows) + 1] if after else []
-        return min([order_of_flow(stages, flows) for stages in motions] + carried, default=HIGHEST_ORDER)
+        return order_of(self.stages)
 
 
 def _before_kick(stages: Iterable[Stage]) -> list[str]:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
-from openmm_sier.dynamics.order import HIGHEST_ORDER
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, KICK, Stage
+from openmm_sier.dynamics.stages import BATH, DRIFT, Stage
 from studies.methods import OTHERS
 
 ALL = {**CATALOGUE, **OTHERS}
@@ -51,9 +50,8 @@ def largest(scheme: Scheme, fs_per_force: float) -> float:
 
 @pytest.mark.parametrize("scheme", ALL.values(), ids=ALL)
 def test_averages_keep_the_order_of_the_scheme(scheme):
-    """The slope at three steps is the order of the scheme, and so is what the scheme says of itself."""
+    """The slope at three steps is the order of the scheme."""
     bathed = scheme.with_bath()
-    assert bathed.sampling_order == scheme.order
     found = [largest(bathed, dt) for dt in (0.5, 0.25, 0.125)]
     slopes = [math.log2(a / b) for a, b in pairwise(found)]
     # The next term of the error is (w h)^2 times some units beside the first one: w h is 0.08 at the last step of six
@@ -88,34 +86,10 @@ def bath_in_the_middle(scheme: Scheme) -> Scheme:
 def test_bath_in_the_middle_of_a_fourth_order_scheme_leaves_second_order():
     """What `with_bath` has to avoid; for SIER4V it is off by 0.65 % at 1 fs per force."""
     wrong = bath_in_the_middle(CATALOGUE["sier4v"])
-    assert wrong.sampling_order == 2
     assert math.log2(largest(wrong, 0.25) / largest(wrong, 0.125)) == pytest.approx(2, abs=0.1)
     assert errors(wrong, 5e-3)[1] == pytest.approx(-0.0065, abs=5e-5)
 
 
-PLACES = [(name, place) for name in ("sier2", "sier4g") for place in range(len(CATALOGUE[name].stages) + 1)]
-
-
-@pytest.mark.parametrize(("name", "place"), PLACES)
-def test_order_of_a_bath_at_any_place(name, place):
-    """Between any two stages the claim is what is found, or less where a harmonic oscillator shows no error."""
-    plain = CATALOGUE[name].stages
-    scheme = Scheme("any", (*plain[:place], Stage(BATH, 1.0), *plain[place:]))
-    found = [largest(scheme, dt) for dt in (0.25, 0.125)]
-    assert math.log2(found[0] / found[1]) > scheme.sampling_order - 0.1
-
-
-def test_claims_of_special_schemes():
-    """A bath alone is exact; without one there is nothing to be claimed."""
-    assert Scheme("bath", (Stage(BATH, 1.0),)).sampling_order == HIGHEST_ORDER
-    with pytest.raises(ValueError, match="SIER2 has no 'bath'"):
-        _ = CATALOGUE["sier2"].sampling_order
+def test_a_scheme_with_a_bath_gets_no_other():
     bathed = CATALOGUE["sier4"].with_bath()
     assert bathed.with_bath() is bathed
-
-
-@pytest.mark.parametrize(("first", "second"), [(KICK, DRIFT), (DRIFT, KICK)])
-def test_the_end_of_the_step_counts(first, second):
-    """A bath before the last kick or drift: the density is carried along something that is no flow of the motion."""
-    scheme = Scheme("euler", ((first, 1.0), (BATH, 1.0), (second, 1.0)))
-    assert scheme.sampling_order == 1
