@@ -40,6 +40,11 @@ def is_passive(force: openmm.Force) -> bool:
     return isinstance(force, PASSIVE_FORCES)
 
 
+def barostats(system: openmm.System) -> list[openmm.Force]:
+    """The barostats of OpenMM that a System has."""
+    return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
+
+
 def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:
     """Refuse a System whose volume an integrator cannot change.
 
@@ -48,17 +53,30 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
     """
     if not system.usesPeriodicBoundaryConditions():
         raise openmm.OpenMMException("A pressure needs a System with periodic boundary conditions")
-    for force in system.getForces():
-        if isinstance(force, BAROSTATS):
-            raise openmm.OpenMMException(
-                f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
-            )
+    for force in barostats(system):
+        raise openmm.OpenMMException(
+            f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
+        )
     for i in np.flatnonzero(bodies.owners < 0).tolist():
         if not system.isVirtualSite(i):
             raise openmm.OpenMMException(
                 f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
                 "has no mass or was left out of `bodies`: leave out `pressure`, or give it a mass and restrain it by a "
                 "force"
+            )
+
+
+def refuse_scaled_atoms(system: openmm.System) -> None:
+    """Refuse a barostat that scales atoms one by one, which deforms whatever is rigid.
+
+    Raises:
+        RigidityError: there is one.
+    """
+    for barostat in barostats(system):
+        if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
+            raise RigidityError(
+                f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies and which constraints "
+                "do not bear: create it with scaleMoleculesAsRigid=True"
             )
 
 
@@ -73,36 +91,28 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
     Raises:
         RigidityError: a barostat scales atoms one by one, or moves apart molecules that share a body.
     """
-    barostats = [force for force in system.getForces() if isinstance(force, BAROSTATS)]
-    if not barostats:
+    extended = [species for species in bodies.species if species.atoms.shape[1] > 1]
+    if not extended or not barostats(system):
         return
+    refuse_scaled_atoms(system)
     molecule = molecule_of_atoms(molecules, bodies.n_particles)
-    for species in bodies.species:
-        if species.atoms.shape[1] == 1:
-            continue
-        for barostat in barostats:
-            if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
-                raise RigidityError(
-                    f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies: create it with "
-                    "scaleMoleculesAsRigid=True"
-                )
+    for species in extended:
         split = np.ptp(molecule[species.atoms], axis=1) > 0
         if split.any():
             raise RigidityError(
                 f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
-                f"{type(barostats[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of any "
-                "strength)"
+                f"{type(barostats(system)[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of "
+                "any strength)"
             )
 
 
 def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
     """Warn of a barostat of OpenMM in a System with frozen atoms, which it moves too."""
-    barostat = next((force for force in system.getForces() if isinstance(force, BAROSTATS)), None)
-    if barostat is not None and (frozen := tables.frozen_atoms(system)).size:
+    if barostats(system) and (frozen := tables.frozen_atoms(system)).size:
         tell(
-            f"{type(barostat).__name__} moves all molecules with the box, also those of frozen atoms (of the mass "
-            f"0, such as atom {frozen[0]}), and counts them among those that share the heat. To hold atoms in place at "
-            "constant pressure, restrain them by forces"
+            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, also those of frozen atoms (of "
+            f"the mass 0, such as atom {frozen[0]}), and counts them among those that share the heat. To hold atoms in "
+            "place at constant pressure, restrain them by forces"
         )
 
 

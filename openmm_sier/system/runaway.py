@@ -83,12 +83,11 @@ class RunawayWatch:
         self._steps += steps
         if self._steps < INTERVAL or self._warned:
             return None
-        self._steps, now = 0, self._temperature()
         bath = integrator.getTemperature()._value if hasattr(integrator, "getTemperature") else 0.0
-        if now <= hottest(bath, self._atoms):
-            # A hot bath may be cooled later.
-            self._start = max(self._start, now) if now > HOTTEST else self._start
-        elif now > GROWTH * self._start:
+        # What a hot bath has heated may be cooled later.
+        self._start = max(self._start, bath)
+        self._steps, now = 0, self._temperature()
+        if now > max(HOTTEST, GROWTH * self._start):
             self._warned = True
             tell(
                 f"Steps of {1000 * integrator.getStepSize()._value:.3g} fs have raised the temperature to {now:.3g} K; "

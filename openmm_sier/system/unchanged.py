@@ -18,8 +18,7 @@ class UnchangedSystem:
     def __init__(self, context: openmm.Context):
         # The Context owns the integrator that holds this object.
         self._context = weakref.ref(context)
-        system = context.getSystem()
-        self._then, self._counts, self._changes = _outline(system), _counts(system), UnchangedSystem.changes
+        self._then, self._seen = _outline(context.getSystem()), self._glance(context.getSystem())
 
     def check(self) -> None:
         """Compare particles, constraints, Forces, their groups and the parameters of PME.
@@ -27,29 +26,29 @@ class UnchangedSystem:
         Raises:
             openmm.OpenMMException: the System was changed after its Context was made.
         """
-        if (context := self._context()) is None:
+        if (context := self._context()) is None or (seen := self._glance(context.getSystem())) == self._seen:
             return
-        system, changes = context.getSystem(), UnchangedSystem.changes
-        if changes == self._changes and _counts(system) == self._counts:
-            return
-        if (now := _outline(system)) != self._then:
-            name = next(name for name in self._then if now.get(name) != self._then[name])
-            raise openmm.OpenMMException(
-                f"The System was changed after its Context was created, which OpenMM takes no notice of: its {name} "
-                f"was {self._then[name]} and is {now[name]}. Change a System, by prepare_system too, before the "
-                "Context is created; or create a new one"
-            )
-        self._changes = changes
+        now = _outline(context.getSystem())
+        for name, value in self._then.items():
+            if now.get(name) != value:
+                raise openmm.OpenMMException(
+                    "The System was changed after its Context was created, which OpenMM takes no notice of: its "
+                    f"{name} was {value} and is {now.get(name)}. Change a System, by prepare_system too, before the "
+                    "Context is created; or create a new one"
+                )
+        self._seen = seen
 
-
-def _counts(system: openmm.System) -> tuple[int, int, int]:
-    return system.getNumParticles(), system.getNumConstraints(), system.getNumForces()
+    def _glance(self, system: openmm.System) -> tuple[int, ...]:
+        return self.changes, system.getNumParticles(), system.getNumConstraints(), system.getNumForces()
 
 
 def _outline(system: openmm.System) -> dict[str, Any]:
     """What is compared of a System, by names for messages."""
-    names = ("number of particles", "number of constraints", "number of Forces")
-    found: dict[str, Any] = dict(zip(names, _counts(system), strict=True))
+    found: dict[str, Any] = {
+        "number of particles": system.getNumParticles(),
+        "number of constraints": system.getNumConstraints(),
+        "number of Forces": system.getNumForces(),
+    }
     for number, force in enumerate(system.getForces()):
         found[f"Force {number}"] = kind = type(force).__name__
         found[f"force group of Force {number}, a {kind},"] = force.getForceGroup()

@@ -33,18 +33,13 @@ def refuse(flow: Flow, bodies: Bodies, program: Program | str, system: openmm.Sy
     reason = why_not(flow, program) or _unheld_bodies(bodies, system)
     if reason is not None or isinstance(program, str):
         raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
-    for force in system.getForces():
-        if isinstance(force, openmm.AndersenThermostat):
-            raise openmm.OpenMMException(
-                "The native engine divides its step, which AndersenThermostat takes for the whole one: use "
-                "SIERLangevinIntegrator without it, or take engine='exact'"
-            )
-        deforms = isinstance(force, checks.BAROSTATS) and hasattr(force, "getScaleMoleculesAsRigid")
-        if deforms and system.getNumConstraints() and not force.getScaleMoleculesAsRigid():
-            raise openmm.OpenMMException(
-                f"{type(force).__name__} scales every atom apart, which constraints do not bear: create it with "
-                "scaleMoleculesAsRigid=True"
-            )
+    if any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
+        raise openmm.OpenMMException(
+            "The native engine divides its step, which AndersenThermostat takes for the whole one: use "
+            "SIERLangevinIntegrator without it, or take engine='exact'"
+        )
+    if system.getNumConstraints():
+        checks.refuse_scaled_atoms(system)
     return program
 
 
@@ -97,16 +92,12 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
     for force in system.getForces() if sites else []:
         if force.getForceGroup() not in groups or isinstance(force, WITHOUT_FORCES):
             continue
-        acts = "may act on virtual sites"
-        if bonded_kind(force) is not None:
-            found = np.intersect1d(bonded_terms(force), sites)
-            if not found.size:
-                continue
-            acts = f"acts on atom {found[0]}, a virtual site"
+        if bonded_kind(force) is not None and not np.isin(bonded_terms(force), sites).any():
+            continue
         raise openmm.OpenMMException(
-            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
-            f"{acts}; virtual sites stay behind within a step of the native engine. Put it into another group with "
-            "setForceGroup, or take engine='exact'"
+            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and may "
+            f"act on virtual sites, such as atom {sites[0]}; these stay behind within a step of the native engine. Put "
+            "it into another group with setForceGroup, or take engine='exact'"
         )
 
 
@@ -114,6 +105,5 @@ def points(system: openmm.System) -> RigidBodies:
     """The massive atoms of a System, each a body of its own."""
     masses = tables.masses(system)
     kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
-    return RigidBodies(
-        [Species(atoms, np.array([mass]), np.zeros((3, 1)), np.zeros(3)) for mass, atoms in kinds], len(masses)
-    )
+    point = np.zeros((3, 1))
+    return RigidBodies([Species.from_sites(atoms, np.array([mass]), point) for mass, atoms in kinds], len(masses))
