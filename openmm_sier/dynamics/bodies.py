@@ -15,12 +15,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from openmm_sier.dynamics import backend, fitting
+from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
 from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.dynamics.fitting import RigidityError as RigidityError
+from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species
 
 
@@ -247,7 +247,7 @@ class RigidBodies:
         suspects = np.flatnonzero(misfit > 0.5 * species.mirror_distance)
         if species.mirror_distance == 0 or not suspects.size:
             return
-        mirrored = fitting.fit_mirror_image(species.sites, species.masses, arms[suspects], misfit[suspects])
+        mirrored = species.are_mirrored(arms[suspects], misfit[suspects])
         if mirrored.any():
             raise RigidityError(
                 f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} does not have the shape of its rigid "

@@ -1,4 +1,4 @@
-"""The geometry that bodies of one kind share."""
+"""The geometry that bodies of one kind share, and how it is fitted to atom positions."""
 
 from __future__ import annotations
 
@@ -8,12 +8,30 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics import fitting
-
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis, as a
 #: fraction of the largest coordinate, lie on it.
 LINEAR_MOMENT = 1e-10
 ON_AXIS = 1e-9
+
+#: Largest accepted distance in nm between an atom and its place in the reference geometry. Water models differ by up to
+#: 0.0142 nm (OPC and TIP3P-FB), and from crystallographic hydrogens by up to 0.0167 nm (O-H of 0.084 nm, TIP3P-FB).
+#: Molecules that are cut by the periodic boundary are off by far more.
+FIT_TOLERANCE = 0.02
+
+#: The distance must also be at most this fraction of the shortest distance in the body. Every atom is then nearer to
+#: its own place than to that of any other atom, so that none can be mistaken for another.
+FIT_FRACTION = 0.25
+
+#: Positions that fit the mirror image this many times better than the body are those of the mirror image. If the two
+#: fit about equally, the body is planar within the deviation, and its handedness cannot be told.
+MIRROR_MARGIN = 2.0
+
+#: Sites at most this far apart, in nm, are at one place and need not be told apart.
+ONE_PLACE = 1e-9
+
+
+class RigidityError(ValueError):
+    """Atoms do not form the rigid body that they are meant to form."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,32 +88,66 @@ class Species:
 
     def mirrored(self) -> Species:
         """The mirror image, whose principal axes are the same."""
-        return replace(self, sites=fitting.MIRROR * self.sites)
+        return replace(self, sites=np.array([[1.0], [1.0], [-1.0]]) * self.sites)
 
     @property
     def mass(self) -> float:
         return float(self.masses.sum())
 
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of one body, 3 for a point, 5 for a line and 6 otherwise."""
+        return 3 + int(np.count_nonzero(self.moments))
+
     @cached_property
     def tolerance(self) -> float:
         """Largest distance in nm of an atom from its place at which the body is still recognized."""
-        return fitting.tolerance_of(self.sites)
+        shortest = np.inf
+        for i in range(1, self.sites.shape[1]):
+            # One row at a time: all pairs of a large body, a rigid protein say, would take much memory.
+            apart = np.linalg.norm(self.sites[:, :i] - self.sites[:, i, None], axis=0)
+            shortest = apart[apart > ONE_PLACE].min(initial=shortest)
+        return float(min(FIT_TOLERANCE, FIT_FRACTION * shortest))
 
     @cached_property
     def mirror_distance(self) -> float:
         """Largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
-        return fitting.distance_from_mirror_image(self.sites, self.masses)
+        return float(self.mirrored().fit(self.sites.T[None])[1][0]) if self.sites.any(axis=1).all() else 0.0
+
+    def are_mirrored(self, arms: np.ndarray, misfit: np.ndarray) -> np.ndarray:
+        """Which bodies are mirror images, (m,): those whose atoms fit one, and `MIRROR_MARGIN` times better.
+
+        Args:
+            arms: atom positions from the centres of mass, (m, k, 3), nm.
+            misfit: of the body itself, (m,), nm.
+        """
+        found = self.mirrored().fit(arms)[1]
+        return (found * MIRROR_MARGIN < misfit) & (found <= self.tolerance)
 
     def fit(self, arms: np.ndarray, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Attitudes (3, 3, m) of m bodies, and for each the largest distance of an atom from its place, (m,), nm.
+
+        The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
+        Acta Cryst. A 34, 827 (1978)).
 
         Args:
             arms: atom positions from the centres of mass, (m, k, 3), nm.
             kept: attitudes that are returned as they are if they fit to rounding.
         """
-        return fitting.fit_attitudes(self.sites, self.masses, arms, kept)
+        if not self.sites.any():
+            attitudes = np.repeat(np.eye(3)[:, :, None], len(arms), axis=2) if kept is None else kept
+            return attitudes, np.linalg.norm(arms, axis=2).max(axis=1)
+        if kept is not None:
+            misfit = self._misfit(arms, kept)
+            # Atom positions carry the rounding of coordinates of some nm.
+            if misfit.max() < 1e-13 * (1 + np.abs(arms).max()):
+                return kept, misfit
+        correlation = np.einsum("k,ak,mkx->max", self.masses, self.sites, arms)
+        u, _, vt = np.linalg.svd(correlation)
+        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+        attitudes = np.ascontiguousarray((u @ vt).transpose(1, 2, 0))
+        return attitudes, self._misfit(arms, attitudes)
 
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom of one body, 3 for a point, 5 for a line and 6 otherwise."""
-        return 3 + int(np.count_nonzero(self.moments))
+    def _misfit(self, arms: np.ndarray, A: np.ndarray) -> np.ndarray:
+        places = np.einsum("ak,axm->mkx", self.sites, A)
+        return np.linalg.norm(arms - places, axis=2).max(axis=1)

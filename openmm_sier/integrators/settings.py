@@ -136,16 +136,21 @@ def stored(integrator: openmm.CustomIntegrator) -> Settings:
     values = integrator.getTabulatedFunction(found).getFunctionParameters()
     try:
         text = b"".join(int(value).to_bytes(WIDTH, "big").lstrip(b"\0") for value in values)
-        return from_json(json.loads(text.decode()))
+        table = json.loads(text.decode())
+        layout = table.pop("layout", None) if isinstance(table, dict) else None
+        if layout != LAYOUT:
+            raise SettingsError(
+                f"This SIER integrator was stored by another version of openmm_sier, in layout {layout!r} where "
+                f"{LAYOUT} is read: create it anew"
+            )
+        return _decoded(Settings, table, "")
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise SettingsError(f"The settings stored in this SIER integrator are damaged: {error}") from None
 
 
 def _find(integrator: openmm.CustomIntegrator) -> int | None:
-    for i in range(integrator.getNumTabulatedFunctions()):
-        if integrator.getTabulatedFunctionName(i) == NAME:
-            return i
-    return None
+    names = [integrator.getTabulatedFunctionName(i) for i in range(integrator.getNumTabulatedFunctions())]
+    return names.index(NAME) if NAME in names else None
 
 
 # --- as JSON ---
@@ -154,22 +159,6 @@ def _find(integrator: openmm.CustomIntegrator) -> int | None:
 def as_json(settings: Settings) -> dict[str, Any]:
     """Settings as JSON values: a table for each dataclass."""
     return {"layout": LAYOUT, **_encoded(settings)}
-
-
-def from_json(values: Any) -> Settings:
-    """The settings that `as_json` gave.
-
-    Raises:
-        SettingsError: see `stored`.
-        ValueError, TypeError: a value of the right type is out of range.
-    """
-    layout = values.get("layout") if isinstance(values, dict) else None
-    if layout != LAYOUT:
-        raise SettingsError(
-            f"This SIER integrator was stored by another version of openmm_sier, in layout {layout!r} where {LAYOUT} "
-            "is read: create it anew"
-        )
-    return _decoded(Settings, {name: value for name, value in values.items() if name != "layout"}, "")
 
 
 def _encoded(value: Any) -> Any:

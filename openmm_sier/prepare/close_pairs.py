@@ -62,16 +62,15 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, movable: np.ndarra
     """
     forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
     close = list(_close(edges, movable))
-    fast, opposite = _pair_force(NAME, "", group, periodic), None
+    fast = _pair_force(NAME, "", group, periodic)
+    opposite = _pair_force(OPPOSITE, "-", forces[0].getForceGroup() if forces else 0, periodic)
     for force in forces:
-        if opposite is None:
-            opposite = _pair_force(OPPOSITE, "-", force.getForceGroup(), periodic)
         for a, b, (q, sigma, epsilon) in _interactions(force, close):
             parameters = [COULOMB * q, 4 * epsilon * sigma**12, 4 * epsilon * sigma**6]
             fast.addBond(a, b, parameters)
             opposite.addBond(a, b, parameters)
     system.addForce(fast)
-    if opposite is not None and opposite.getNumBonds():
+    if opposite.getNumBonds():
         system.addForce(opposite)
     return fast.getNumBonds()
 

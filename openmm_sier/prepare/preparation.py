@@ -97,7 +97,10 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     if fast:
         done.append(f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}.")
         periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
-        if count := _add_close_pairs(system, point, group, periodic):
+        links = Links(system)
+        edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
+        edges = edges[point[edges].all(axis=1)]
+        if count := close_pairs.add_close_pairs(system, edges, point, group, periodic):
             done.append(
                 f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart act there too, and are "
                 "subtracted in the kicks."
@@ -108,12 +111,6 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
         why = "they act on rigid bodies, virtual sites or frozen atoms"
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     return Preparation(frozenset({group} if fast else ()), tuple(done), energy_limits(system))
-
-
-def _add_close_pairs(system: openmm.System, point: np.ndarray, group: int, periodic: bool) -> int:
-    links = Links(system)
-    edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
-    return close_pairs.add_close_pairs(system, edges[point[edges].all(axis=1)], point, group, periodic)
 
 
 def _owners(system: openmm.System, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import RigidBodies, RigidityError
-from openmm_sier.dynamics.fitting import FIT_TOLERANCE
-from openmm_sier.dynamics.species import Species
+from openmm_sier.dynamics.species import FIT_TOLERANCE, Species
 from tests.support.molecules import GEOMETRIES, scattered, species, thermal_state
 from tests.support.oracles import matmul, orthogonality_error, random_attitudes
 

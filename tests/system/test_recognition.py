@@ -9,8 +9,7 @@ import openmm
 import pytest
 
 from openmm_sier import RigidBodies, RigidityError, SIER2Integrator
-from openmm_sier.dynamics.fitting import FIT_FRACTION, FIT_TOLERANCE
-from openmm_sier.dynamics.species import Species
+from openmm_sier.dynamics.species import FIT_FRACTION, FIT_TOLERANCE, Species
 from tests.support.oracles import random_attitudes
 from tests.support.waters import cluster_system, context_at, phase_point, platform
 
