@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,13 +88,10 @@ class NativeEngine(Engine):
         refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
         self._constraints = tables.constraints(system)
         self._points = refusals.points(system)
-        self._bodies: RigidBodies | None = None
-        self._plan: Any = None
-        self._no_bodies = ""
         try:
-            self._plan = plan_bodies(system, bodies)
+            self._plan: Any = plan_bodies(system, bodies)
         except RigidityError as error:
-            self._no_bodies = str(error)
+            self._plan = error
         self._vibrations = Vibrations(system, self._points)
         self._check_step()
         self._masses = tables.masses(system)
@@ -102,20 +100,21 @@ class NativeEngine(Engine):
         self._is_guarded = bool(integrator.getGlobalVariableByName(EXACT_ONLY))
         self._is_fresh = True
         self.evaluations = 0
-        _loosen_for_single_precision(integrator, context)
+        platform = context.getPlatform()
+        precision = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision")
+        if precision == "single":
+            integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
 
-    @property
+    @cached_property
     def bodies(self) -> RigidBodies:
         """The rigid and point bodies of the System.
 
         Raises:
             RigidityError: the System has constraints that do not form rigid bodies.
         """
-        if self._plan is None:
-            raise RigidityError(self._no_bodies)
-        if self._bodies is None:
-            self._bodies = self._plan.bodies(self.positions() if self._plan.needs_positions else None)
-        return self._bodies
+        if isinstance(self._plan, RigidityError):
+            raise self._plan
+        return self._plan.bodies(self.positions() if self._plan.needs_positions else None)
 
     @property
     def _movers(self) -> RigidBodies:
@@ -131,13 +130,16 @@ class NativeEngine(Engine):
         self._context.setTime(clock.time)
         self._context.setStepCount(clock.steps)
 
+    @property
+    def _counted_heat(self) -> float:
+        """The heat without that which the program counts for each degree of freedom, kJ/mol."""
+        return self._integrator.getGlobalVariableByName(HEAT)
+
     def heat(self) -> float:
-        integrator = self._integrator
-        return integrator.getGlobalVariableByName(HEAT) + float(np.sum(integrator.getPerDofVariableByName(WORK)))
+        return self._counted_heat + float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
 
     def add_heat(self, energy: float) -> None:
-        integrator = self._integrator
-        integrator.setGlobalVariableByName(HEAT, integrator.getGlobalVariableByName(HEAT) + energy)
+        self._integrator.setGlobalVariableByName(HEAT, self._counted_heat + energy)
 
     @property
     def draws(self) -> int:
@@ -234,38 +236,36 @@ class NativeEngine(Engine):
         return self._potential
 
     def kinetic_energy(self) -> float:
-        return self._kinetic_energy(Snapshot(self._context).velocities)
+        return 0.5 * float(self._masses @ (Snapshot(self._context).velocities ** 2).sum(axis=1))
 
-    def _kinetic_energy(self, velocities: np.ndarray) -> float:
-        return 0.5 * float(self._masses @ (velocities**2).sum(axis=1))
+    def _set_velocities(self, velocities: np.ndarray, gained_since: float) -> None:
+        """Set velocities (N, 3); what is gained since a kinetic energy is heat. Forces and energy remain valid."""
+        kept = self._potential, self._is_fresh
+        self._context.setVelocities(velocities)
+        self._potential, self._is_fresh = kept
+        self.add_heat(self.kinetic_energy() - gained_since)
 
     def positions(self) -> np.ndarray:
         return Snapshot(self._context).positions
 
     def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
-        context, old = self._context, Snapshot(self._context).velocities
         if self._is_fresh:
             self._start_anew()
-        potential = self._potential
+        context, potential = self._context, self._potential
+        old, before = Snapshot(context).velocities, self.kinetic_energy()
         # OpenMM replaces a zero by a seed of its own choice.
         seed = int(generator(bath.seed, self.draws).integers(1, 2**31 - 1))
         context.setVelocitiesToTemperature(bath.temperature, seed)
-        kept = math.exp(-bath.friction * time)
-        new = Snapshot(context).velocities
-        if kept:
-            new = kept * old + math.sqrt(1 - kept**2) * new
-            context.setVelocities(new)
-        # Forces and energy at these positions are still valid.
         self._potential, self._is_fresh = potential, False
-        self.add_heat(self._kinetic_energy(new) - self._kinetic_energy(old))
+        kept = math.exp(-bath.friction * time)
+        self._set_velocities(kept * old + math.sqrt(1 - kept**2) * Snapshot(context).velocities, before)
         self.draws += 1
 
     def remember(self) -> _Memory:
         context = self._context
         box = context.getState().getPeriodicBoxVectors()
-        heat = self._integrator.getGlobalVariableByName(HEAT)
-        return _Memory(Snapshot(context), box, self._potential, heat, self.draws)
+        return _Memory(Snapshot(context), box, self._potential, self._counted_heat, self.draws)
 
     def go_back(self, memory: _Memory, reverse: bool = False) -> None:
         context, now = self._context, memory.now
@@ -280,11 +280,8 @@ class NativeEngine(Engine):
         return self._masses @ Snapshot(self._context).velocities / self._masses.sum()
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
-        old, kept = Snapshot(self._context).velocities, (self._potential, self._is_fresh)
-        new = np.where(self._masses[:, None] > 0, old + velocity, old)
-        self._context.setVelocities(new)
-        self._potential, self._is_fresh = kept
-        self.add_heat(self._kinetic_energy(new) - self._kinetic_energy(old))
+        old = Snapshot(self._context).velocities
+        self._set_velocities(np.where(self._masses[:, None] > 0, old + velocity, old), self.kinetic_energy())
 
     def scale(self, factor: float) -> None:
         context = self._context
@@ -310,8 +307,8 @@ class NativeEngine(Engine):
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""
         conserved = self.conserves_momentum()
-        if self._plan is not None:
-            return temperatures(self.bodies, self._state_of(self.bodies), conserved)
+        if not isinstance(self._plan, RigidityError):
+            return temperatures(self.bodies, self.state(), conserved)
         kinetic = sum(thermal_energies(self._points, self._state_of(self._points), conserved))
         dof = self._points.dof - len(self._constraints.pairs) - (3 if conserved else 0)
         return Temperatures(temperature(kinetic, dof), math.nan, math.nan)
@@ -319,10 +316,3 @@ class NativeEngine(Engine):
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         by_openmm()
         self.atoms_moved()
-
-
-def _loosen_for_single_precision(integrator: openmm.CustomIntegrator, context: openmm.Context) -> None:
-    platform = context.getPlatform()
-    single = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision") == "single"
-    if single and integrator.getConstraintTolerance() < SINGLE_TOLERANCE:
-        integrator.setConstraintTolerance(SINGLE_TOLERANCE)
