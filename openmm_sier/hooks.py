@@ -30,9 +30,8 @@ import openmm
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.variables import DRAWS, SEED
-from openmm_sier.integrators.copies import revived
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.integrators.settings import is_stored
+from openmm_sier.integrators.settings import is_stored, revived
 from openmm_sier.system.notices import tell
 from openmm_sier.system.unchanged import UnchangedSystem
 

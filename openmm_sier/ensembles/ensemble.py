@@ -1,4 +1,4 @@
-"""The interface of ensembles, and the one of constant energy."""
+"""The interface of ensembles, the one of constant energy, and the Monte Carlo move of the volume for others."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import ClassVar
 
 import openmm
 
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.protocol import Engine, Flow, TrajectoryError
 from openmm_sier.engines.variables import Record
 
 
@@ -66,3 +68,41 @@ class Ensemble:
 @dataclass(frozen=True)
 class ConstantEnergy(Ensemble):
     """Nothing but the flow."""
+
+
+def move_volume(engine: Engine, move: MonteCarloVolumeMove, temperature: float, seed: int) -> None:
+    """Try one move; it takes a draw of random numbers, and its change of the potential energy counts as heat.
+
+    Args:
+        engine: prepared for volume moves.
+        move: its pressure.
+        temperature: K.
+        seed: of the random numbers.
+
+    Raises:
+        openmm.OpenMMException: the box became too small for the cut-off. The engine is back where it was.
+    """
+    before, sample = engine.potential_energy(), engine.remember()
+    proposal = move.proposal(seed, engine.draws, engine.molecules)
+    volume = engine.volume()
+    try:
+        engine.scale(proposal.factor)
+        gain = engine.potential_energy() - before
+    except BaseException as error:
+        engine.go_back(sample)
+        if isinstance(error, openmm.OpenMMException) and not isinstance(error, TrajectoryError):
+            raise openmm.OpenMMException(
+                f"Step {engine.clock.steps + 1} could not try a volume of {proposal.factor**3 * volume:.4f} nm^3: "
+                f"{error} A larger box or a shorter cut-off would help. The Context is left at the last completed step"
+            ) from error
+        raise
+    if proposal.is_accepted(gain, volume, GAS_CONSTANT * temperature):
+        engine.add_heat(gain)
+    else:
+        engine.go_back(sample)
+    engine.draws += 1
+
+
+def is_due(move: MonteCarloVolumeMove | None, steps: int) -> bool:
+    """Whether to try a move before the step that follows `steps` completed ones."""
+    return move is not None and (steps + 1) % move.interval == 0

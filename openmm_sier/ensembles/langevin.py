@@ -12,8 +12,7 @@ from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.variables import SEED, Record
-from openmm_sier.ensembles.ensemble import Ensemble
-from openmm_sier.ensembles.volume import is_due, move_volume
+from openmm_sier.ensembles.ensemble import Ensemble, is_due, move_volume
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
-from openmm_sier.ensembles.ensemble import Ensemble
-from openmm_sier.ensembles.volume import is_due, move_volume
+from openmm_sier.ensembles.ensemble import Ensemble, is_due, move_volume
 from openmm_sier.system import checks
 
 #: Global variables of all trials: their number, how many were accepted, the energy error of the last one in kT; and the

@@ -26,10 +26,10 @@ from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.temperature import Temperatures
 from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_VARIABLES, Record
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
-from openmm_sier.integrators import copies, settings
+from openmm_sier.integrators import settings
 from openmm_sier.integrators.settings import Settings
 from openmm_sier.prepare.close_pairs import fast_force_groups
-from openmm_sier.prepare.limits import tell_of_pme
+from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, groups_of, step_size, whole_number
 from openmm_sier.system.runaway import RunawayWatch
@@ -311,7 +311,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def __reduce__(self) -> tuple[Any, ...]:
         bound = "this", "_engine", "_system", "_record", "_watch"
         attributes = {name: value for name, value in vars(self).items() if name not in bound}
-        return copies.unpickled, (openmm.XmlSerializer.serialize(self), type(self), attributes)
+        return settings.unpickled, (openmm.XmlSerializer.serialize(self), type(self), attributes)
 
     # --- for the hooks ---
 

@@ -7,6 +7,8 @@ import math
 import openmm
 from openmm import unit
 
+from openmm_sier.system.notices import tell
+
 #: Ratio of the mesh's tolerance to that of the direct sum. By OpenMM's rule it is 1, and the error of the direct sum is
 #: 15 to 25 times that of the mesh. In water the forces are most accurate with 10 to 20, for tolerances from 1e-5 to
 #: 5e-4 and cut-offs of 0.9 and 1.2 nm.
@@ -47,6 +49,17 @@ def balance_pme(system: openmm.System) -> None:
     parameters = [_parameters(force, edges) for force in forces]
     for force, (alpha, mesh) in zip(forces, parameters, strict=True):
         force.setPMEParameters(alpha, *mesh)
+
+
+def tell_of_pme(system: openmm.System, scheme: str) -> None:
+    """Warn of PME as OpenMM splits it, with an integrator of fourth order, whose scheme has this name."""
+    loose = [force for force in meshed_forces(system) if not force.getPMEParameters()[0]._value]
+    if loose:
+        tell(
+            f"PME is split as OpenMM does it, and its jump at the cut-off limits {scheme}: at OpenMM's defaults "
+            "rms(H)/rms(V) of water is 1.2 to 1.6 %, hardly better than with Verlet. After prepare_system(system) it "
+            f"is 0.1 % at the same cost (this System has ewaldErrorTolerance={loose[0].getEwaldErrorTolerance():g})"
+        )
 
 
 def meshed_forces(system: openmm.System) -> list[openmm.NonbondedForce]:
