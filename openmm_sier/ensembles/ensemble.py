@@ -71,13 +71,7 @@ class ConstantEnergy(Ensemble):
 
 
 def move_volume(engine: Engine, move: MonteCarloVolumeMove, temperature: float, seed: int) -> None:
-    """Try one move; it takes a draw of random numbers, and its change of the potential energy counts as heat.
-
-    Args:
-        engine: prepared for volume moves.
-        move: its pressure.
-        temperature: K.
-        seed: of the random numbers.
+    """Try one move at a temperature in K; it takes a draw of random numbers, and the energy that it gives is heat.
 
     Raises:
         openmm.OpenMMException: the box became too small for the cut-off. The engine is back where it was.

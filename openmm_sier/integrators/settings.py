@@ -276,11 +276,7 @@ def place_of(thing: Callable[..., Any] | type) -> str:
 
 
 def class_at(place: str, base: type) -> type:
-    """The class at a place that `place_of` gave; no module is imported for it.
-
-    Args:
-        place: module and name.
-        base: what it must be a subclass of.
+    """The subclass of a base at a place that `place_of` gave; no module is imported for it.
 
     Raises:
         SettingsError: there is no such class in a module that is imported.
@@ -302,9 +298,7 @@ def class_at(place: str, base: type) -> type:
 def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
     """Turn a plain CustomIntegrator read from XML back into the SIER integrator it was; return others unchanged.
 
-    Args:
-        integrator: openmm.Integrator.
-        base: the class of all SIER integrators.
+    Its class must be a subclass of a base, that of all SIER integrators.
 
     Raises:
         SettingsError: what is stored cannot be used here, as the message says.

@@ -75,13 +75,9 @@ class NativeEngine(Engine):
         bodies: Bodies,
         program: Program | str,
     ) -> None:
-        """
-        Args:
-            integrator: has the program.
-            context: openmm.Context.
-            flow: what will be followed.
-            bodies: as users give them; they have to be rigid by constraints.
-            program: of the flow, or the reason why there is none.
+        """The integrator has the program, if there is one and no reason in its place; see `Engine` for the rest.
+
+        Bodies, as users give them, have to be rigid by constraints.
 
         Raises:
             openmm.OpenMMException: the integrator needs what only the exact engine has, or the System has a Force that

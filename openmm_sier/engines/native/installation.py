@@ -38,11 +38,7 @@ def install(program: Program | None, integrator: openmm.CustomIntegrator) -> Non
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
     `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
-    the exact engine uses this.
-
-    Args:
-        program: None for an integrator that only the exact engine can execute.
-        integrator: openmm.CustomIntegrator.
+    the exact engine uses this. The program is None for an integrator that only the exact engine can execute.
     """
     for name in VECTORS:
         integrator.addPerDofVariable(name, 0)
@@ -73,10 +69,6 @@ def rewrite(integrator: openmm.CustomIntegrator, program: Program | None) -> Non
     A program is written before its System is known, and OpenMM cannot take a computation back. So the Python object
     gets another OpenMM object, from the XML of its present one with other computations. This is possible until a
     Context is created, which holds the OpenMM object.
-
-    Args:
-        integrator: in no Context, and with the variables that `install` adds.
-        program: None for an integrator that only the exact engine can execute.
     """
     donor = openmm.CustomIntegrator(1.0)
     install(program, donor)
@@ -91,10 +83,7 @@ def rewrite(integrator: openmm.CustomIntegrator, program: Program | None) -> Non
 def set_variables(integrator: openmm.CustomIntegrator, bath: OrnsteinUhlenbeck | None, is_guarded: bool) -> None:
     """Set the program's variables to the values that they must have, whatever was loaded.
 
-    Args:
-        integrator: openmm.CustomIntegrator with a program of `install`.
-        bath: of the scheme.
-        is_guarded: whether the program must refuse to run, since it would do less than what was asked for.
+    A guarded program refuses to run, since it would do less than what was asked for.
     """
     friction, thermal = (0.0, 0.0) if bath is None else (bath.friction, GAS_CONSTANT * bath.temperature)
     for name, value in ((EXACT_ONLY, float(is_guarded)), (PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):

@@ -21,11 +21,7 @@ from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_
 def refuse(flow: Flow, bodies: Bodies, program: Program | str, system: openmm.System) -> Program:
     """Refuse what only the exact engine can do; returns the program otherwise.
 
-    Args:
-        flow: what is to be followed.
-        bodies: as users give them.
-        program: of the flow, or the reason why there is none.
-        system: openmm.System.
+    Bodies are as users give them, and the program is that of the flow, or the reason why there is none.
 
     Raises:
         openmm.OpenMMException: the message says what that is, and the remedy.
@@ -77,10 +73,7 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
     Within a native step atoms move and virtual sites do not. So a fast force must not act on virtual sites; in a System
     without them any force can be fast.
 
-    Args:
-        system: openmm.System.
-        groups: the fast force groups.
-        integration_groups: bit mask of the groups that move the atoms, as from `getIntegrationForceGroups`.
+    Groups are the fast ones; those that move the atoms at all are a bit mask, as from `getIntegrationForceGroups`.
 
     Raises:
         openmm.OpenMMException: a fast group is not among `integration_groups`, or a Force in it may act on a virtual
