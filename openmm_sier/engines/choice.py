@@ -23,7 +23,7 @@ def engine_for(
     context: openmm.Context,
     flow: Flow,
     bodies: Bodies,
-    program: Program | str,
+    program: Program,
 ) -> Engine:
     """The engine of a Context.
 
@@ -32,7 +32,7 @@ def engine_for(
         integrator, context: what it is bound to.
         flow: what will be followed.
         bodies: as users give them.
-        program: of the flow, or the reason why there is none.
+        program: of the flow.
     """
     on_host = context.getPlatform().getName() in EXACT_PLATFORMS
     if wanted == "exact" or (wanted == "auto" and on_host):

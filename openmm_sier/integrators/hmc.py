@@ -80,7 +80,12 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             TypeError: a quantity has the wrong dimension.
         """
         if isinstance(scheme, Scheme):
-            _check_scheme(scheme)
+            if BATH in scheme.operators:
+                raise ValueError(
+                    f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone"
+                )
+            if not scheme.is_palindrome:
+                raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")
         ensemble = Metropolis(
             in_kelvin(temperature),
             _friction(frictionCoeff),
@@ -157,10 +162,3 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
 
 def _friction(value: Any) -> float | None:
     return None if value is None else per_picosecond("frictionCoeff", value)
-
-
-def _check_scheme(scheme: Scheme) -> None:
-    if BATH in scheme.operators:
-        raise ValueError(f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone")
-    if not scheme.is_palindrome:
-        raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")

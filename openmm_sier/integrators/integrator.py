@@ -106,7 +106,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         for name in (HEAT, DRAWS, SEED, *given.ensemble.record):
             self.addGlobalVariable(name, 0)
         self._use(given)
-        installation.install(self._program if isinstance(self._program, Program) else None, self)
+        installation.install(self._program, self)
         self.setConstraintTolerance(TOLERANCE)
         self._store()
 
@@ -137,7 +137,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     @property
     def _native_steps(self) -> int:
         """Number of OpenMM steps in one step of the scheme."""
-        return len(self._program.parts) if isinstance(self._program, Program) else 1
+        return len(self._program.parts) or 1
 
     def _flow(self) -> Flow:
         """What an engine is to follow now; a loaded checkpoint brings the seed of its run."""
@@ -182,8 +182,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             ValueError: the scheme has an operator that cannot be written out.
         """
-        if isinstance(self._program, str):
-            raise ValueError(self._program)
+        if self._program.refusal:
+            raise ValueError(self._program.refusal)
         return self._program
 
     @property
@@ -335,7 +335,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             return
         self._settings = replace(self._settings, fast_groups=groups)
         self._program = _written(self._settings)
-        installation.rewrite(self, self._program if isinstance(self._program, Program) else None)
+        installation.rewrite(self, self._program)
         self._store()
 
     def _bind(self, context: openmm.Context) -> None:
@@ -379,10 +379,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self._engine
 
 
-def _written(given: Settings) -> Program | str:
-    """The program of settings, or the reason why there is none."""
+def _written(given: Settings) -> Program:
     groups, updates = groups_of(given.fast_groups), given.ensemble.updates_context
     try:
         return native_program.write(given.scheme, given.substeps, groups, updates_context=updates)
     except ValueError as error:
-        return str(error)
+        return Program(given.scheme.name, (), str(error))

@@ -13,8 +13,7 @@ from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, whole_number
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
-from openmm_sier.system.find_bodies import BodyPlan, tied
-from openmm_sier.system.links import Links
+from openmm_sier.system.find_bodies import BodyPlan, Links, tied
 
 #: Largest ewaldErrorTolerance that serves every scheme.
 TOLERANCE = 1e-4

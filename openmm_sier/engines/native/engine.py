@@ -73,9 +73,9 @@ class NativeEngine(Engine):
         context: openmm.Context,
         flow: Flow,
         bodies: Bodies,
-        program: Program | str,
+        program: Program,
     ) -> None:
-        """The integrator has the program, if there is one and no reason in its place; see `Engine` for the rest.
+        """The integrator has the program; see `Engine` for the rest.
 
         Bodies, as users give them, have to be rigid by constraints.
 
@@ -85,7 +85,8 @@ class NativeEngine(Engine):
         """
         super().__init__(integrator, context, flow)
         system = context.getSystem()
-        self._program = refusals.refuse(flow, bodies, program, system)
+        self._program = program
+        refusals.refuse(flow, bodies, program, system)
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
         self._constraints = tables.constraints(system)

@@ -34,11 +34,11 @@ OWN = {
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 
-def install(program: Program | None, integrator: openmm.CustomIntegrator) -> None:
+def install(program: Program, integrator: openmm.CustomIntegrator) -> None:
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
     `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
-    the exact engine uses this. The program is None for an integrator that only the exact engine can execute.
+    the exact engine uses this. Without parts of a program nothing else can be executed here.
     """
     for name in VECTORS:
         integrator.addPerDofVariable(name, 0)
@@ -48,8 +48,6 @@ def install(program: Program | None, integrator: openmm.CustomIntegrator) -> Non
     integrator.beginIfBlock(f"{PART} < 0")
     integrator.addUpdateContextState()
     integrator.endBlock()
-    if program is None:
-        return
     n = len(program.parts)
     for k, part in enumerate(program.parts):
         integrator.beginIfBlock(f"{PART} = {k}")
@@ -60,10 +58,11 @@ def install(program: Program | None, integrator: openmm.CustomIntegrator) -> Non
                 else:
                     integrator.addComputePerDof(statement.target, f"{statement.expression}{lengths}; h = {n}*dt")
         integrator.endBlock()
-    integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
+    if n:
+        integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
 
 
-def rewrite(integrator: openmm.CustomIntegrator, program: Program | None) -> None:
+def rewrite(integrator: openmm.CustomIntegrator, program: Program) -> None:
     """Give an integrator another program. Its variables, functions, seed, tolerance and force groups stay.
 
     A program is written before its System is known, and OpenMM cannot take a computation back. So the Python object

@@ -132,10 +132,12 @@ class Program:
     Attributes:
         name: of the scheme.
         parts: the lines of each native step.
+        refusal: why there are none, for a scheme that cannot be written out.
     """
 
     name: str
     parts: tuple[tuple[Line, ...], ...]
+    refusal: str = ""
 
     def __str__(self) -> str:
         n = len(self.parts)

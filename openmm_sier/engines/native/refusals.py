@@ -18,16 +18,14 @@ from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
 
 
-def refuse(flow: Flow, bodies: Bodies, program: Program | str, system: openmm.System) -> Program:
-    """Refuse what only the exact engine can do; returns the program otherwise.
-
-    Bodies are as users give them, and the program is that of the flow, or the reason why there is none.
+def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) -> None:
+    """Refuse what only the exact engine can do; bodies are as users give them, and the program is that of the flow.
 
     Raises:
         openmm.OpenMMException: the message says what that is, and the remedy.
     """
     reason = why_not(flow, program) or _unheld_bodies(bodies, system)
-    if reason is not None or isinstance(program, str):
+    if reason is not None:
         raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
     if any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
         raise openmm.OpenMMException(
@@ -36,13 +34,12 @@ def refuse(flow: Flow, bodies: Bodies, program: Program | str, system: openmm.Sy
         )
     if system.getNumConstraints():
         checks.refuse_scaled_atoms(system)
-    return program
 
 
-def why_not(flow: Flow, program: Program | str) -> str | None:
+def why_not(flow: Flow, program: Program) -> str | None:
     """Why a program cannot do what a flow asks for, whatever the System, and the remedy; None if it can."""
-    if isinstance(program, str):
-        return f"does not know this scheme, since {program}: take another scheme"
+    if program.refusal:
+        return f"does not know this scheme, since {program.refusal}: take another scheme"
     if flow.rotation is not exact:
         return "has no other free-rotation maps: leave out `rotation`"
     if flow.bath is not None and flow.bath.rotational_friction != flow.bath.friction:
