@@ -95,8 +95,3 @@ def move_volume(engine: Engine, move: MonteCarloVolumeMove, temperature: float, 
     else:
         engine.go_back(sample)
     engine.draws += 1
-
-
-def is_due(move: MonteCarloVolumeMove | None, steps: int) -> bool:
-    """Whether to try a move before the step that follows `steps` completed ones."""
-    return move is not None and (steps + 1) % move.interval == 0

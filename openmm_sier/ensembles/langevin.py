@@ -12,7 +12,7 @@ from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.variables import SEED, Record
-from openmm_sier.ensembles.ensemble import Ensemble, is_due, move_volume
+from openmm_sier.ensembles.ensemble import Ensemble, move_volume
 
 
 @dataclass(frozen=True)
@@ -60,18 +60,16 @@ class Langevin(Ensemble):
             engine.prepare_for_volume_moves()
 
     def advance(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
-        if self.volume_move is None:
+        move = self.volume_move
+        if move is None:
             return engine.follow(steps)
-        interval, seed = self.volume_move.interval, int(record[SEED])
         while steps:
-            done = engine.clock.steps
-            if is_due(self.volume_move, done):
-                count = 1
-                self._step_at_new_volume(engine, self.volume_move, seed)
-            else:
-                count = min(steps, interval - 1 - done % interval)
+            count = min(steps, move.interval - 1 - engine.clock.steps % move.interval)
+            if count:
                 engine.follow(count)
-            steps -= count
+            else:
+                self._step_at_new_volume(engine, move, int(record[SEED]))
+            steps -= count or 1
         return None
 
     def _step_at_new_volume(self, engine: Engine, volume_move: MonteCarloVolumeMove, seed: int) -> None:

@@ -16,7 +16,7 @@ from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
-from openmm_sier.ensembles.ensemble import Ensemble, is_due, move_volume
+from openmm_sier.ensembles.ensemble import Ensemble, move_volume
 from openmm_sier.system import checks
 
 #: Global variables of all trials: their number, how many were accepted, the energy error of the last one in kT; and the
@@ -84,10 +84,10 @@ class Metropolis(Ensemble):
 
     def advance(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
         for _ in range(steps):
-            sample = engine.remember()
+            sample, move = engine.remember(), self.volume_move
             try:
-                if self.volume_move is not None and is_due(self.volume_move, engine.clock.steps):
-                    move_volume(engine, self.volume_move, self.temperature, int(record[SEED]))
+                if move is not None and (engine.clock.steps + 1) % move.interval == 0:
+                    move_volume(engine, move, self.temperature, int(record[SEED]))
                 self._trial(engine, flow, record)
             except BaseException:
                 engine.go_back(sample)

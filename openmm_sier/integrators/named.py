@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
+from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, Scheme
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.system.arguments import Bodies
@@ -28,8 +29,7 @@ class IntegratorOfOneScheme(SIERIntegrator):
             stepSize: step, a time quantity or a number in ps.
             bodies, engine, substeps, fastForceGroups: see `SIERIntegrator`.
         """
-        chosen: dict[str, Any] = {"engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
-        super().__init__(stepSize, self.SCHEME, bodies, **chosen)
+        super().__init__(stepSize, self.SCHEME, bodies, exact, engine, substeps, fastForceGroups)
 
 
 class SIER2Integrator(IntegratorOfOneScheme):

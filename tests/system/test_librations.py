@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 
-import numpy as np
 import openmm
 import pytest
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIER2Integrator, SIER4GIntegrator, SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.system.vibrations import HOPELESS, Vibrations, mobilities
+from openmm_sier.system.vibrations import HOPELESS, Vibrations
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, platform, relaxed
 
 ENGINES = ("exact", "native")
@@ -83,23 +82,6 @@ def test_heavier_hydrogens_are_slower():
     for i in range(9):
         heavy.setParticleMass(i, 4 * light.getParticleMass(i))
     assert longest(heavy) == pytest.approx(2 * longest(light), rel=1e-12)
-
-
-def test_the_mobility_is_the_acceleration_by_a_force():
-    """A force on a hydrogen of water across its plane, and the acceleration by Newton's and Euler's laws."""
-    _, positions, system = cluster_system(1)
-    bodies = RigidBodies.from_system(system)
-    normal = np.cross(positions[1] - positions[0], positions[2] - positions[0])
-    force = np.zeros((3, 3))
-    force[1] = normal / np.linalg.norm(normal)
-    q, A = bodies.fit(positions)
-    F, tau = bodies.forces_and_torques(force, A)
-    arms = positions - q[:, 0]
-    masses = [system.getParticleMass(i)._value for i in range(3)]
-    inertia = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, arms, strict=True))
-    acceleration = F[:, 0] / sum(masses) + np.cross(np.linalg.solve(inertia, tau[:, 0]), arms[1])
-    # Positions of the file are off the geometry by its rounding, 1e-4 nm in 0.1.
-    assert acceleration @ force[1] == pytest.approx(mobilities(bodies)[1], rel=1e-2)
 
 
 def gas(charge=0.0, epsilon=0.0):
