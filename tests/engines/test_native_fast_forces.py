@@ -116,7 +116,7 @@ def test_fast_forces_that_may_act_on_virtual_sites_are_refused():
     bonds.addBond(4, 7, 0.1, 1.0)
     bonds.setForceGroup(3)
     system.addForce(bonds)
-    with pytest.raises(openmm.OpenMMException, match=r"HarmonicBondForce.*group 3 .*virtual site"):
+    with pytest.raises(openmm.OpenMMException, match=r"HarmonicBondForce.*group 3 .*atom 7, .*virtual site"):
         refuse(system, {3}, 0xFFFFFFFF)
 
 

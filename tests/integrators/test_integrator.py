@@ -150,39 +150,6 @@ def test_forces_changed_without_a_trace_can_be_declared(cluster):
     assert integrator.getBodyState().p.sum(axis=1)[0] - before == pytest.approx(-24.0, rel=1e-6)
 
 
-def test_step_size_and_clock(box):
-    _, system, point = box
-    integrator = SIER2Integrator(2 * unit.femtosecond)
-    context = context_at(system, integrator, point)
-    integrator.step(2)
-    integrator.setStepSize(0.5 * unit.femtosecond)
-    integrator.step(2)
-    assert context.getTime().value_in_unit(unit.femtosecond) == pytest.approx(5.0)
-    assert context.getStepCount() == 4
-    context.setTime(7 * unit.picosecond)
-    integrator.step(1)
-    assert context.getTime().value_in_unit(unit.femtosecond) == pytest.approx(7000.5)
-
-
-def test_integration_force_groups(cluster):
-    system, point = cluster
-    system = openmm.XmlSerializer.clone(system)
-    for force in system.getForces():
-        force.setForceGroup(3)
-    integrator = SIER2Integrator(0.001)
-    integrator.setIntegrationForceGroups({0})
-    context = context_at(system, integrator, point)
-    before = integrator.getBodyState()
-    integrator.step(10)
-    after = integrator.getBodyState()
-    # No force is integrated: momenta stay to the bit.
-    assert np.array_equal(before.p, after.p)
-    integrator.setIntegrationForceGroups(0xFFFFFFFF)
-    context.reinitialize(preserveState=True)
-    integrator.step(1)
-    assert not np.array_equal(before.p, integrator.getBodyState().p)
-
-
 def test_centre_of_mass_motion_is_removed_as_by_openmm(box):
     _, system, point = box
     integrator = SIER2Integrator(0.001)

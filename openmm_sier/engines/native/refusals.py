@@ -82,13 +82,13 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
     for force in system.getForces() if sites else []:
         if force.getForceGroup() not in groups or isinstance(force, WITHOUT_FORCES):
             continue
-        if bonded_kind(force) is not None and not np.isin(bonded_terms(force), sites).any():
-            continue
-        raise openmm.OpenMMException(
-            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and may "
-            f"act on virtual sites, such as atom {sites[0]}; these stay behind within a step of the native engine. Put "
-            "it into another group with setForceGroup, or take engine='exact'"
-        )
+        touched = np.intersect1d(bonded_terms(force), sites) if bonded_kind(force) is not None else np.array(sites)
+        if touched.size:
+            raise openmm.OpenMMException(
+                f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
+                f"may act on atom {touched[0]}, a virtual site; virtual sites stay behind within a step of the native "
+                "engine. Put it into another group with setForceGroup, or take engine='exact'"
+            )
 
 
 def points(system: openmm.System) -> RigidBodies:
