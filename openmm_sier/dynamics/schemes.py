@@ -6,9 +6,7 @@ A `Scheme` is a list of (operator, fraction of the step). Operators are only nam
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,7 +63,8 @@ class Scheme:
     @property
     def reuses_force(self) -> bool:
         """Whether the force at the end of a step is the one at the start of the next."""
-        return all(DRIFT not in _before_kick(stages) for stages in (self.stages, self.stages[::-1]))
+        ends = [stage.flow for stage in self.stages if stage.operator == DRIFT or stage.flow == KICK]
+        return DRIFT not in (*ends[:1], *ends[-1:])
 
     @property
     def force_evaluations(self) -> int:
@@ -136,11 +135,6 @@ class Scheme:
         return order_of(self.stages)
 
 
-def _before_kick(stages: Iterable[Stage]) -> list[str]:
-    """Names of the operators before the first kick."""
-    return [stage.operator for stage in itertools.takewhile(lambda stage: stage.flow != KICK, stages)]
-
-
 def alternating(name: str, first: str, second: str, half: tuple[float, ...], source: str = "") -> Scheme:
     """The palindrome that alternates two operators.
 
@@ -196,19 +190,17 @@ SIER4G = Scheme(
 WITHIN_DRIFTS = SIER4G
 
 
-def _gradient_in_the_middle(share: float) -> tuple[Stage, ...]:
-    """The family drift, kick, drift, gradient kick, drift, kick, drift of fourth order; `share` is that of a kick."""
-    outer = 0.5 - 1 / math.sqrt(24 * share)
-    bracket = (1 - math.sqrt(6 * share) * (1 - share)) / 12
-    middle = Stage(GRADIENT_KICK, 1 - 2 * share, 2 * bracket / (1 - 2 * share))
-    half = (Stage(DRIFT, outer), Stage(KICK, share), Stage(DRIFT, 0.5 - outer))
-    return (*half, middle, *reversed(half))
-
+#: Of the family drift, kick, drift, gradient kick, drift, kick, drift of fourth order: the share of a kick, which fixes
+#: the outer drift and the force gradient.
+_SHARE = 0.2470939580390842
+_OUTER = 0.5 - 1 / math.sqrt(24 * _SHARE)
+_WING = (Stage(DRIFT, _OUTER), Stage(KICK, _SHARE), Stage(DRIFT, 0.5 - _OUTER))
+_BRACKET = (1 - math.sqrt(6 * _SHARE) * (1 - _SHARE)) / 12
 
 #: The position form of a gradient scheme, in which drifts come first and last.
 SIER4P = Scheme(
     "SIER4P",
-    _gradient_in_the_middle(0.2470939580390842),
+    (*_WING, Stage(GRADIENT_KICK, 1 - 2 * _SHARE, 2 * _BRACKET / (1 - 2 * _SHARE)), *reversed(_WING)),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44",
 )
 
@@ -221,22 +213,17 @@ SIER2V2 = alternating(
     "McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); Omelyan, Mryglod and Folk, Phys. Rev. E 65, 056706 (2002)",
 )
 
-
-def _three_stages(outer: float) -> tuple[float, ...]:
-    """Drift, kick and drift of the family of three stages that no harmonic mode makes unstable near half its period.
-
-    There the trace of a step touches -2 and turns back (`stability`), which fixes one of the two coefficients. It is
-    computed here, since the published digits fulfil this condition less well.
-    """
-    return outer, (0.5 - outer) / (2 - 6 * outer), 0.5 - outer
-
+#: Of the family of three stages that no harmonic mode makes unstable near half its period: there the trace of a step
+#: touches -2 and turns back (`stability`), which fixes one of the two coefficients. It is computed here, since the
+#: published digits fulfil this condition less well.
+_FIRST = 0.11888010966548
 
 #: The best scheme without a gradient at 4 fs per force evaluation, where it is as accurate as Verlet at 2 fs.
 SIER2P3 = alternating(
     "SIER2P3",
     DRIFT,
     KICK,
-    _three_stages(0.11888010966548),
+    (_FIRST, (0.5 - _FIRST) / (2 - 6 * _FIRST), 0.5 - _FIRST),
     "Blanes, Casas and Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), three stages",
 )
 
