@@ -15,7 +15,6 @@ from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, Scheme, altern
 from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, KICK, Stage
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from studies.rotations import mrdl, sej4
 
 #: `Method.bias` of SIER2 at constant energy: the modified Hamiltonian of kick, drift, kick has the inverse
 #: mass (1 + (h w)^2/6)/m; and of SIER2 with the bath in its middle, where a harmonic oscillator has
@@ -67,8 +66,8 @@ def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "") -
 
 #: The four integrators that van Zon and Schofield (2007) compare.
 PAPER = (
-    of_scheme(SIER2, mrdl, "MRDL"),
-    of_scheme(SIER2, sej4, "SEJ4"),
+    of_scheme(SIER2, rotation.mrdl, "MRDL"),
+    of_scheme(SIER2, rotation.sej4, "SEJ4"),
     of_scheme(SIER2),
     of_scheme(SIER4),
 )

@@ -48,7 +48,7 @@ WIDTH = 6
 ENSEMBLES: dict[str, type[Ensemble]] = {cls.__name__: cls for cls in (ConstantEnergy, Langevin, Metropolis)}
 
 #: Free-rotation maps by name: those of this package, and any with which an integrator was made in this process.
-ROTATIONS: dict[str, Rotation] = {name: getattr(rotation, name) for name in rotation.__all__}
+ROTATIONS: dict[str, Rotation] = {name: getattr(rotation, name) for name in ("exact", "mrdl", "sej4", "rattle")}
 
 
 class SettingsError(openmm.OpenMMException):

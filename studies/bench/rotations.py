@@ -15,14 +15,13 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure.report import Report, Table
 from studies import records
 from studies.bench.timing import BenchSettings, interleaved, median_and_error
-from studies.rotations import mrdl, sej4
 
 STEP = 1e-3
 WATER_MOMENTS = (0.0061, 0.0115, 0.0176)
 
 
 #: Rotations by name, all executed by NumPy.
-MAPS = {"MRDL": mrdl, "exact": rotation.exact, "SEJ4": sej4}
+MAPS = {"MRDL": rotation.mrdl, "exact": rotation.exact, "SEJ4": rotation.sej4}
 
 COLUMNS = {
     "bodies": "{bodies}",

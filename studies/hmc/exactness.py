@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error
@@ -27,7 +28,6 @@ from studies import records
 from studies.command import Settings, execute
 from studies.hmc.model_engine import KT, Chain, Dipoles, Wells
 from studies.records import Record
-from studies.rotations import mrdl
 
 COLUMNS = {
     "": "{name}",

@@ -20,7 +20,7 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
-from openmm_sier.dynamics.rotation import rattle
+from openmm_sier.dynamics.rotation import mrdl, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.subprocesses import run_python
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
@@ -216,7 +216,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
 @pytest.mark.parametrize(
     ("settings", "remedy"),
     [
-        ({"rotation": rattle}, "other free-rotation maps: leave out `rotation`"),
+        ({"rotation": mrdl}, "other free-rotation maps: leave out `rotation`"),
         ({"bodies": [[0, 1, 2], [3, 4]]}, "none joins atoms 3 and 4 .* constrain every two atoms"),
         ({"rotationalFriction": 5}, "leave out `rotationalFriction`"),
     ],

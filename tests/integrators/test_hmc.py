@@ -10,10 +10,10 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.ensembles import metropolis
 from openmm_sier.observe.reporters import ConservationReporter
-from studies.rotations import mrdl
 from tests.support.methanols import positions_of, system_of
 from tests.support.restarts import assert_same
 from tests.support.samplers import KT, counted, energies_computed, sampler

@@ -57,7 +57,7 @@ def nudged(scheme: Scheme) -> Scheme:
 
 def own_map(A, L, moments, h):
     """A free-rotation map that XML can name."""
-    return rotation.rattle(A, L, moments, h)
+    return rotation.mrdl(A, L, moments, h)
 
 
 #: No two of them are alike.
@@ -67,7 +67,7 @@ DISTINCT = {
     "SIER2 by the general class": lambda: SIERIntegrator(0.002, SIER2),
     "SIER4G": lambda: SIERIntegrator(0.002, SIER4G),
     "a last bit": lambda: SIERIntegrator(0.002, nudged(SIER4G)),
-    "other rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=rotation.rattle),
+    "other rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=rotation.mrdl),
     "own rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=own_map),
     "bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[0, 1, 2]]),
     "other bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[3, 4, 5]]),
@@ -259,7 +259,7 @@ def test_names_that_xml_readers_damage(name):
 
 def test_rotation_without_a_name():
     """XML cannot carry it and says so; copies within the process can."""
-    integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: rotation.rattle(A, L, moments, h))
+    integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: rotation.mrdl(A, L, moments, h))
     assert copy.deepcopy(integrator).rotation is integrator.rotation
     with pytest.raises(openmm.OpenMMException, match=r"free-rotation map .*lambda.* is not known here"):
         deserialize(serialize(integrator))
