@@ -76,8 +76,9 @@ def run(
     directory = out or plan.with_suffix("")
     complete = [is_complete(member, directory) for member in members]
     note(f"{plan}: {len(members)} members in {directory}, {sum(complete)} of them complete")
-    for damage in (damage for member in members for damage in damaged_notes(member, directory)):
-        note(damage)
+    for member in (member for member, done in zip(members, complete, strict=True) if not done):
+        for damaged in damaged_notes(member, directory):
+            note(f"{damaged} is damaged: {member.name} is done again")
     if list:
         rows = [[m.name, "complete" if done else ""] for m, done in zip(members, complete, strict=True)]
         table(str(plan), ("member", ""), rows, 2)

@@ -88,7 +88,7 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     columns = conservation.columns(context.getIntegrator())
     outputs = Outputs(files, plan, simulated.box, simulated.bodies, notes["run"], columns, noted, notes.get("step"))
     dof = degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum)
-    guard = runaway.Guard(plan, dof, notes.get("start_energy"))
+    guard = runaway.Guard(plan, dof, outputs.log.read() if outputs.log.count else None)
     cost = _advance(context, plan, outputs, guard, requests)
     outputs.finish()
     _report(plan, outputs, cost)
@@ -226,7 +226,7 @@ def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs
         guard.look(values)
     else:
         guard.look_at_temperatures(*context.getIntegrator().computeTemperatures()[1:])
-    outputs.write(due, context, values, guard.start)
+    outputs.write(due, context, values)
     if "checkpoint" in due and isinstance(context.getIntegrator(), stock.StockIntegrator):
         stock.go_on_as_a_restart(context, plan.seed)
 

@@ -19,15 +19,12 @@ from openmm_sier_command.values import Kind, number, table, whole, word
 #: Version of what a checkpoint holds.
 FORMAT = 2
 
-_ENERGY = number("kJ/mol", -1e15, 1e15)
-
 #: What is noted of a run: its identity, its options, and numbers.
 ENTRIES = {
     "run": word(),
     "plan": Kind("options by name", lambda value: isinstance(value, dict)),
     "step": whole(0, MOST_STEPS),
-    "potential_energy": _ENERGY,
-    "start_energy": _ENERGY,
+    "potential_energy": number("kJ/mol", -1e15, 1e15),
 }
 
 #: What is noted of each file that grows. Counts in DCD files have 32 bits.
@@ -35,7 +32,7 @@ _FILE = table({"size": whole(0, 2**63 - 1), "count": whole(0, 2**31 - 1), "finge
 FILES = dict.fromkeys(("trajectory", "log", "bodies", "tensors"), _FILE)
 
 #: What not every run has.
-OPTIONAL = ("start_energy", "bodies", "tensors")
+OPTIONAL = ("bodies", "tensors")
 
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:

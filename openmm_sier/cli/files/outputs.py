@@ -232,20 +232,13 @@ class Outputs:
         """The files that are due after a step: keys of `OUTPUTS`, and "checkpoint"."""
         return [what for what, interval in self._intervals.items() if step % interval == 0]
 
-    def write(
-        self,
-        due: Collection[str],
-        context: openmm.Context,
-        values: Mapping[str, float],
-        start_energy: float | None,
-    ) -> None:
+    def write(self, due: Collection[str], context: openmm.Context, values: Mapping[str, float]) -> None:
         """Write the files that are due, the checkpoint last, since it notes the lengths of the others.
 
         Args:
             due: as the method `due` gives them.
             context: at the last completed step.
             values: by column of the log; needed for the log and for a checkpoint.
-            start_energy: conserved energy at the start of the run, kJ/mol, which the checkpoint notes.
 
         Raises:
             OSError: naming the file.
@@ -260,14 +253,14 @@ class Outputs:
             self._pressure = self._pressure or pressure.MolecularPressure(context)
             self._files["tensors"].write(self._pressure.row(context.getState(positions=True, velocities=True)))
         if "checkpoint" in due:
-            self._write_checkpoint(context, values["Potential Energy (kJ/mole)"], start_energy)
+            self._write_checkpoint(context, values["Potential Energy (kJ/mole)"])
 
     def _write_frame(self, context: openmm.Context) -> None:
         state = context.getState(positions=True, enforcePeriodicBox=self._periodic and not self._plan.unwrapped)
         positions = state.getPositions(asNumpy=True)[self._listed]
         self._files["trajectory"].write(positions, state.getPeriodicBoxVectors())
 
-    def _write_checkpoint(self, context: openmm.Context, potential: float, start_energy: float | None) -> None:
+    def _write_checkpoint(self, context: openmm.Context, potential: float) -> None:
         for file in self._files.values():
             file.sync()
         step = context.getStepCount()
@@ -276,7 +269,6 @@ class Outputs:
             "plan": self._plan.noted(self.checkpoint),
             "step": step,
             "potential_energy": potential,
-            "start_energy": start_energy,
             **{key: asdict(file.noted()) for key, file in self._files.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
