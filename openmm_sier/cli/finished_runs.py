@@ -53,12 +53,7 @@ class FinishedRun(NamedTuple):
         return {name: value for name, value in found.items() if name not in (*FREE, but)}
 
     def log(self, skip: float) -> dict[str, np.ndarray]:
-        """Columns of the log without the first `skip` ps.
-
-        Raises:
-            RunError: fewer than `FEWEST` rows remain.
-            RecordError: see `read_rows`.
-        """
+        """Columns of the log without the first `skip` ps, of at least `FEWEST` rows."""
         path, interval = Path(self.plan.report), self.plan.interval(self.plan.report_every)
         # The first row is the start.
         return _after(skip, path, read_rows(path, conservation.COLUMNS, self._count("log"), interval, 0))
@@ -83,12 +78,7 @@ class FinishedRun(NamedTuple):
 
 
 def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
-    """Runs by their checkpoints, or by directories of an ensemble's members.
-
-    Raises:
-        RunError: two are one run.
-        RecordError, OSError: a checkpoint cannot be read.
-    """
+    """Runs by their checkpoints, or by directories of members of an ensemble; none may be there twice."""
     runs: list[FinishedRun] = []
     seen: dict[tuple, Path] = {}
     for path in paths:
@@ -105,11 +95,7 @@ def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
 
 
 def check_alike(run: FinishedRun, first: FinishedRun, names: Sequence[str], reason: str) -> None:
-    """Refuse a run whose settings of these names are not those of the first.
-
-    Raises:
-        RunError: with the first difference and the reason.
-    """
+    """Refuse a run whose settings of these names are not those of the first, for this reason."""
     mine, others = run.settings(), first.settings()
     for name in names:
         if mine[name] != others[name]:

@@ -101,15 +101,7 @@ class Plan(Options):
 
 
 def new_plan(options: Options, origin: Plan | None = None) -> Plan:
-    """The plan of a new run.
-
-    Args:
-        options: of the command.
-        origin: of the run from whose checkpoint this one starts. It defines the System.
-
-    Raises:
-        RunError: options contradict each other.
-    """
+    """The plan of a new run; `origin` is that of the run from whose checkpoint it starts, and defines the System."""
     given = {entry.name: value for entry in fields(options) if (value := getattr(options, entry.name)) is not None}
     defaults = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
     if origin is not None:
@@ -141,11 +133,7 @@ def _steps(time: float, dt: float) -> int:
 
 
 def _check(plan: Plan) -> None:
-    """Refuse what no run can have.
-
-    Raises:
-        RunError: values contradict each other.
-    """
+    """Refuse what no run can have."""
     if plan.ensemble not in plan.method.ensembles:
         raise RunError(
             f"{plan.method.name} needs --ensemble {_alternatives(plan.method.ensembles)}, got {plan.ensemble}"
@@ -192,11 +180,7 @@ def _check_given(options: Options, ensemble: str) -> None:
 
 
 def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
-    """The plan that a checkpoint notes, with paths of files relative to the current directory.
-
-    Raises:
-        OptionError, RunError: it is none; the message names the checkpoint and the field.
-    """
+    """The plan that a checkpoint notes, with paths of files relative to the current directory."""
     source = f"{checkpoint}: plan"
     if unknown := [name for name in saved if name not in NOTED]:
         raise OptionError(f"{source}: there is no option {unknown[0]}")
@@ -216,8 +200,7 @@ def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
 def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan of a checkpoint, with another length if one is given.
 
-    Raises:
-        RunError: an option contradicts the checkpoint, or the checkpoint names an output that does not lie beside it.
+    Options must not contradict the checkpoint, and outputs that do not lie beside it must be named again.
     """
     plan = noted_plan(checkpoint, saved)
     if options.start:

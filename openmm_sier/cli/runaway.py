@@ -54,12 +54,7 @@ class Guard:
     """Watches the temperatures and the conserved energy H of one run."""
 
     def __init__(self, plan: Plan, dof: DegreesOfFreedom, log: Mapping[str, np.ndarray] | None = None):
-        """
-        Args:
-            plan: of the run.
-            dof: degrees of freedom that share the heat.
-            log: columns of the log of a run that is continued.
-        """
+        """Watch a run with these degrees of freedom; the log is that of a run that is continued."""
         self._plan = plan
         self._bounds = [hottest(plan.temperature, number) for number in dof]
         self._start: float | None = None if log is None else float(log[ENERGY][0])
@@ -67,11 +62,7 @@ class Guard:
         self._kinetic_sum, self._looks = 0.0, 0
 
     def look(self, values: Mapping[str, float]) -> None:
-        """Compare a row of the log with the bounds.
-
-        Raises:
-            Runaway: a bound is passed.
-        """
+        """Compare a row of the log with the bounds."""
         self.look_at_temperatures(*(values.get(name, math.nan) for name in conservation.TEMPERATURES))
         time, energy = values["Time (ps)"], values[ENERGY]
         if not math.isfinite(energy if self._plan.counts_heat else values["Total Energy (kJ/mole)"]):
@@ -98,11 +89,7 @@ class Guard:
                 )
 
     def look_at_temperatures(self, *temperatures: float) -> None:
-        """Compare T_trans, T_rot and that of flexible molecules in K with the bounds; NaN: nothing moves so.
-
-        Raises:
-            Runaway: a bound is passed.
-        """
+        """Compare T_trans, T_rot and that of flexible molecules in K with the bounds; NaN: nothing moves so."""
         for name, value, bound in zip(("T_trans", "T_rot", "T_flexible"), temperatures, self._bounds, strict=False):
             if value > bound:
                 raise Runaway(f"{name} is {value:.3g} K, above {bound:.4g} K")

@@ -36,16 +36,7 @@ OPTIONAL = ("bodies", "tensors")
 
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
-    """Replace the checkpoint: at any moment the file is either the old or the new one.
-
-    Args:
-        path: of the file, a zip archive with state.xml and notes.json.
-        state: openmm.State with positions, velocities and parameters.
-        notes: what JSON can hold.
-
-    Raises:
-        OSError: it cannot be written. The old one is still there, and nothing of the new one.
-    """
+    """Replace the checkpoint, a zip archive: at any moment, and after an error, it is either the old or the new one."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))

@@ -30,26 +30,13 @@ class Trajectory(GrowingFile):
     def __init__(
         self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
     ) -> None:
-        """
-        Args:
-            path: of the file.
-            topology: openmm.app.Topology of the atoms that are written.
-            dt: step, ps.
-            interval: steps between frames.
-            run: identity of the run.
-            noted: what to keep of an existing file.
-        """
+        """Begin a file with atoms of a topology, steps of dt ps and an interval in steps, or continue it."""
         super().__init__(path, noted)
         self._topology, self._dt, self._interval, self._title = topology, dt, interval, title(run)
 
     @abstractmethod
     def write(self, positions: Quantity, box: Quantity) -> None:
-        """Append a frame.
-
-        Args:
-            positions: (n, 3), nm.
-            box: periodic box vectors (a Quantity) or None.
-        """
+        """Append a frame of positions (n, 3) in nm, and periodic box vectors (a Quantity) or None."""
 
 
 class DCDTrajectory(Trajectory):
@@ -104,10 +91,6 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
     def __init__(
         self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
     ) -> None:
-        """
-        Raises:
-            RecordError: the run is to go on, but its HDF5 file has been made.
-        """
         if noted and not self.unfinished(path):
             raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
         super().__init__(self.growing(path), topology, dt, interval, run, noted)
@@ -149,11 +132,7 @@ FORMATS: dict[str, type[Trajectory]] = {
 
 
 def trajectory_format(path: Path) -> type[Trajectory]:
-    """The class for a file name.
-
-    Raises:
-        RecordError: the ending is unknown, or a package that it needs is missing.
-    """
+    """The class for the ending of a file name."""
     if path.suffix not in FORMATS:
         raise RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
     if path.suffix == ".h5" and find_spec("tables") is None:
