@@ -16,6 +16,7 @@ from openmm_sier.cli.console import ProgressBar, clock, note, table
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import OutputFiles, Outputs, run_identity
+from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.engines.temperature import degrees_of_freedom
@@ -78,7 +79,7 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     columns = conservation.columns(context.getIntegrator())
     outputs = Outputs(files, plan, simulated.box, simulated.bodies, notes["run"], columns, noted, notes.get("step"))
     dof = degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum)
-    guard = runaway.Guard(plan, dof, outputs.log.read() if outputs.log.count else None)
+    guard = runaway.Guard(plan, dof, read_log(outputs.log.path) if outputs.log.count else None)
     cost = _advance(context, plan, outputs, guard, requests)
     outputs.finish()
     _report(plan, outputs, cost)
@@ -98,7 +99,7 @@ def _length(plan: Plan, steps: int) -> str:
 
 
 def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
-    log = outputs.log.read()
+    log = read_log(outputs.log.path)
     warning = runaway.fluctuation_warning(plan, log)
     rows = summary.rows(log, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []

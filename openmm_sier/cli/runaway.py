@@ -120,10 +120,6 @@ def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None
 
     H is taken about a straight line in each window, so that neither a slow drift counts nor the random walk that a heat
     bath causes; see `energy_fluctuation`.
-
-    Args:
-        plan: of the run.
-        log: its columns, see `openmm_sier.observe.conservation.COLUMNS`.
     """
     t, H, V = (log[name] for name in ("Time (ps)", ENERGY, "Potential Energy (kJ/mole)"))
     # Where the potential energy hardly changes, the ratio shows only rounding to single precision.

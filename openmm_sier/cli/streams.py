@@ -22,8 +22,7 @@ AS_OPTIONS = {
 def open_closed_streams() -> bool:
     """Open the null device for each standard stream that is closed, so that no other file gets its number.
 
-    Returns:
-        Whether standard output was open.
+    Returns whether standard output was open.
     """
     for number in range(3):
         try:

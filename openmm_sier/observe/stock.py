@@ -71,11 +71,7 @@ class StockIntegrator(openmm.Integrator):
         return self._momentum.holds(self)
 
     def getBodyState(self) -> BodyState:
-        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any.
-
-        Raises:
-            BrokenDownError: positions or velocities are not finite, or molecules are torn.
-        """
+        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any."""
         try:
             found = body_state(self._context, self.bodies)
         except (NotFiniteError, RigidityError) as error:

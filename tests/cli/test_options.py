@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from openmm_sier.cli.main import MISUSED, main
-from openmm_sier.cli.methods import METHODS
-from openmm_sier.cli.plan import FILES, OUTPUTS, new_plan
+from openmm_sier.cli.plan import FILES, METHODS, OUTPUTS, new_plan
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure import forcefields
 from openmm_sier_command.arguments import build_parser

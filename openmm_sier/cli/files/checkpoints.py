@@ -46,16 +46,9 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
 
 
 def read_checkpoint(path: Path, files: bool = True) -> tuple[Any, dict[str, Any]]:
-    """State and notes of a checkpoint.
+    """State and notes of a checkpoint, of the run's files too where `files` says that they matter.
 
-    Args:
-        path: of the checkpoint.
-        files: whether what it notes of the run's files matters.
-
-    Raises:
-        RecordError: the file is no checkpoint of this command.
-        OptionError: its notes are not what they must be; `openmm_sier.cli.plan.noted_plan` checks its plan.
-        FileNotFoundError: there is no such file.
+    A `RecordError` or `OptionError` says what is wrong; `openmm_sier.cli.plan.noted_plan` checks its plan.
     """
     try:
         with zipfile.ZipFile(path) as archive:

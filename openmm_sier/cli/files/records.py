@@ -266,10 +266,6 @@ class Log(GrowingFile):
     def write(self, values: Sequence[float]) -> None:
         self.append(csv_line(values).encode())
 
-    def read(self) -> dict[str, np.ndarray]:
-        """All rows, by column."""
-        return read_log(self.path)
-
 
 def read_log(path: Path) -> dict[str, np.ndarray]:
     """All rows of a `Log`, by column."""
