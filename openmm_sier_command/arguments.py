@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,16 +26,6 @@ EXIT_CODES = """exit codes:
        ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,
        and --restart goes on. A second signal ends the run at once
 """
-
-#: Commands of earlier versions that are studies now, and where.
-MOVED = {
-    "paper": "studies.paper",
-    "equipartition": "studies.equipartition",
-    "schemes": "studies.schemes",
-    "acceptance": "studies.acceptance",
-    "bench": "studies.bench",
-    "study": "studies.step_study",
-}
 
 
 @dataclass(frozen=True)
@@ -177,13 +166,5 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """What a command line says.
-
-    Raises:
-        SystemExit: arguments are wrong, which has been said in one line; or `--help` or `--version` has been printed.
-    """
-    parser = build_parser()
-    command, *_ = [*(sys.argv[1:] if arguments is None else arguments), ""]
-    if command in MOVED:
-        parser.exit(MISUSED, f"{PROGRAM}: {command} is now `python -m {MOVED[command]}` in a copy of the repository\n")
-    return parser.parse_args(arguments)
+    """What a command line says. A `SystemExit` follows what was wrong, or the help that was asked for."""
+    return build_parser().parse_args(arguments)

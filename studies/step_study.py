@@ -138,11 +138,12 @@ def _row(point: Sequence[FinishedRun], skip: float) -> dict[str, Any]:
     """One point of the figure, from runs that differ in their seeds alone; what they do not give is NaN."""
     runs = read_runs(point, None, skip)
     plan = runs[0].plan
+    scheme = plan.method.scheme
     row = {
         "box": Path(plan.box or plan.out).stem,
         "method": f"{plan.method.name} HMC" if plan.ensemble == "hmc" else plan.method.name,
         "step": plan.dt,
-        "fs_per_force": plan.dt / plan.method.forces,
+        "fs_per_force": plan.dt / (scheme.force_evaluations if scheme else 1),
         "runs": len(runs),
         "time": sum(float(np.ptp(run.log["Time (ps)"])) for run in runs),
     }

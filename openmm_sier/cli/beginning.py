@@ -26,22 +26,14 @@ from openmm_sier_command.options import RECOMMENDED, USUAL_STEPS
 
 
 def check_platform(name: str | None) -> None:
-    """Refuse a platform that OpenMM does not have.
-
-    Raises:
-        RunError: with those that it has.
-    """
+    """Refuse a platform that OpenMM does not have, naming those that it has."""
     known = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
     if name is not None and name not in known:
         raise RunError(f"there is no registered Platform {name}, expected one of {', '.join(known)}")
 
 
 def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | None]:
-    """The state from which a new run starts, and the plan of the run that reached it; None without a checkpoint.
-
-    Raises:
-        RecordError, OptionError, RunError, OSError: as their messages say.
-    """
+    """The state from which a new run starts, and the plan of the run that reached it; None without a checkpoint."""
     if checkpoint is None:
         return None, None
     state, notes = checkpoints.read_checkpoint(checkpoint, files=False)
@@ -68,12 +60,7 @@ class Simulated:
 
     @classmethod
     def read(cls, options: Options, plan: Plan) -> Simulated:
-        """Read the PDB file, and prepare its System.
-
-        Raises:
-            RunError: the plan needs a periodic box, which the file does not have.
-            ForceFieldError, RigidityError, OSError: as their messages say.
-        """
+        """Read the PDB file, and prepare its System."""
         box = read_box(options.box, plan.forcefield, plan.constraints, plan.interactions)
         note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
         bodies = rigid_bodies(box, plan.rigid)
@@ -86,11 +73,7 @@ class Simulated:
         return cls(options, plan, box, bodies, fast)
 
     def context(self, step: int = 0) -> openmm.Context:
-        """The Context of the run when it begins or goes on at a step, without positions.
-
-        Raises:
-            RunError: checkpoints are too frequent for OpenMM's barostat.
-        """
+        """The Context of the run when it begins or goes on at a step, without positions."""
         plan = self.plan
         if plan.method.scheme is not None:
             return make_context(self.box.system, self.integrator(plan), self.options.platform)
@@ -100,9 +83,8 @@ class Simulated:
                 f"{stock.BAROSTAT_INTERVAL} steps anew after each checkpoint"
             )
         bath = plan.temperature if plan.ensemble != "nve" else None
-        around = stock.Surroundings(bath, plan.friction, plan.pressure if plan.moves_volume else None)
-        integrator = stock.make_stock(plan.scheme, plan.dt / 1000, around)
-        system = stock.surrounded(self.box.system, plan.scheme, around)
+        piston = plan.pressure if plan.moves_volume else None
+        system, integrator = stock.make_stock(self.box.system, plan.scheme, plan.dt / 1000, bath, plan.friction, piston)
         stock.seed_noise(system, integrator, plan.seed, step)
         context = make_context(system, integrator, self.options.platform)
         integrator.attend(context, self.bodies)
@@ -115,10 +97,6 @@ class Simulated:
 
         Args:
             state, origin: of the checkpoint that the run starts from, and the plan of its run.
-
-        Raises:
-            RunError: the checkpoint that it starts from belongs to another system.
-            Runaway: the equilibration broke down.
         """
         plan, options = self.plan, self.options
         stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED, dt=USUAL_STEPS[RECOMMENDED])
@@ -133,7 +111,6 @@ class Simulated:
             stop_centre_of_mass(begun)
         if plan.method.scheme:
             return begun
-        note(f"bath and barostat of {plan.method.name}: {plan.method.surroundings(plan.ensemble) or 'none'}")
         context = self.context()
         context.setState(begun.getState(positions=True, velocities=True))
         if plan.method.leapfrog:
@@ -141,11 +118,7 @@ class Simulated:
         return context
 
     def check_particles(self, state: openmm.State, checkpoint: Path | None) -> None:
-        """Refuse the state of a checkpoint with another number of particles.
-
-        Raises:
-            RunError: with both numbers.
-        """
+        """Refuse the state of a checkpoint with another number of particles."""
         there, here = len(state.getPositions()), self.box.system.getNumParticles()
         if there != here:
             raise RunError(f"{checkpoint} has {there} particles, {self.options.box} with its force field {here}")

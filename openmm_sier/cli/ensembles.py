@@ -66,18 +66,14 @@ class PlanError(ValueError):
 def run(
     plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, list: bool
 ) -> None:
-    """Run `openmm-sier ensemble`.
-
-    Raises:
-        PlanError, EnsembleError, OSError: as their messages say.
-        RunError: another process carries out an ensemble in the same directory.
-    """
+    """Run `openmm-sier ensemble`."""
     members = read_plan(plan)
     directory = out or plan.with_suffix("")
     complete = [is_complete(member, directory) for member in members]
     note(f"{plan}: {len(members)} members in {directory}, {sum(complete)} of them complete")
-    for damage in (damage for member in members for damage in damaged_notes(member, directory)):
-        note(damage)
+    for member in (member for member, done in zip(members, complete, strict=True) if not done):
+        for damaged in damaged_notes(member, directory):
+            note(f"{damaged} is damaged: {member.name} is done again")
     if list:
         rows = [[m.name, "complete" if done else ""] for m, done in zip(members, complete, strict=True)]
         table(str(plan), ("member", ""), rows, 2)
@@ -115,13 +111,7 @@ def _workers(address: str) -> Executor:
 
 
 def read_plan(path: Path) -> list[Member]:
-    """The members of a plan.
-
-    Raises:
-        PlanError, OptionError: an option is unknown, has a wrong value, or is set by the ensemble itself; there is no
-            such box; or two members have the same name.
-        OSError: the file cannot be read.
-    """
+    """The members of a plan; a `PlanError` or `OptionError` says what is wrong with one."""
     try:
         plan = tomllib.loads(path.read_text())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

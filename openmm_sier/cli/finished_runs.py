@@ -53,42 +53,23 @@ class FinishedRun(NamedTuple):
         return {name: value for name, value in found.items() if name not in (*FREE, but)}
 
     def log(self, skip: float) -> dict[str, np.ndarray]:
-        """Columns of the log without the first `skip` ps.
-
-        Raises:
-            RunError: fewer than `FEWEST` rows remain.
-            RecordError: see `read_rows`.
-        """
+        """Columns of the log without the first `skip` ps, of at least `FEWEST` rows."""
         path, interval = Path(self.plan.report), self.plan.interval(self.plan.report_every)
         # The first row is the start.
-        return _after(skip, path, read_rows(path, conservation.COLUMNS, self._count("log"), interval, 0))
+        return _after(skip, path, read_rows(path, conservation.COLUMNS, self.notes["log"]["count"], interval, 0))
 
     def tensors(self, skip: float) -> dict[str, np.ndarray] | None:
         """Columns of the pressure tensors likewise; None where the run wrote none."""
         if self.plan.pressure_tensor is None:
             return None
+        if self.notes.get("tensors") is None:
+            raise RecordError(f"{self.checkpoint} does not note the length of its tensors")
         path, interval = Path(self.plan.pressure_tensor), self.plan.interval(self.plan.pressure_tensor_every)
-        return _after(skip, path, read_rows(path, pressure.COLUMNS, self._count("tensors"), interval, interval))
-
-    @property
-    def frames(self) -> int:
-        """Number of frames in the trajectory."""
-        return self._count("trajectory")
-
-    def _count(self, file: str) -> int:
-        try:
-            return int(self.notes[file]["count"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise RecordError(f"{self.checkpoint} does not note the length of its {file}") from error
+        return _after(skip, path, read_rows(path, pressure.COLUMNS, self.notes["tensors"]["count"], interval, interval))
 
 
 def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
-    """Runs by their checkpoints, or by directories of an ensemble's members.
-
-    Raises:
-        RunError: two are one run.
-        RecordError, OSError: a checkpoint cannot be read.
-    """
+    """Runs by their checkpoints, or by directories of members of an ensemble; none may be there twice."""
     runs: list[FinishedRun] = []
     seen: dict[tuple, Path] = {}
     for path in paths:
@@ -105,11 +86,7 @@ def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
 
 
 def check_alike(run: FinishedRun, first: FinishedRun, names: Sequence[str], reason: str) -> None:
-    """Refuse a run whose settings of these names are not those of the first.
-
-    Raises:
-        RunError: with the first difference and the reason.
-    """
+    """Refuse a run whose settings of these names are not those of the first, for this reason."""
     mine, others = run.settings(), first.settings()
     for name in names:
         if mine[name] != others[name]:
@@ -119,16 +96,14 @@ def check_alike(run: FinishedRun, first: FinishedRun, names: Sequence[str], reas
 def read_rows(path: Path, columns: Sequence[str], count: int, interval: int, first: int) -> dict[str, np.ndarray]:
     """All rows of a log of numbers, by column, if there are just those that its run wrote.
 
+    A `RecordError` names file and line where a column, a number or a row is missing, or there is one too many.
+
     Args:
         path: of the file.
         columns: that it must have.
         count: rows that the checkpoint notes.
         interval: steps between rows.
         first: step of the first row.
-
-    Raises:
-        RecordError: a column, a number or a row is missing, or there is one too many. It names file and line.
-        OSError: the file cannot be read.
     """
     heading, *lines = path.read_text().splitlines() or [""]
     names = heading.split(",")

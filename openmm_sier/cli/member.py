@@ -23,7 +23,7 @@ from openmm_sier.cli.files import records
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.cli.stopping import SIGNALS
-from openmm_sier.measure.ensemble import COMPLETE, LOCK, NOTES, DamagedNoteError, read_arguments
+from openmm_sier.measure.ensemble import COMPLETE, LOCK, NOTES, read_arguments
 
 #: Names of the files of a run.
 TRAJECTORY, CHECKPOINT = "run.dcd", "run.chk"
@@ -36,19 +36,17 @@ FAILED = 1
 
 
 def execute(arguments: list[str], command: Callable[[list[str]], int] | None = None) -> int:
-    """Finish the member in the current directory and return the exit code.
+    """Finish the member of these arguments in the current directory and return the exit code.
 
-    Args:
-        arguments: of the member.
-        command: takes them, writes its files here and returns its exit code; None is `openmm-sier`. Repeating it must
-            give the same files.
+    The command takes them, writes its files here and returns its exit code; None is `openmm-sier`. Repeating it must
+    give the same files.
     """
     # Two workers may get the same member if a scheduler believes the first one dead: the second then waits.
     with FileLock(LOCK):
-        if _noted(COMPLETE) == arguments:
+        if read_arguments(Path(COMPLETE)) == arguments:
             return 0
         identity = _identity(arguments)
-        noted = _noted(NOTES)
+        noted = read_arguments(Path(NOTES))
         if noted is None and Path(NOTES).exists():
             # It is damaged: what the checkpoint belongs to is not known.
             Path(CHECKPOINT).unlink(missing_ok=True)
@@ -62,15 +60,6 @@ def execute(arguments: list[str], command: Callable[[list[str]], int] | None = N
             return code
         _write(COMPLETE, arguments)
         return 0
-
-
-def _noted(name: str) -> list[str] | None:
-    """The arguments in a note; None where it is missing or damaged."""
-    try:
-        return read_arguments(Path(name))
-    except DamagedNoteError as error:
-        print(f"{error}: the member is done again")
-        return None
 
 
 def _places() -> list[str]:

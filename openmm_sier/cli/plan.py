@@ -6,15 +6,17 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from openmm_sier.cli.methods import METHODS, Method
+from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier_command.options import (
     CONTINUED,
+    ENSEMBLES,
     NOTED,
     OF_THE_SYSTEM,
     OPTIONS,
+    USUAL_STEPS,
     OptionError,
     Options,
     check_table,
@@ -37,6 +39,37 @@ FILES = tuple(name for name in NOTED if OPTIONS[name].kind.file and not OPTIONS[
 
 #: Those of them that a run writes.
 OUTPUTS = tuple(name for name in FILES if OPTIONS[name].kind.file == "output")
+
+
+class Method(NamedTuple):
+    """What moves the molecules of a run.
+
+    Attributes:
+        name: for titles and messages.
+        usual_step: for rigid water, fs.
+        order: of its energy error in the step.
+        ensembles: in which it can run, the default first.
+        scheme: of this package's integrators; None where the integrator is one of OpenMM's own.
+        leapfrog: whether velocities are half a step behind positions.
+    """
+
+    name: str
+    usual_step: float
+    order: int = 2
+    ensembles: tuple[str, ...] = ENSEMBLES
+    scheme: Scheme | None = None
+    leapfrog: bool = False
+
+
+#: Methods by the names that `--scheme` takes.
+METHODS = {
+    "verlet": Method("OpenMM Verlet", USUAL_STEPS["verlet"], ensembles=("nve", "nvt", "npt"), leapfrog=True),
+    "langevinmiddle": Method("OpenMM LangevinMiddle", USUAL_STEPS["langevinmiddle"], ensembles=("nvt", "npt")),
+} | {
+    key: Method(CATALOGUE[key].name, step, CATALOGUE[key].order, scheme=CATALOGUE[key])
+    for key, step in USUAL_STEPS.items()
+    if key in CATALOGUE
+}
 
 
 class RunError(ValueError):
@@ -101,15 +134,7 @@ class Plan(Options):
 
 
 def new_plan(options: Options, origin: Plan | None = None) -> Plan:
-    """The plan of a new run.
-
-    Args:
-        options: of the command.
-        origin: of the run from whose checkpoint this one starts. It defines the System.
-
-    Raises:
-        RunError: options contradict each other.
-    """
+    """The plan of a new run; `origin` is that of the run from whose checkpoint it starts, and defines the System."""
     given = {entry.name: value for entry in fields(options) if (value := getattr(options, entry.name)) is not None}
     defaults = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
     if origin is not None:
@@ -141,11 +166,7 @@ def _steps(time: float, dt: float) -> int:
 
 
 def _check(plan: Plan) -> None:
-    """Refuse what no run can have.
-
-    Raises:
-        RunError: values contradict each other.
-    """
+    """Refuse what no run can have."""
     if plan.ensemble not in plan.method.ensembles:
         raise RunError(
             f"{plan.method.name} needs --ensemble {_alternatives(plan.method.ensembles)}, got {plan.ensemble}"
@@ -192,11 +213,7 @@ def _check_given(options: Options, ensemble: str) -> None:
 
 
 def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
-    """The plan that a checkpoint notes, with paths of files relative to the current directory.
-
-    Raises:
-        OptionError, RunError: it is none; the message names the checkpoint and the field.
-    """
+    """The plan that a checkpoint notes, with paths of files relative to the current directory."""
     source = f"{checkpoint}: plan"
     if unknown := [name for name in saved if name not in NOTED]:
         raise OptionError(f"{source}: there is no option {unknown[0]}")
@@ -216,8 +233,7 @@ def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
 def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan of a checkpoint, with another length if one is given.
 
-    Raises:
-        RunError: an option contradicts the checkpoint, or the checkpoint names an output that does not lie beside it.
+    Options must not contradict the checkpoint, and outputs that do not lie beside it must be named again.
     """
     plan = noted_plan(checkpoint, saved)
     if options.start:

@@ -191,12 +191,7 @@ def _written_as_often(runs: Sequence[Run]) -> list[Run]:
 
 
 def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[str]], list[Run]]:
-    """Rows of the table, and the runs that gave a viscosity.
-
-    Args:
-        runs: with different seeds.
-        viscosity: mPa s, for the size correction of diffusion; None takes that of the runs.
-    """
+    """Rows of the table, and the runs that gave a viscosity; one in mPa s that is given corrects diffusion instead."""
     rows, stressed = [], []
     for row in ROWS:
         found = estimated(row, runs)
@@ -257,7 +252,7 @@ def _integrals(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def read_runs(runs: Sequence[FinishedRun], given: Path | None, skip: float) -> list[Run]:
-    """Logs and trajectories of runs that may be pooled; arguments and errors are those of `properties_of`."""
+    """Logs and trajectories of runs that may be pooled; arguments are those of `properties_of`."""
     names = [name for name in runs[0].settings() if given is None or name != "box"]
     for run in runs:
         check_alike(run, runs[0], names, "properties are pooled over runs that differ in their seeds alone")
@@ -274,6 +269,7 @@ def _read(run: FinishedRun, box: Box, skip: float) -> Run:
     log, tensors = run.log(skip), run.tensors(skip)
     interval = run.plan.interval(run.plan.every) * run.plan.step_time
     samples = read_samples(Path(run.plan.out), box, interval, skip)
-    if (frames := len(samples.volumes) + round(skip / interval)) != run.frames:
-        raise RecordError(f"{run.plan.out} has {frames} frames, {run.checkpoint} notes {run.frames}")
+    frames, noted = len(samples.volumes) + round(skip / interval), run.notes["trajectory"]["count"]
+    if frames != noted:
+        raise RecordError(f"{run.plan.out} has {frames} frames, {run.checkpoint} notes {noted}")
     return Run(run.plan, log, samples, box.topology.getNumResidues(), tensors)

@@ -16,6 +16,7 @@ from openmm_sier.cli.console import ProgressBar, clock, note, table
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import OutputFiles, Outputs, run_identity
+from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
 from openmm_sier.engines.temperature import degrees_of_freedom
@@ -32,17 +33,7 @@ ENERGY_TOLERANCE = 1e-4
 
 
 def run(**given: Any) -> None:
-    """Run `openmm-sier run`.
-
-    Args:
-        given: options by name, as for `Options`.
-
-    Raises:
-        RunError: options contradict each other or the checkpoint, or a file is in the way or cannot be written.
-        Runaway: the energy or the temperature ran away.
-        Stopped: a signal ended the run; the message says how to go on.
-        ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
-    """
+    """Run `openmm-sier run` with options by name, as for `Options`."""
     options = Options(**given)
     with FileLocks() as locks, StopRequests(locks.remove) as requests:
         try:
@@ -88,7 +79,7 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     columns = conservation.columns(context.getIntegrator())
     outputs = Outputs(files, plan, simulated.box, simulated.bodies, notes["run"], columns, noted, notes.get("step"))
     dof = degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum)
-    guard = runaway.Guard(plan, dof, notes.get("start_energy"))
+    guard = runaway.Guard(plan, dof, read_log(outputs.log.path) if outputs.log.count else None)
     cost = _advance(context, plan, outputs, guard, requests)
     outputs.finish()
     _report(plan, outputs, cost)
@@ -108,7 +99,7 @@ def _length(plan: Plan, steps: int) -> str:
 
 
 def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
-    log = outputs.log.read()
+    log = read_log(outputs.log.path)
     warning = runaway.fluctuation_warning(plan, log)
     rows = summary.rows(log, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
@@ -119,12 +110,7 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
 
 
 def _check_unfinished(plan: Plan, checkpoint: Path, step: int, finished: bool) -> None:
-    """Refuse to go on with a run that has nothing left to do.
-
-    Raises:
-        NothingLeft: the run is complete.
-        RunError: it is beyond the step at which it is to end.
-    """
+    """Refuse to go on with a run that has nothing left to do."""
     # An .h5 file is made last: a run that was killed before that still has to be finished.
     at_end = step == plan.steps and finished
     if at_end or step > plan.steps:
@@ -135,11 +121,7 @@ def _check_unfinished(plan: Plan, checkpoint: Path, step: int, finished: bool) -
 
 
 def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) -> openmm.Context:
-    """A Context in the state of a checkpoint.
-
-    Raises:
-        RunError: the checkpoint belongs to another system.
-    """
+    """A Context in the state of a checkpoint, which must belong to this system."""
     box, checkpoint = simulated.options.box, simulated.options.restart
     context = simulated.context(notes["step"])
     simulated.check_particles(state, checkpoint)
@@ -162,13 +144,7 @@ def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) 
 def _advance(
     context: openmm.Context, plan: Plan, outputs: Outputs, guard: runaway.Guard, requests: StopRequests
 ) -> summary.Cost:
-    """Run from the Context's step to the last one of the plan, writing what is due.
-
-    Raises:
-        RunError: a file cannot be written.
-        Runaway: energy or temperature passed a bound; nothing beyond the bound was written.
-        Stopped: a signal arrived. The step has been completed, and all files are written.
-    """
+    """Run from the Context's step to the last one of the plan, or to a signal, writing what is due."""
     integrator = context.getIntegrator()
     begun = step = context.getStepCount()
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
@@ -200,11 +176,7 @@ def _advance(
 
 @contextmanager
 def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) -> Iterator[None]:
-    """Add to errors the step, the likely cause and the last checkpoint.
-
-    Raises:
-        Runaway, RunError: in place of the errors of a runaway and of the operating system.
-    """
+    """Add to errors the step, the likely cause and the last checkpoint."""
     try:
         yield
     except (openmm.OpenMMException, runaway.Runaway) as error:
@@ -226,7 +198,7 @@ def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs
         guard.look(values)
     else:
         guard.look_at_temperatures(*context.getIntegrator().computeTemperatures()[1:])
-    outputs.write(due, context, values, guard.start)
+    outputs.write(due, context, values)
     if "checkpoint" in due and isinstance(context.getIntegrator(), stock.StockIntegrator):
         stock.go_on_as_a_restart(context, plan.seed)
 

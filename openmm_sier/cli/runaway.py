@@ -22,6 +22,9 @@ from openmm_sier.observe import conservation
 from openmm_sier.observe.stock import BrokenDownError
 from openmm_sier.system.runaway import hottest
 
+#: Column of the log with H.
+ENERGY = "Conserved Energy (kJ/mole)"
+
 #: Exit code of a run that was stopped for this reason.
 EXIT_CODE = 3
 
@@ -41,10 +44,6 @@ LARGEST_FLUCTUATION = {2: 0.03, 4: 0.01}
 FEWEST_ROWS = 10
 
 
-#: Columns of the log by the names of the temperatures.
-TEMPERATURES = dict(zip(("T_trans", "T_rot", "T_flexible"), conservation.TEMPERATURES, strict=True))
-
-
 class Runaway(RuntimeError):
     """Energy or temperature has run away."""
 
@@ -52,70 +51,48 @@ class Runaway(RuntimeError):
 
 
 class Guard:
-    """Watches one run.
+    """Watches the temperatures and the conserved energy H of one run."""
 
-    Attributes:
-        start: H at the start of the run, kJ/mol; None before the first row.
-    """
-
-    def __init__(self, plan: Plan, dof: DegreesOfFreedom, start: float | None = None):
-        """
-        Args:
-            plan: of the run.
-            dof: degrees of freedom that share the heat.
-            start: H at the start of a run that is continued.
-        """
-        self.start = start
+    def __init__(self, plan: Plan, dof: DegreesOfFreedom, log: Mapping[str, np.ndarray] | None = None):
+        """Watch a run with these degrees of freedom; the log is that of a run that is continued."""
         self._plan = plan
         self._bounds = [hottest(plan.temperature, number) for number in dof]
+        self._start: float | None = None if log is None else float(log[ENERGY][0])
         self._recent: deque[tuple[float, float]] = deque()
         self._kinetic_sum, self._looks = 0.0, 0
 
     def look(self, values: Mapping[str, float]) -> None:
-        """Compare a row of the log with the bounds.
-
-        Raises:
-            Runaway: a bound is passed.
-        """
-        time, energy = values["Time (ps)"], values["Conserved Energy (kJ/mole)"]
-        self.look_at_temperatures(*(values.get(name, math.nan) for name in TEMPERATURES.values()))
+        """Compare a row of the log with the bounds."""
+        self.look_at_temperatures(*(values.get(name, math.nan) for name in conservation.TEMPERATURES))
+        time, energy = values["Time (ps)"], values[ENERGY]
         if not math.isfinite(energy if self._plan.counts_heat else values["Total Energy (kJ/mole)"]):
             raise Runaway("the energy is not finite")
         if not self._plan.counts_heat:
             return
         self._kinetic_sum, self._looks = self._kinetic_sum + values["Kinetic Energy (kJ/mole)"], self._looks + 1
         typical = self._kinetic_sum / self._looks
-        self.start = energy if self.start is None else self.start
+        self._start = energy if self._start is None else self._start
         self._recent.append((time, energy))
         # The first row kept is the last one from before the window, so that no change goes unseen.
         while len(self._recent) > 1 and time - self._recent[1][0] >= WINDOW:
             self._recent.popleft()
         then, before = self._recent[0]
-        self._judge(
-            energy - before, FASTEST * typical * max(1.0, (time - then) / WINDOW), f"within {time - then:.3g} ps"
-        )
+        bounds = [(energy - before, FASTEST * max(1.0, (time - then) / WINDOW), f"within {time - then:.3g} ps")]
         if self._plan.ensemble == "nve":
-            self._judge(energy - self.start, LARGEST * typical, "since the start")
+            bounds.append((energy - self._start, LARGEST, "since the start"))
+        for change, part, when in bounds:
+            # Rounding moves the energy of bodies at rest.
+            if abs(change) > part * typical + 1e-6 * (1 + abs(self._start)):
+                raise Runaway(
+                    f"the conserved energy has changed by {change:+.3g} kJ/mol {when}, by more than the "
+                    f"{part * typical:.3g} kJ/mol that its kinetic energy allows"
+                )
 
     def look_at_temperatures(self, *temperatures: float) -> None:
-        """Compare temperatures in K, in the order of `TEMPERATURES`, with the bounds.
-
-        NaN stands for no degrees of freedom; the last temperatures may be left out.
-
-        Raises:
-            Runaway: a bound is passed.
-        """
-        for name, value, bound in zip(TEMPERATURES, temperatures, self._bounds, strict=False):
+        """Compare T_trans, T_rot and that of flexible molecules in K with the bounds; NaN: nothing moves so."""
+        for name, value, bound in zip(("T_trans", "T_rot", "T_flexible"), temperatures, self._bounds, strict=False):
             if value > bound:
                 raise Runaway(f"{name} is {value:.3g} K, above {bound:.4g} K")
-
-    def _judge(self, change: float, bound: float, when: str) -> None:
-        # Rounding moves the energy of bodies at rest.
-        if abs(change) > bound + 1e-6 * (1 + abs(self.start or 0.0)):
-            raise Runaway(
-                f"the conserved energy has changed by {change:+.3g} kJ/mol {when}, by more than the {bound:.3g} kJ/mol "
-                "that its kinetic energy allows"
-            )
 
 
 def is_runaway(error: BaseException) -> bool:
@@ -143,12 +120,8 @@ def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None
 
     H is taken about a straight line in each window, so that neither a slow drift counts nor the random walk that a heat
     bath causes; see `energy_fluctuation`.
-
-    Args:
-        plan: of the run.
-        log: its columns, see `openmm_sier.observe.conservation.COLUMNS`.
     """
-    t, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
+    t, H, V = (log[name] for name in ("Time (ps)", ENERGY, "Potential Energy (kJ/mole)"))
     # Where the potential energy hardly changes, the ratio shows only rounding to single precision.
     if plan.ensemble == "hmc" or np.isnan(H).any() or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
         return None

@@ -50,10 +50,7 @@ class StopRequests:
     """
 
     def __init__(self, at_once: Callable[[], None] = lambda: None) -> None:
-        """
-        Args:
-            at_once: what to do, in another thread, before the process is ended at once.
-        """
+        """`at_once` is done in another thread before the process is ended at once."""
         self.received: int | None = None
         self._at_once = at_once
         self._deferred = False
@@ -61,11 +58,7 @@ class StopRequests:
         self._leaving = False
 
     def defer(self) -> None:
-        """From now on note the first signal instead of raising.
-
-        Raises:
-            Stopped: a signal has arrived already.
-        """
+        """From now on note the first signal instead of raising; raises `Stopped` if one has arrived already."""
         if self.received is not None:
             raise Stopped(self.received)
         self._deferred = True

@@ -7,16 +7,22 @@ import os
 import sys
 from typing import TextIO
 
-from openmm_sier.cli.advice import for_the_command
+from openmm_sier.system import vibrations
 
 PROGRAM = "openmm-sier"
+
+#: What the library advises its callers, as options of the command, which prepares every System.
+AS_OPTIONS = {
+    vibrations.SHORTER_STEP: "Take a shorter step (--dt)",
+    vibrations.MORE_SUBSTEPS: "Take a shorter step (--dt)",
+    vibrations.CONSTRAIN: "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
+}
 
 
 def open_closed_streams() -> bool:
     """Open the null device for each standard stream that is closed, so that no other file gets its number.
 
-    Returns:
-        Whether standard output was open.
+    Returns whether standard output was open.
     """
     for number in range(3):
         try:
@@ -45,14 +51,22 @@ def complain(message: str) -> None:
         discard(sys.stderr)
 
 
+def for_the_command(message: Warning | BaseException | str) -> str:
+    """A message of the library in one line, with options of the command in place of arguments."""
+    text = " ".join(str(message).split())
+    for advice, option in AS_OPTIONS.items():
+        text = text.replace(advice, option)
+    return text
+
+
 def note_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Show a warning as one line among the notes; it takes the place of `warnings.showwarning`."""
-    print(f"warning: {for_the_command(' '.join(str(message).split()))}", flush=True)
+    print(f"warning: {for_the_command(message)}", flush=True)
 
 
 def described(error: Exception) -> str:
     """An error in one line."""
-    message = for_the_command(" ".join(str(error).split())) or type(error).__name__
+    message = for_the_command(error) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     expected = (

@@ -180,44 +180,25 @@ def _show(advance: Advance, members: Sequence[Member], found: dict[str, Outcome]
 
 def is_complete(member: Member, place: Path) -> bool:
     """Whether a member has been completed with these arguments."""
-    try:
-        return read_arguments(place / member.name / COMPLETE) == list(member.arguments)
-    except DamagedNoteError:
-        return False
-
-
-class DamagedNoteError(ValueError):
-    """A note in a member's directory holds no arguments, as after a power failure."""
+    return read_arguments(place / member.name / COMPLETE) == list(member.arguments)
 
 
 def read_arguments(path: Path) -> list[str] | None:
-    """The arguments that a note in a member's directory holds; None where there is no note.
+    """The arguments that a note in a member's directory holds.
 
-    Raises:
-        DamagedNoteError: it holds something else.
+    None where there is no note, or one that holds no list of words, as after a power failure: its member is done again.
     """
     try:
         found = json.loads(path.read_bytes())
-    except FileNotFoundError:
+    except (FileNotFoundError, ValueError, RecursionError):
         return None
-    except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, list) or not all(isinstance(argument, str) for argument in found):
-        raise DamagedNoteError(f"{path} is damaged")
-    return found
+    return found if isinstance(found, list) and all(isinstance(argument, str) for argument in found) else None
 
 
-def damaged_notes(member: Member, place: Path) -> list[str]:
-    """What is to be said of damaged notes of a member, which is done again then."""
-    said: list[str] = []
-    if is_complete(member, place):
-        return said
-    for name in (NOTES, COMPLETE):
-        try:
-            read_arguments(place / member.name / name)
-        except DamagedNoteError as error:
-            said.append(f"{error}: {member.name} is done again")
-    return said
+def damaged_notes(member: Member, place: Path) -> list[Path]:
+    """Notes of a member that is not complete which exist and cannot be read."""
+    notes = [place / member.name / name for name in (NOTES, COMPLETE)]
+    return [note for note in notes if note.exists() and read_arguments(note) is None]
 
 
 def fraction_done(member: Member, place: Path) -> float:

@@ -85,8 +85,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     chosen = topology.select_pairs(oxygens[:count], oxygens)
     # All runs need the same bins, and their boxes may become smaller than that of the PDB file.
     reach = min(1.0, 0.45 * float(_edges(box, trajectory).min()))
-    settings = {} if trajectory.suffix == ".h5" else {"top": topology}
-    for chunk in _chunks(mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=first_frame, **settings)):
+    for chunk in read_chunks(trajectory, topology, first_frame):
         finite = np.isfinite(chunk.xyz).all(axis=(1, 2)) & np.isfinite(chunk.unitcell_lengths).all(axis=1)
         if not finite.all():
             number = first_frame + done + int(np.flatnonzero(~finite)[0]) + 1
@@ -114,8 +113,10 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     )
 
 
-def _chunks(chunks: Iterator[mdtraj.Trajectory]) -> Iterator[mdtraj.Trajectory]:
-    """The chunks, without the lines that MDTraj's reader of DCD files prints."""
+def read_chunks(trajectory: Path, topology: mdtraj.Topology, skip: int = 0) -> Iterator[mdtraj.Trajectory]:
+    """Frames of a trajectory, some at a time, without the lines that MDTraj's reader of DCD files prints."""
+    settings = {} if trajectory.suffix == ".h5" else {"top": topology}
+    chunks = mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=skip, **settings)
     while True:
         sys.stdout.flush()
         kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from openmm import app
@@ -23,16 +23,12 @@ CONSTRAINT_ERROR = 2e-6
 #: The model whose geometry OpenMM's `Modeller.addSolvent` gives to all water of four sites.
 OF_ADDED_WATER = "TIP4P-Ew"
 
-#: Number of models that are named when none fits.
-NEAREST = 3
-
 
 class ForceFieldError(ValueError):
     """No force field can be picked, found or applied."""
 
 
-@dataclass(frozen=True)
-class WaterModel:
+class WaterModel(NamedTuple):
     """The geometry by which a water model is recognized.
 
     Attributes:
@@ -52,9 +48,8 @@ class WaterModel:
     def suggestion(self, ions: bool) -> str:
         """The model with the option that names it."""
         file = self.file_with_ions if ions else self.file
-        if file is not None:
-            return f"{self.name} (--forcefield {file})"
-        return f"{self.name} (OpenMM has no file{' with ions' if ions else ''} for it)"
+        missing = f"OpenMM has no file{' with ions' if ions else ''} for it"
+        return f"{self.name} ({f'--forcefield {file}' if file else missing})"
 
 
 _TIP = (0.09572, 0.15139)
@@ -93,48 +88,22 @@ def recognize(waters: Sequence[app.topology.Residue], positions: np.ndarray, ion
 
     Raises:
         ForceFieldError: molecules differ or are no water, no known model has their geometry, or several have. The
-            message lists candidates.
+            message lists the candidates.
     """
-    sites = _common_size(waters)
-    measured = np.array([_distances(residue, positions) for residue in waters])
+    measured = _distances(waters, positions)
+    sites = len(list(waters[0].atoms()))
     candidates = [model for model in WATER_MODELS if sites in (3, model.sites)]
     fitting = [model for model in candidates if _fits(measured, model)]
     if sites == 4 and any(model.name == OF_ADDED_WATER for model in fitting):
         fitting = candidates
     if len(fitting) == 1:
         return fitting[0]
-    means = measured.mean(axis=0)
-    shown = ", ".join(f"{name} {value:.5f}" for name, value in zip(("O-H", "H-H", "O-M"), means, strict=False))
-    if fitting:
-        names = ", ".join(model.suggestion(ions) for model in fitting)
-        added = f" (OpenMM adds all water of four sites in that of {OF_ADDED_WATER})" if fitting is candidates else ""
-        raise ForceFieldError(
-            f"the water ({sites} sites, {shown} nm) has the geometry of several models{added}: {names}. Name a force "
-            "field"
-        )
-    off = {model: float(np.abs(means - model.distances[: len(means)]).max()) for model in candidates}
-    nearest = sorted(candidates, key=off.__getitem__)[:NEAREST]
-    names = ", ".join(f"{model.suggestion(ions)}, {off[model]:.5f} nm off" for model in nearest)
+    shown = zip(("O-H", "H-H", "O-M"), measured.mean(axis=0), strict=False)
+    how_many = "several models" if fitting else "no known model"
     raise ForceFieldError(
-        f"the water ({sites} sites, {shown} nm) has the geometry of no known model. Name a force field; the nearest "
-        f"are {names}"
+        f"the water ({sites} sites, {', '.join(f'{name} {value:.5f}' for name, value in shown)} nm) has the geometry "
+        f"of {how_many}: name a force field, that of {', '.join(m.suggestion(ions) for m in fitting or candidates)}"
     )
-
-
-def _common_size(waters: Sequence[app.topology.Residue]) -> int:
-    counts = [len(list(residue.atoms())) for residue in waters]
-    sites = max(counts)
-    if min(counts) != sites:
-        odd = waters[counts.index(min(counts))]
-        raise ForceFieldError(
-            f"residue {odd.name} {odd.id} has {min(counts)} atoms, other water has {sites}; expected equal molecules"
-        )
-    if sites not in (3, 4, 5):
-        raise ForceFieldError(
-            f"residue {waters[0].name} {waters[0].id} has {sites} atoms, expected water with 3, 4 or 5 sites. "
-            "Are hydrogens missing? Otherwise name a force field with --forcefield"
-        )
-    return sites
 
 
 def _fits(measured: np.ndarray, model: WaterModel) -> bool:
@@ -151,21 +120,21 @@ def _fits(measured: np.ndarray, model: WaterModel) -> bool:
     return bool((np.abs(errors.mean(axis=0)) <= of_mean).all() and (np.abs(errors) <= of_each).all())
 
 
-def _distances(residue: app.topology.Residue, positions: np.ndarray) -> tuple[float, ...]:
-    """O-H (mean of both), H-H and, with sites without mass, O-M (mean of all), nm."""
-    kinds: dict[str, list] = {"O": [], "H": [], "M": []}
-    for atom in residue.atoms():
-        symbol = "M" if atom.element is None else atom.element.symbol
-        if symbol not in kinds:
-            raise ForceFieldError(f"residue {residue.name} {residue.id} has an atom {atom.name}, which water has not")
-        kinds[symbol].append(positions[atom.index])
-    if len(kinds["O"]) != 1 or len(kinds["H"]) != 2:
-        raise ForceFieldError(
-            f"residue {residue.name} {residue.id} has {len(kinds['O'])} oxygens and {len(kinds['H'])} hydrogens, "
-            "expected 1 and 2"
-        )
-    oxygen = kinds["O"][0]
-    found = [np.mean([np.linalg.norm(x - oxygen) for x in kinds["H"]]), np.linalg.norm(kinds["H"][1] - kinds["H"][0])]
-    if kinds["M"]:
-        found.append(np.mean([np.linalg.norm(x - oxygen) for x in kinds["M"]]))
-    return tuple(float(value) for value in found)
+def _distances(waters: Sequence[app.topology.Residue], positions: np.ndarray) -> np.ndarray:
+    """O-H (mean of both), H-H and, with sites without mass, O-M (mean of all), nm, of each molecule, (n, 2 or 3)."""
+    found = []
+    for residue in waters:
+        places: dict[str, list[np.ndarray]] = {"O": [], "H": [], "M": []}
+        for atom in residue.atoms():
+            places.setdefault("M" if atom.element is None else atom.element.symbol, []).append(positions[atom.index])
+        oxygens, hydrogens, massless, *others = places.values()
+        sites = len(oxygens), len(hydrogens), len(massless)
+        if others or sites[:2] != (1, 2) or sites[2] > 2 or len(massless) != len(list(waters[0].atoms())) - 3:
+            raise ForceFieldError(
+                f"residue {residue.name} {residue.id} has the atoms {' '.join(atom.name for atom in residue.atoms())}, "
+                "expected water with 3, 4 or 5 sites, the same in all molecules. Are hydrogens missing? Otherwise name "
+                "a force field with --forcefield"
+            )
+        arms = [np.linalg.norm(np.array(group) - oxygens[0], axis=1).mean() for group in (hydrogens, massless) if group]
+        found.append([arms[0], np.linalg.norm(hydrogens[1] - hydrogens[0]), *arms[1:]])
+    return np.array(found)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import weakref
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
@@ -35,20 +35,6 @@ BAROSTAT_INTERVAL = 25
 
 class BrokenDownError(openmm.OpenMMException):
     """Positions or velocities are not finite, or molecules are torn."""
-
-
-class Surroundings(NamedTuple):
-    """What keeps temperature and pressure.
-
-    Attributes:
-        temperature: K; None at constant energy.
-        friction: 1/ps; with Verlet, the collision rate of its AndersenThermostat.
-        pressure: bar, of a MonteCarloBarostat; None at constant volume.
-    """
-
-    temperature: float | None = None
-    friction: float = 1.0
-    pressure: float | None = None
 
 
 class StockIntegrator(openmm.Integrator):
@@ -85,11 +71,7 @@ class StockIntegrator(openmm.Integrator):
         return self._momentum.holds(self)
 
     def getBodyState(self) -> BodyState:
-        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any.
-
-        Raises:
-            BrokenDownError: positions or velocities are not finite, or molecules are torn.
-        """
+        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any."""
         try:
             found = body_state(self._context, self.bodies)
         except (NotFiniteError, RigidityError) as error:
@@ -113,32 +95,37 @@ class StockLangevinMiddle(StockIntegrator, openmm.LangevinMiddleIntegrator):
     """OpenMM's LangevinMiddleIntegrator."""
 
 
-def make_stock(name: str, step: float, around: Surroundings) -> StockIntegrator:
-    """One of OpenMM's integrators.
+def make_stock(
+    system: openmm.System,
+    name: str,
+    step: float,
+    temperature: float | None = None,
+    friction: float = 1.0,
+    pressure: float | None = None,
+) -> tuple[openmm.System, StockIntegrator]:
+    """One of OpenMM's integrators, and a copy of a System with the Forces that keep temperature and pressure for it.
 
     Args:
+        system: to be simulated.
         name: "verlet" or "langevinmiddle".
         step: ps.
-        around: what keeps the temperature; "langevinmiddle" needs a temperature.
+        temperature: K; None at constant energy, which "langevinmiddle" does not have.
+        friction: 1/ps; with Verlet, the collision rate of its AndersenThermostat.
+        pressure: bar, of a MonteCarloBarostat; None at constant volume.
     """
+    system = openmm.XmlSerializer.clone(system)
     integrator: Any
     if name == "verlet":
         integrator = StockVerlet(step)
+        if temperature is not None:
+            system.addForce(openmm.AndersenThermostat(temperature, friction))
     else:
-        integrator = StockLangevinMiddle(around.temperature, around.friction, step)
+        integrator = StockLangevinMiddle(temperature, friction, step)
+    if pressure is not None:
+        system.addForce(openmm.MonteCarloBarostat(pressure * unit.bar, temperature, BAROSTAT_INTERVAL))
     integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
-    integrator._bathed = around.temperature is not None or around.pressure is not None
-    return integrator
-
-
-def surrounded(system: openmm.System, name: str, around: Surroundings) -> openmm.System:
-    """A copy of a System with the Forces that keep temperature and pressure for one of OpenMM's integrators."""
-    system = openmm.XmlSerializer.clone(system)
-    if around.temperature is not None and name == "verlet":
-        system.addForce(openmm.AndersenThermostat(around.temperature, around.friction))
-    if around.pressure is not None:
-        system.addForce(openmm.MonteCarloBarostat(around.pressure * unit.bar, around.temperature, BAROSTAT_INTERVAL))
-    return system
+    integrator._bathed = temperature is not None or pressure is not None
+    return system, integrator
 
 
 def seed_noise(system: openmm.System, integrator: openmm.Integrator, seed: int, step: int) -> None:

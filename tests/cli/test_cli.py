@@ -432,7 +432,7 @@ def test_choices_that_are_refused(box, capsys):
     lines = [line for line in text.splitlines(keepends=True) if not line.startswith("REMARK")]
     atoms = [i for i, line in enumerate(lines) if line.startswith("HETATM")]
     Path("odd.pdb").write_text("".join(lines[: atoms[2]] + lines[atoms[3] :]))
-    assert "residue HOH 1 has 2 atoms" in complaint(capsys, "info", "odd.pdb")
+    assert "residue HOH 1 has the atoms O H1," in complaint(capsys, "info", "odd.pdb")
     oxygens = [line for i, line in enumerate(lines) if i not in atoms or " O " in line]
     Path("dry.pdb").write_text("".join(oxygens))
     assert "Are hydrogens missing?" in complaint(capsys, "info", "dry.pdb")

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from openmm_sier.cli.main import MISUSED, main
-from openmm_sier.cli.methods import METHODS
-from openmm_sier.cli.plan import FILES, OUTPUTS, new_plan
+from openmm_sier.cli.plan import FILES, METHODS, OUTPUTS, new_plan
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure import forcefields
 from openmm_sier_command.arguments import build_parser
@@ -146,7 +145,7 @@ def test_options_in_a_checkpoint_that_contradict_each_other(copied, capsys, plan
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["step", "potential_energy", "start_energy", "trajectory", "log", "tensors"])
+@pytest.mark.parametrize("name", ["step", "potential_energy", "trajectory", "log", "tensors"])
 def test_wrong_notes_in_a_checkpoint(copied, capsys, name):
     original = (copied / "box.chk").read_bytes()
 
@@ -162,7 +161,7 @@ def test_wrong_notes_in_a_checkpoint(copied, capsys, name):
         for value in [*WRONG, None, -1, 1.5, 2**80]:
             for part in ("size", "count"):
                 tried(lambda notes, part=part, value=value: notes[name].update({part: value}))
-    elif name != "start_energy":
+    else:
         tried(lambda notes: notes.pop(name))
 
 

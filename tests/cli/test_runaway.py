@@ -80,7 +80,12 @@ def test_slow_change_stops_at_constant_energy_when_half_of_the_kinetic_energy_is
     assert follow(Guard(plan(), WATERS), slow, interval=1.0) == 11
     assert follow(Guard(plan("nvt"), WATERS), slow, interval=1.0) is None
     # What was gained before a restart counts.
-    assert follow(Guard(plan(), WATERS, start=-0.3 * KINETIC), slow, interval=1.0) == 5
+    assert (
+        follow(
+            Guard(plan(), WATERS, log={"Conserved Energy (kJ/mole)": np.array([-0.3 * KINETIC])}), slow, interval=1.0
+        )
+        == 5
+    )
 
 
 def test_temperatures_that_stop():

@@ -16,7 +16,6 @@ from openmm_sier.measure.statistics import (
     mean_and_error,
     of_independent,
     pooled,
-    rms,
     slope_and_error,
 )
 
@@ -140,7 +139,3 @@ def test_jackknife_of_a_correlated_series_covers_the_truth(rng):
     """Variances from 8 groups of 50, correlated over 9: 63 to 68 % of 300 lie within an error, to 2.7 % by chance."""
     found = [jackknife(lambda kept, x=x: float(np.var(x[kept])), 400, 8) for x in correlated(rng, 400, 0.8, 300).T]
     assert np.mean([abs(estimate.value - 1) < estimate.error for estimate in found]) == pytest.approx(0.65, abs=0.11)
-
-
-def test_rms_is_about_the_mean():
-    assert rms([9.0, 11.0]) == 1.0

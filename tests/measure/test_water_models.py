@@ -127,12 +127,12 @@ def test_a_geometry_of_several_models_has_to_be_named(tmp_path, file, bare, cand
     assert read_box(path, [file]).choice.files == (file,)
 
 
-def test_a_geometry_of_no_model_is_refused_with_the_nearest(tmp_path):
+def test_a_geometry_of_no_model_is_refused_with_all_that_may_be_named(tmp_path):
     """A molecule 1 % wider than TIP4P-Ew: 0.001 nm off, ten times what rounding makes of one molecule."""
     geometry, elements = one_molecule("tip4pew.xml")
     with pytest.raises(ForceFieldError, match="the geometry of no known model") as refusal:
         read_box(write(tmp_path / "box.pdb", 1.01 * geometry, elements))
-    assert "TIP4P-Ew (--forcefield tip4pew.xml), 0.0015" in str(refusal.value)
+    assert "TIP4P-Ew (--forcefield tip4pew.xml)" in str(refusal.value)
 
 
 def test_flexible_water_is_not_taken_for_a_rigid_model(tmp_path):

@@ -9,7 +9,6 @@ import pytest
 
 from studies import STUDIES, figures
 from studies.__main__ import summary
-from tests.support.commands import complaint
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "studies.md").read_text()
@@ -40,8 +39,3 @@ def test_figures_of_the_documentation_are_drawn_from_the_repository(tmp_path):
     # That of `openmm-sier properties` needs trajectories.
     assert drawn == there - {"properties.png"}
     assert all(name in PAGE for name in there)
-
-
-@pytest.mark.parametrize(("name", "module"), [("paper", "studies.paper"), ("study", "studies.step_study")])
-def test_the_command_says_where_its_studies_are(capsys, name, module):
-    assert f"{name} is now `python -m {module}`" in complaint(capsys, name, "--out", "out", code=2)

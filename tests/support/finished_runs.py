@@ -41,7 +41,6 @@ def write_run(name, values, **options):
         "plan": plan.noted(checkpoint),
         "step": plan.steps,
         "potential_energy": float(columns["Potential Energy (kJ/mole)"][-1]),
-        "start_energy": None,
         "trajectory": {"size": 0, "count": 0, "fingerprint": "none"},
         "log": {"size": Path(plan.report).stat().st_size, "count": rows, "fingerprint": "none"},
     }

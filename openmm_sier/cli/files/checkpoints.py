@@ -19,15 +19,12 @@ from openmm_sier_command.values import Kind, number, table, whole, word
 #: Version of what a checkpoint holds.
 FORMAT = 2
 
-_ENERGY = number("kJ/mol", -1e15, 1e15)
-
 #: What is noted of a run: its identity, its options, and numbers.
 ENTRIES = {
     "run": word(),
     "plan": Kind("options by name", lambda value: isinstance(value, dict)),
     "step": whole(0, MOST_STEPS),
-    "potential_energy": _ENERGY,
-    "start_energy": _ENERGY,
+    "potential_energy": number("kJ/mol", -1e15, 1e15),
 }
 
 #: What is noted of each file that grows. Counts in DCD files have 32 bits.
@@ -35,20 +32,11 @@ _FILE = table({"size": whole(0, 2**63 - 1), "count": whole(0, 2**31 - 1), "finge
 FILES = dict.fromkeys(("trajectory", "log", "bodies", "tensors"), _FILE)
 
 #: What not every run has.
-OPTIONAL = ("start_energy", "bodies", "tensors")
+OPTIONAL = ("bodies", "tensors")
 
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
-    """Replace the checkpoint: at any moment the file is either the old or the new one.
-
-    Args:
-        path: of the file, a zip archive with state.xml and notes.json.
-        state: openmm.State with positions, velocities and parameters.
-        notes: what JSON can hold.
-
-    Raises:
-        OSError: it cannot be written. The old one is still there, and nothing of the new one.
-    """
+    """Replace the checkpoint, a zip archive: at any moment, and after an error, it is either the old or the new one."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))
@@ -58,16 +46,9 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
 
 
 def read_checkpoint(path: Path, files: bool = True) -> tuple[Any, dict[str, Any]]:
-    """State and notes of a checkpoint.
+    """State and notes of a checkpoint, of the run's files too where `files` says that they matter.
 
-    Args:
-        path: of the checkpoint.
-        files: whether what it notes of the run's files matters.
-
-    Raises:
-        RecordError: the file is no checkpoint of this command.
-        OptionError: its notes are not what they must be; `openmm_sier.cli.plan.noted_plan` checks its plan.
-        FileNotFoundError: there is no such file.
+    A `RecordError` or `OptionError` says what is wrong; `openmm_sier.cli.plan.noted_plan` checks its plan.
     """
     try:
         with zipfile.ZipFile(path) as archive:

@@ -54,11 +54,7 @@ class OutputFiles:
     """
 
     def __init__(self, plan: Plan, checkpoint: Path):
-        """
-        Raises:
-            RecordError: a name has the wrong ending, or a package that its format needs is missing.
-            ModuleNotFoundError: a package that body states need is missing.
-        """
+        """Name all files; a `RecordError` or `ModuleNotFoundError` says which of them cannot be of its kind."""
         named = {key: getattr(plan, output.option) for key, output in OUTPUTS.items()}
         self.checkpoint = checkpoint
         self.paths = {key: Path(path) for key, path in named.items() if path}
@@ -87,14 +83,7 @@ class OutputFiles:
             path.unlink(missing_ok=True)
 
     def check(self, inputs: Collection[Path]) -> None:
-        """Refuse outputs that cannot be written, and any that would destroy an input or another output.
-
-        Args:
-            inputs: files that are read.
-
-        Raises:
-            RunError: naming the file.
-        """
+        """Refuse outputs that cannot be written, and any that would destroy one of the `inputs` or another output."""
         for what, path in self.everything.items():
             for other in inputs:
                 if same_file(path, other):
@@ -106,14 +95,7 @@ class OutputFiles:
             _check_writable(path)
 
     def check_existing(self, existing: str) -> None:
-        """Refuse files that are in the way.
-
-        Args:
-            existing: what to do with files that exist: "refuse", "replace", or "continue".
-
-        Raises:
-            RunError: naming the file.
-        """
+        """Refuse files that are in the way: all ("refuse"), or those that cannot be written ("continue")."""
         for path in filter(os.path.lexists, self.everything.values()):
             if existing == "refuse":
                 raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
@@ -121,11 +103,7 @@ class OutputFiles:
                 raise RunError(f"{path} cannot be written: permission denied")
 
     def noted(self, notes: Mapping[str, Any]) -> dict[str, Noted]:
-        """What a checkpoint notes of the outputs, by key, if they are those of its run; none is changed.
-
-        Raises:
-            RecordError: an output is missing, or is of another run; or the checkpoint lacks what tells them apart.
-        """
+        """What a checkpoint notes of the outputs, by key, if they are those of its run; none is changed."""
         found = {}
         for key, path in self.paths.items():
             if not notes.get(key):
@@ -196,14 +174,11 @@ class Outputs:
         noted: Mapping[str, Noted],
         saved_step: int | None,
     ):
-        """
+        """Open the files.
+
         Args:
-            files: of the run.
-            plan: of the run.
-            box: what is simulated.
-            bodies: its rigid bodies.
+            files, plan, box, bodies, columns: of the run; columns are those of its log.
             run: its identity.
-            columns: of the log.
             noted: what `OutputFiles.noted` gives for a run that is continued; empty for a new one.
             saved_step: of the checkpoint that is continued; None for a new run.
         """
@@ -232,23 +207,13 @@ class Outputs:
         """The files that are due after a step: keys of `OUTPUTS`, and "checkpoint"."""
         return [what for what, interval in self._intervals.items() if step % interval == 0]
 
-    def write(
-        self,
-        due: Collection[str],
-        context: openmm.Context,
-        values: Mapping[str, float],
-        start_energy: float | None,
-    ) -> None:
+    def write(self, due: Collection[str], context: openmm.Context, values: Mapping[str, float]) -> None:
         """Write the files that are due, the checkpoint last, since it notes the lengths of the others.
 
         Args:
             due: as the method `due` gives them.
             context: at the last completed step.
             values: by column of the log; needed for the log and for a checkpoint.
-            start_energy: conserved energy at the start of the run, kJ/mol, which the checkpoint notes.
-
-        Raises:
-            OSError: naming the file.
         """
         if "trajectory" in due:
             self._write_frame(context)
@@ -260,14 +225,14 @@ class Outputs:
             self._pressure = self._pressure or pressure.MolecularPressure(context)
             self._files["tensors"].write(self._pressure.row(context.getState(positions=True, velocities=True)))
         if "checkpoint" in due:
-            self._write_checkpoint(context, values["Potential Energy (kJ/mole)"], start_energy)
+            self._write_checkpoint(context, values["Potential Energy (kJ/mole)"])
 
     def _write_frame(self, context: openmm.Context) -> None:
         state = context.getState(positions=True, enforcePeriodicBox=self._periodic and not self._plan.unwrapped)
         positions = state.getPositions(asNumpy=True)[self._listed]
         self._files["trajectory"].write(positions, state.getPeriodicBoxVectors())
 
-    def _write_checkpoint(self, context: openmm.Context, potential: float, start_energy: float | None) -> None:
+    def _write_checkpoint(self, context: openmm.Context, potential: float) -> None:
         for file in self._files.values():
             file.sync()
         step = context.getStepCount()
@@ -276,7 +241,6 @@ class Outputs:
             "plan": self._plan.noted(self.checkpoint),
             "step": step,
             "potential_energy": potential,
-            "start_energy": start_energy,
             **{key: asdict(file.noted()) for key, file in self._files.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)

@@ -80,16 +80,7 @@ class Noted:
     fingerprint: str
 
     def check(self, path: Path, size: int, found: Callable[[], str]) -> None:
-        """Refuse a file of other content.
-
-        Args:
-            path: of the file.
-            size: its bytes.
-            found: gives the fingerprint of as many bytes as are noted.
-
-        Raises:
-            RecordError: it has fewer bytes than noted, or other ones.
-        """
+        """Refuse a file of fewer bytes than noted, or of other ones, of which `found` gives the fingerprint."""
         if size < self.size:
             raise RecordError(f"{path} has {size} bytes, fewer than the {self.size} that it had at the checkpoint")
         if found() != self.fingerprint:
@@ -100,14 +91,10 @@ class Noted:
 
 
 def fingerprint(read: Callable[[int, int], bytes], first: int, size: int) -> str:
-    """A digest of the first and the last bytes of a file, which takes no longer for a long one.
+    """A digest of the first and the last bytes from `first` to `size`, which takes no longer for a long file.
 
-    Runs that differ in anything differ there: in the title of the trajectory, and in the last row of the log.
-
-    Args:
-        read: gives the bytes from one offset up to another.
-        first: the bytes before this one are left out.
-        size: the bytes from this one on are left out.
+    Runs that differ in anything differ there: in the title of the trajectory, and in the last row of the log. `read`
+    gives the bytes from one offset up to another.
     """
     head, tail = read(first, min(first + WINDOW, size)), read(max(first, size - WINDOW), size)
     return hashlib.blake2b(head + tail, digest_size=16).hexdigest()
@@ -126,15 +113,7 @@ class GrowingFile:
     CHANGING = 0
 
     def __init__(self, path: Path, noted: Noted | None = None):
-        """
-        Args:
-            path: of the file.
-            noted: what to keep of an existing file, for which `check` has passed; the rest is cut off. Without it, the
-                file is made anew.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Cut an existing file, for which `check` has passed, to what is noted of it; otherwise make it anew."""
         self.path = path
         self.size, self.count = (noted.size, noted.count) if noted else (0, 0)
         with naming(path):
@@ -146,13 +125,7 @@ class GrowingFile:
     def check(cls, path: Path, noted: Noted, run: str) -> None:
         """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
 
-        Args:
-            path: of the output.
-            noted: of it by the checkpoint.
-            run: identity of the run by the checkpoint.
-
-        Raises:
-            RecordError: the output is missing, or is of another run.
+        `run` is the identity of the run by the checkpoint.
         """
         if not noted.size:
             return
@@ -172,11 +145,7 @@ class GrowingFile:
         return not path.exists()
 
     def append(self, record: bytes, counts: bool = True) -> None:
-        """Write a record.
-
-        Raises:
-            OSError: for example, the disk is full. The file then ends with the previous record.
-        """
+        """Write a record. After an error, of a full disk for example, the file ends with the previous record."""
         with naming(self.path):
             try:
                 # One system call, so that a kill nearly always leaves whole records; cutting back mends the rest.
@@ -272,11 +241,7 @@ class MadeAtTheEnd(GrowingFile):
         """Write the output to a path."""
 
     def finish(self) -> None:
-        """Make the output and remove the growing file.
-
-        Raises:
-            RecordError: the output could not be written. The growing file stays.
-        """
+        """Make the output and remove the growing file, which stays where the output could not be written."""
         super().finish()
         try:
             with replacing(self.target) as made:
@@ -301,17 +266,9 @@ class Log(GrowingFile):
     def write(self, values: Sequence[float]) -> None:
         self.append(csv_line(values).encode())
 
-    def read(self) -> dict[str, np.ndarray]:
-        """All rows, by column."""
-        return read_log(self.path)
-
 
 def read_log(path: Path) -> dict[str, np.ndarray]:
-    """All rows of a `Log`, by column.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
+    """All rows of a `Log`, by column."""
     with open(path) as file:
         columns = file.readline().rstrip().split(",")
         rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import struct
 import tempfile
+from abc import abstractmethod
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from openmm import app
@@ -21,11 +23,23 @@ LARGEST_STEP = 2**31 - 1
 #: identity of the run, so that the same run gives the same bytes.
 DCD_HEADER, DCD_TITLE = 276, slice(180, 260)
 
-#: Frames converted at a time.
-CHUNK = 100
+
+class Trajectory(GrowingFile):
+    """Frames of a file that grows."""
+
+    def __init__(
+        self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
+    ) -> None:
+        """Begin a file with atoms of a topology, steps of dt ps and an interval in steps, or continue it."""
+        super().__init__(path, noted)
+        self._topology, self._dt, self._interval, self._title = topology, dt, interval, title(run)
+
+    @abstractmethod
+    def write(self, positions: Quantity, box: Quantity) -> None:
+        """Append a frame of positions (n, 3) in nm, and periodic box vectors (a Quantity) or None."""
 
 
-class DCDTrajectory(GrowingFile):
+class DCDTrajectory(Trajectory):
     """Frames of a DCD file, all of the same length.
 
     OpenMM formats header and frames in memory. The first part of the header, which counts the frames, is written again
@@ -34,39 +48,21 @@ class DCDTrajectory(GrowingFile):
 
     CHANGING = 48
 
-    def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
-    ) -> None:
-        """
-        Args:
-            path: of the file.
-            topology: openmm.app.Topology of the atoms that are written.
-            dt: step, ps.
-            interval: steps between frames.
-            run: identity of the run.
-            noted: what to keep of an existing file.
-        """
-        super().__init__(path, noted)
-        self._topology, self._dt, self._interval = topology, dt, interval
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
         self._memory = io.BytesIO()
-        app.DCDFile(self._memory, topology, dt, interval, interval)
+        app.DCDFile(self._memory, self._topology, self._dt, self._interval, self._interval)
         with self._memory.getbuffer() as header:
             header[8:12] = struct.pack("<i", self.count)
-            header[DCD_TITLE] = title(run).encode().ljust(DCD_TITLE.stop - DCD_TITLE.start, b"\0")
+            header[DCD_TITLE] = self._title.encode().ljust(DCD_TITLE.stop - DCD_TITLE.start, b"\0")
         # A file that is appended to has its number of frames from the header.
-        self._dcd = app.DCDFile(self._memory, topology, dt, interval, interval, append=True)
+        self._dcd = app.DCDFile(self._memory, self._topology, self._dt, self._interval, self._interval, append=True)
         if self.size:
             self.replace_beginning(self._memory.getvalue()[: self.CHANGING])
         else:
             self.append(self._memory.getvalue(), counts=False)
 
     def write(self, positions: Quantity, box: Quantity) -> None:
-        """Append a frame.
-
-        Args:
-            positions: (n, 3), nm.
-            box: periodic box vectors (a Quantity) or None.
-        """
         self._dcd.writeModel(positions, periodicBoxVectors=box)
         everything = self._memory.getvalue()
         self._memory.truncate(DCD_HEADER)
@@ -74,14 +70,8 @@ class DCDTrajectory(GrowingFile):
         self.replace_beginning(everything[: self.CHANGING])
 
 
-class XTCTrajectory(GrowingFile):
+class XTCTrajectory(Trajectory):
     """Frames of an XTC file, which follow each other without a header."""
-
-    def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
-    ) -> None:
-        super().__init__(path, noted)
-        self._topology, self._dt, self._interval = topology, dt, interval
 
     def write(self, positions: Quantity, box: Quantity) -> None:
         with tempfile.TemporaryDirectory() as directory:
@@ -101,14 +91,10 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
     def __init__(
         self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
     ) -> None:
-        """
-        Raises:
-            RecordError: the run is to go on, but its HDF5 file has been made.
-        """
         if noted and not self.unfinished(path):
             raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
         super().__init__(self.growing(path), topology, dt, interval, run, noted)
-        self.target, self._title = path, title(run)
+        self.target = path
 
     @classmethod
     def check_finished(cls, path: Path, noted: Noted, run: str) -> None:
@@ -125,48 +111,28 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
     def _make(self, path: Path) -> None:
         import mdtraj
 
+        from openmm_sier.measure.liquid_samples import read_chunks
+
+        topology = mdtraj.Topology.from_openmm(self._topology)
         with mdtraj.formats.HDF5TrajectoryFile(str(path), "w", force_overwrite=True) as file:
-            file.topology = mdtraj.Topology.from_openmm(self._topology)
-            for first in range(0, self.count, CHUNK):
-                positions, lengths, angles = self._read(first, min(CHUNK, self.count - first))
-                time = (np.arange(len(positions)) + first + 1) * self._interval * self._dt
-                file.write(coordinates=positions, time=time, cell_lengths=lengths, cell_angles=angles)
+            file.topology, done = topology, 0
+            for chunk in read_chunks(self.path, topology) if self.count else ():
+                time = (np.arange(done, done + len(chunk)) + 1) * self._interval * self._dt
+                file.write(chunk.xyz, time, cell_lengths=chunk.unitcell_lengths, cell_angles=chunk.unitcell_angles)
+                done += len(chunk)
             # The first frame brings one of MDTraj's.
             file.title = self._title
 
-    def _read(self, first: int, count: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """Positions of some frames in nm, and lengths (nm) and angles (degrees) of the box, None without one.
 
-        MDTraj's reader writes lines of its own to standard output.
-        """
-        mark, n = "<i4", self._topology.getNumAtoms()
-        record: list[tuple] = []
-        for axis in "xyz":
-            record += [(f"{axis}0", mark), (axis, "<f4", n), (f"{axis}1", mark)]
-        periodic = self._topology.getPeriodicBoxVectors() is not None
-        frame = np.dtype([("box0", mark), ("box", "<f8", 6), ("box1", mark), *record] if periodic else record)
-        frames = np.fromfile(self.path, frame, count, offset=DCD_HEADER + first * frame.itemsize)
-        positions = np.stack([frames[axis] for axis in "xyz"], axis=-1) / 10
-        if not periodic:
-            return positions, None, None
-        a, cos_gamma, b, cos_beta, cos_alpha, c = frames["box"].T
-        angles = np.degrees(np.arccos([cos_alpha, cos_beta, cos_gamma]))
-        return positions, np.transpose([a, b, c]) / 10, angles.T
-
-
-FORMATS: dict[str, type[DCDTrajectory] | type[XTCTrajectory]] = {
+FORMATS: dict[str, type[Trajectory]] = {
     ".dcd": DCDTrajectory,
     ".xtc": XTCTrajectory,
     ".h5": HDF5Trajectory,
 }
 
 
-def trajectory_format(path: Path) -> type[DCDTrajectory] | type[XTCTrajectory]:
-    """The class for a file name.
-
-    Raises:
-        RecordError: the ending is unknown, or a package that it needs is missing.
-    """
+def trajectory_format(path: Path) -> type[Trajectory]:
+    """The class for the ending of a file name."""
     if path.suffix not in FORMATS:
         raise RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
     if path.suffix == ".h5" and find_spec("tables") is None:
