@@ -166,5 +166,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """What a command line says. A `SystemExit` follows what was wrong, or the help that was asked for."""
+    """What a command line says.
+
+    Raises:
+        SystemExit: arguments are wrong, which has been said in one line; or `--help` or `--version` has been printed.
+    """
     return build_parser().parse_args(arguments)

@@ -100,7 +100,11 @@ class Option:
 
 
 def checked(source: str, name: str, kind: Kind, value: object) -> Any:
-    """The value that a file has by a name; an `OptionError` where it is not of the kind."""
+    """The value that a file has by a name.
+
+    Raises:
+        OptionError: it is not of the kind.
+    """
     try:
         return kind.check(value)
     except WrongValueError as error:
@@ -283,7 +287,13 @@ EXCLUSIVE = ("steps", "time")
 
 
 def add_options(parser: argparse.ArgumentParser, options: Collection[Option], with_defaults: bool = False) -> None:
-    """Add options to a parser. Those that are not given are None unless they are to have their defaults."""
+    """Add options to a parser.
+
+    Args:
+        parser: of a command.
+        options: to add.
+        with_defaults: whether options that are not given have their defaults; otherwise they are None.
+    """
     excluding = {option.name for option in options} >= set(EXCLUSIVE)
     one_of_them = parser.add_mutually_exclusive_group() if excluding else parser
     for option in options:
@@ -305,9 +315,14 @@ def add_options(parser: argparse.ArgumentParser, options: Collection[Option], wi
 
 
 def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:
-    """The options that a table of a file gives, by name; None stands for none where a run may have none.
+    """The options that a table of a file gives, by name.
 
-    An `OptionError` that names the source says that one is unknown, has a wrong value, or excludes another.
+    Args:
+        source: the file, for messages.
+        table: values by the options' names; None stands for none where a run may have none.
+
+    Raises:
+        OptionError: an option is unknown, has a wrong value, or excludes another.
     """
     for name in table:
         if name not in OPTIONS:

@@ -43,13 +43,21 @@ class Kind:
     each: Kind | None = None
 
     def check(self, value: object) -> Any:
-        """The value that a file holds; a `WrongValueError` where it is not of this kind."""
+        """The value that a file holds.
+
+        Raises:
+            WrongValueError: it is not of this kind.
+        """
         if not self.accepts(value):
             raise WrongValueError(self.expected, value)
         return self.made(value)
 
     def read(self, text: str) -> Any:
-        """The value that a word of the command line means; a `WrongValueError` where it is not of this kind."""
+        """The value that a word of the command line means.
+
+        Raises:
+            WrongValueError: it is not of this kind.
+        """
         try:
             return self.check(self.parse(text))
         except ValueError:
@@ -57,7 +65,13 @@ class Kind:
 
 
 def number(unit: str, least: float, most: float, beyond: bool = False, hint: str = "") -> Kind:
-    """A number from `least`, which `beyond` leaves out, to `most`, in a unit; the hint is for who is out of range."""
+    """A number from `least` to `most`, in a unit.
+
+    Args:
+        unit, least, most: of the number.
+        beyond: whether `least` itself is left out.
+        hint: for whoever is out of range.
+    """
     within = f"above {least:g} and up to" if beyond else f"from {least:g} to"
 
     def accepts(value: Any) -> bool:

@@ -26,14 +26,22 @@ from openmm_sier_command.options import RECOMMENDED, USUAL_STEPS
 
 
 def check_platform(name: str | None) -> None:
-    """Refuse a platform that OpenMM does not have, naming those that it has."""
+    """Refuse a platform that OpenMM does not have.
+
+    Raises:
+        RunError: with those that it has.
+    """
     known = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
     if name is not None and name not in known:
         raise RunError(f"there is no registered Platform {name}, expected one of {', '.join(known)}")
 
 
 def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | None]:
-    """The state from which a new run starts, and the plan of the run that reached it; None without a checkpoint."""
+    """The state from which a new run starts, and the plan of the run that reached it; None without a checkpoint.
+
+    Raises:
+        RecordError, OptionError, RunError, OSError: as their messages say.
+    """
     if checkpoint is None:
         return None, None
     state, notes = checkpoints.read_checkpoint(checkpoint, files=False)
@@ -60,7 +68,12 @@ class Simulated:
 
     @classmethod
     def read(cls, options: Options, plan: Plan) -> Simulated:
-        """Read the PDB file, and prepare its System."""
+        """Read the PDB file, and prepare its System.
+
+        Raises:
+            RunError: the plan needs a periodic box, which the file does not have.
+            ForceFieldError, RigidityError, OSError: as their messages say.
+        """
         box = read_box(options.box, plan.forcefield, plan.constraints, plan.interactions)
         note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
         bodies = rigid_bodies(box, plan.rigid)
@@ -73,7 +86,11 @@ class Simulated:
         return cls(options, plan, box, bodies, fast)
 
     def context(self, step: int = 0) -> openmm.Context:
-        """The Context of the run when it begins or goes on at a step, without positions."""
+        """The Context of the run when it begins or goes on at a step, without positions.
+
+        Raises:
+            RunError: checkpoints are too frequent for OpenMM's barostat.
+        """
         plan = self.plan
         if plan.method.scheme is not None:
             return make_context(self.box.system, self.integrator(plan), self.options.platform)
@@ -97,6 +114,10 @@ class Simulated:
 
         Args:
             state, origin: of the checkpoint that the run starts from, and the plan of its run.
+
+        Raises:
+            RunError: the checkpoint that it starts from belongs to another system.
+            Runaway: the equilibration broke down.
         """
         plan, options = self.plan, self.options
         stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED, dt=USUAL_STEPS[RECOMMENDED])
@@ -118,7 +139,11 @@ class Simulated:
         return context
 
     def check_particles(self, state: openmm.State, checkpoint: Path | None) -> None:
-        """Refuse the state of a checkpoint with another number of particles."""
+        """Refuse the state of a checkpoint with another number of particles.
+
+        Raises:
+            RunError: with both numbers.
+        """
         there, here = len(state.getPositions()), self.box.system.getNumParticles()
         if there != here:
             raise RunError(f"{checkpoint} has {there} particles, {self.options.box} with its force field {here}")

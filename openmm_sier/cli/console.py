@@ -63,7 +63,13 @@ class ProgressBar(AbstractContextManager[Advance]):
     """
 
     def __init__(self, description: str, total: float = 1.0, ps: float | None = None, done: int = 0):
-        """Begin with so much `done` of a total, of steps of `ps` each or of what has no length."""
+        """
+        Args:
+            description: in front of the bar.
+            total: number of steps, or what counts as the whole.
+            ps: length of a step; None where no steps are counted.
+            done: how much was done before the bar is started, as after a restart.
+        """
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
         self._bar = Progress(*columns, console=console, disable=not console.is_terminal)

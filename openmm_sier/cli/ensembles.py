@@ -66,7 +66,12 @@ class PlanError(ValueError):
 def run(
     plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, list: bool
 ) -> None:
-    """Run `openmm-sier ensemble`."""
+    """Run `openmm-sier ensemble`.
+
+    Raises:
+        PlanError, EnsembleError, OSError: as their messages say.
+        RunError: another process carries out an ensemble in the same directory.
+    """
     members = read_plan(plan)
     directory = out or plan.with_suffix("")
     complete = [is_complete(member, directory) for member in members]
@@ -111,7 +116,13 @@ def _workers(address: str) -> Executor:
 
 
 def read_plan(path: Path) -> list[Member]:
-    """The members of a plan; a `PlanError` or `OptionError` says what is wrong with one."""
+    """The members of a plan.
+
+    Raises:
+        PlanError, OptionError: an option is unknown, has a wrong value, or is set by the ensemble itself; there is no
+            such box; or two members have the same name.
+        OSError: the file cannot be read.
+    """
     try:
         plan = tomllib.loads(path.read_text())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -53,7 +53,12 @@ class FinishedRun(NamedTuple):
         return {name: value for name, value in found.items() if name not in (*FREE, but)}
 
     def log(self, skip: float) -> dict[str, np.ndarray]:
-        """Columns of the log without the first `skip` ps, of at least `FEWEST` rows."""
+        """Columns of the log without the first `skip` ps.
+
+        Raises:
+            RunError: fewer than `FEWEST` rows remain.
+            RecordError: see `read_rows`.
+        """
         path, interval = Path(self.plan.report), self.plan.interval(self.plan.report_every)
         # The first row is the start.
         return _after(skip, path, read_rows(path, conservation.COLUMNS, self.notes["log"]["count"], interval, 0))
@@ -69,7 +74,12 @@ class FinishedRun(NamedTuple):
 
 
 def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
-    """Runs by their checkpoints, or by directories of members of an ensemble; none may be there twice."""
+    """Runs by their checkpoints, or by directories of an ensemble's members.
+
+    Raises:
+        RunError: two are one run.
+        RecordError, OSError: a checkpoint cannot be read.
+    """
     runs: list[FinishedRun] = []
     seen: dict[tuple, Path] = {}
     for path in paths:
@@ -86,7 +96,11 @@ def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
 
 
 def check_alike(run: FinishedRun, first: FinishedRun, names: Sequence[str], reason: str) -> None:
-    """Refuse a run whose settings of these names are not those of the first, for this reason."""
+    """Refuse a run whose settings of these names are not those of the first.
+
+    Raises:
+        RunError: with the first difference and the reason.
+    """
     mine, others = run.settings(), first.settings()
     for name in names:
         if mine[name] != others[name]:
@@ -96,14 +110,16 @@ def check_alike(run: FinishedRun, first: FinishedRun, names: Sequence[str], reas
 def read_rows(path: Path, columns: Sequence[str], count: int, interval: int, first: int) -> dict[str, np.ndarray]:
     """All rows of a log of numbers, by column, if there are just those that its run wrote.
 
-    A `RecordError` names file and line where a column, a number or a row is missing, or there is one too many.
-
     Args:
         path: of the file.
         columns: that it must have.
         count: rows that the checkpoint notes.
         interval: steps between rows.
         first: step of the first row.
+
+    Raises:
+        RecordError: a column, a number or a row is missing, or there is one too many. It names file and line.
+        OSError: the file cannot be read.
     """
     heading, *lines = path.read_text().splitlines() or [""]
     names = heading.split(",")

@@ -25,7 +25,16 @@ COLUMNS = ("residues", "bodies", "atoms", "virtual sites", "mass", "moments of i
 
 
 def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
-    """The rigid bodies of a box, residues of the names in `rigid` among them, in the geometry of the PDB file."""
+    """The rigid bodies of a box.
+
+    Args:
+        box: as `forcefields.read_box` gives it.
+        rigid: names of residues to be held rigid, in the geometry that they have in the PDB file.
+
+    Raises:
+        RigidityError: constraints make no rigid bodies, or a named residue cannot be one.
+        ValueError: there is no residue of that name.
+    """
     named = dict.fromkeys(rigid, "rigid") if rigid else None
     return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
@@ -36,7 +45,17 @@ def info(
     rigid: Sequence[str] | None = None,
     constraints: str | None = None,
 ) -> None:
-    """Print the kinds of body of a PDB file, masses in dalton and moments in dalton nm^2."""
+    """Print the kinds of body of a PDB file, masses in dalton and moments in dalton nm^2.
+
+    Args:
+        box: the PDB file.
+        forcefield: force-field files; None picks one, see `forcefields.pick`.
+        rigid: see `rigid_bodies`.
+        constraints: besides those of water, see `forcefields.CONSTRAINTS`; None: as in a run.
+
+    Raises:
+        ForceFieldError, RigidityError, OSError: as their messages say.
+    """
     read = read_box(box, forcefield, constraints or OPTIONS["constraints"].default)
     bodies = rigid_bodies(read, rigid)
     atoms = list(read.topology.atoms())

@@ -36,10 +36,12 @@ FAILED = 1
 
 
 def execute(arguments: list[str], command: Callable[[list[str]], int] | None = None) -> int:
-    """Finish the member of these arguments in the current directory and return the exit code.
+    """Finish the member in the current directory and return the exit code.
 
-    The command takes them, writes its files here and returns its exit code; None is `openmm-sier`. Repeating it must
-    give the same files.
+    Args:
+        arguments: of the member.
+        command: takes them, writes its files here and returns its exit code; None is `openmm-sier`. Repeating it must
+            give the same files.
     """
     # Two workers may get the same member if a scheduler believes the first one dead: the second then waits.
     with FileLock(LOCK):

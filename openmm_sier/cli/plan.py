@@ -134,7 +134,15 @@ class Plan(Options):
 
 
 def new_plan(options: Options, origin: Plan | None = None) -> Plan:
-    """The plan of a new run; `origin` is that of the run from whose checkpoint it starts, and defines the System."""
+    """The plan of a new run.
+
+    Args:
+        options: of the command.
+        origin: of the run from whose checkpoint this one starts. It defines the System.
+
+    Raises:
+        RunError: options contradict each other.
+    """
     given = {entry.name: value for entry in fields(options) if (value := getattr(options, entry.name)) is not None}
     defaults = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
     if origin is not None:
@@ -213,7 +221,11 @@ def _check_given(options: Options, ensemble: str) -> None:
 
 
 def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
-    """The plan that a checkpoint notes, with paths of files relative to the current directory."""
+    """The plan that a checkpoint notes, with paths of files relative to the current directory.
+
+    Raises:
+        OptionError, RunError: it is none; the message names the checkpoint and the field.
+    """
     source = f"{checkpoint}: plan"
     if unknown := [name for name in saved if name not in NOTED]:
         raise OptionError(f"{source}: there is no option {unknown[0]}")

@@ -33,7 +33,17 @@ ENERGY_TOLERANCE = 1e-4
 
 
 def run(**given: Any) -> None:
-    """Run `openmm-sier run` with options by name, as for `Options`."""
+    """Run `openmm-sier run`.
+
+    Args:
+        given: options by name, as for `Options`.
+
+    Raises:
+        RunError: options contradict each other or the checkpoint, or a file is in the way or cannot be written.
+        Runaway: the energy or the temperature ran away.
+        Stopped: a signal ended the run; the message says how to go on.
+        ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
+    """
     options = Options(**given)
     with FileLocks() as locks, StopRequests(locks.remove) as requests:
         try:

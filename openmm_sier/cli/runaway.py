@@ -51,7 +51,11 @@ class Runaway(RuntimeError):
 
 
 class Guard:
-    """Watches the temperatures and the conserved energy H of one run."""
+    """Watches one run.
+
+    Attributes:
+        start: H at the start of the run, kJ/mol; None before the first row.
+    """
 
     def __init__(self, plan: Plan, dof: DegreesOfFreedom, log: Mapping[str, np.ndarray] | None = None):
         """Watch a run with these degrees of freedom; the log is that of a run that is continued."""
@@ -62,7 +66,11 @@ class Guard:
         self._kinetic_sum, self._looks = 0.0, 0
 
     def look(self, values: Mapping[str, float]) -> None:
-        """Compare a row of the log with the bounds."""
+        """Compare a row of the log with the bounds.
+
+        Raises:
+            Runaway: a bound is passed.
+        """
         self.look_at_temperatures(*(values.get(name, math.nan) for name in conservation.TEMPERATURES))
         time, energy = values["Time (ps)"], values[ENERGY]
         if not math.isfinite(energy if self._plan.counts_heat else values["Total Energy (kJ/mole)"]):
@@ -89,7 +97,13 @@ class Guard:
                 )
 
     def look_at_temperatures(self, *temperatures: float) -> None:
-        """Compare T_trans, T_rot and that of flexible molecules in K with the bounds; NaN: nothing moves so."""
+        """Compare temperatures in K, in the order of `TEMPERATURES`, with the bounds.
+
+        NaN stands for no degrees of freedom; the last temperatures may be left out.
+
+        Raises:
+            Runaway: a bound is passed.
+        """
         for name, value, bound in zip(("T_trans", "T_rot", "T_flexible"), temperatures, self._bounds, strict=False):
             if value > bound:
                 raise Runaway(f"{name} is {value:.3g} K, above {bound:.4g} K")
@@ -120,6 +134,10 @@ def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None
 
     H is taken about a straight line in each window, so that neither a slow drift counts nor the random walk that a heat
     bath causes; see `energy_fluctuation`.
+
+    Args:
+        plan: of the run.
+        log: its columns, see `openmm_sier.observe.conservation.COLUMNS`.
     """
     t, H, V = (log[name] for name in ("Time (ps)", ENERGY, "Potential Energy (kJ/mole)"))
     # Where the potential energy hardly changes, the ratio shows only rounding to single precision.

@@ -58,7 +58,11 @@ class StopRequests:
         self._leaving = False
 
     def defer(self) -> None:
-        """From now on note the first signal instead of raising; raises `Stopped` if one has arrived already."""
+        """From now on note the first signal instead of raising.
+
+        Raises:
+            Stopped: a signal has arrived already.
+        """
         if self.received is not None:
             raise Stopped(self.received)
         self._deferred = True

@@ -47,9 +47,13 @@ class Cost:
 
 
 def rows(log: dict[str, np.ndarray], moves_volume: bool) -> list[tuple[str, str]]:
-    """Names and values for the table at the end, from columns of the log by name.
+    """Names and values for the table at the end.
 
     H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added.
+
+    Args:
+        log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
+        moves_volume: whether the pressure was constant.
     """
     momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
     found = _energy_rows(log)

@@ -14,7 +14,17 @@ from openmm_sier_command.options import OF_TUNING, OPTIONS
 
 
 def run(acceptance: float, trials: int, samples: int, **given: Any) -> None:
-    """Run `openmm-sier tune`; the first three are arguments of `openmm_sier.tune`, all others options of a run."""
+    """Run `openmm-sier tune`.
+
+    Args:
+        acceptance, trials, samples: see `openmm_sier.integrators.tuning.tune`.
+        given: options of a run by name, as for `Options`.
+
+    Raises:
+        RunError: options contradict each other.
+        Runaway: the equilibration broke down.
+        ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
+    """
     options = Options(ensemble="hmc", **given)
     check_platform(options.platform)
     state, origin = read_start(options.start)

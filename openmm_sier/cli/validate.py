@@ -52,7 +52,18 @@ Checked = tuple[str, Verdict]
 
 
 def validate(runs: Sequence[Path], skip: float, limit: float) -> None:
-    """Run `openmm-sier validate`; an `InvalidError` says that a check failed."""
+    """Run `openmm-sier validate`.
+
+    Args:
+        runs: checkpoints, or directories of an ensemble's members.
+        skip: ps to leave out at the beginning of each run.
+        limit: standard errors beyond which a check fails.
+
+    Raises:
+        InvalidError: a check failed.
+        RunError: nothing can be checked.
+        RecordError, OSError: as their messages say.
+    """
     points = _read(runs, skip)
     found = [*_at_constant_temperature(points), *_at_constant_energy(points)]
     if not found:

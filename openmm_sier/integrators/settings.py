@@ -276,7 +276,11 @@ def place_of(thing: Callable[..., Any] | type) -> str:
 
 
 def class_at(place: str, base: type) -> type:
-    """The subclass of a base at a place that `place_of` gave; no module is imported for it.
+    """The class at a place that `place_of` gave; no module is imported for it.
+
+    Args:
+        place: module and name.
+        base: what it must be a subclass of.
 
     Raises:
         SettingsError: there is no such class in a module that is imported.

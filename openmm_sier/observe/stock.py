@@ -71,7 +71,11 @@ class StockIntegrator(openmm.Integrator):
         return self._momentum.holds(self)
 
     def getBodyState(self) -> BodyState:
-        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any."""
+        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any.
+
+        Raises:
+            BrokenDownError: positions or velocities are not finite, or molecules are torn.
+        """
         try:
             found = body_state(self._context, self.bodies)
         except (NotFiniteError, RigidityError) as error:

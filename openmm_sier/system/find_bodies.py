@@ -81,7 +81,12 @@ class BodyPlan:
     """
 
     def __init__(self, system: openmm.System, topology: openmm.app.Topology | None = None, rigid: Rigid = None):
-        """Arguments and errors are those of `RigidBodies.from_system`."""
+        """
+        Args:
+            system: openmm.System.
+            topology: openmm.app.Topology.
+            rigid: as in `RigidBodies.from_system`, which also lists the errors raised.
+        """
         n = system.getNumParticles()
         self._labels = None if topology is None else _residue_labels(topology, n)
         self._n = n

@@ -77,9 +77,12 @@ class Kind(NamedTuple):
 
 
 def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], describe: Callable) -> list[Kind]:
-    """Clusters of particles, each with the constraints inside it, sorted into kinds, the kind of the first one first.
+    """Clusters of particles sorted into kinds, in the order in which the first of each kind comes.
 
-    Masses are those of all particles, in dalton; `describe` gives a name to particle indices, for messages.
+    Args:
+        clusters: particle indices, and the constraints between them.
+        masses: of all particles, dalton.
+        describe: gives a name to particle indices, for messages.
 
     Raises:
         RigidityError: constraint lengths contradict each other.

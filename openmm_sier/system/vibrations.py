@@ -94,7 +94,11 @@ class Vibrations:
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
-        """Bonds inside the bodies of a System do not count, nor do those that constraints hold."""
+        """
+        Args:
+            system: openmm.System.
+            bodies: its bodies. Bonds inside them do not count, nor do those that constraints hold.
+        """
         self._bodies = bodies
         mobility = mobilities(bodies)
         constraints = tables.constraints(system)
@@ -103,10 +107,15 @@ class Vibrations:
         self._warned = False
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
-        """Refuse a step h in ps, by the forces of a mask of groups, at which the fastest bond is unstable.
+        """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.
 
-        Warn, once, if its energy is wrong by a tenth. The same holds for librations, whose frequencies are estimates:
-        steps are refused for them only from twice the stability limit on.
+        The same holds for librations, whose frequencies are estimates: steps are refused for them only from twice the
+        stability limit on.
+
+        Args:
+            scheme: the scheme that makes the step.
+            h: the step, ps.
+            groups: bit mask of the force groups that act in it.
 
         Raises:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
@@ -152,7 +161,10 @@ class Vibrations:
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
         """The longest step without a warning, ps; infinite where no bond vibrates.
 
-        Groups, bit masks, act in the kicks, and fast ones within drifts, with inner steps that are short enough.
+        Args:
+            scheme: the scheme that makes the step.
+            groups: bit mask of the force groups that act in its kicks.
+            fast: bit mask of those that act within its drifts, with inner steps that are short enough.
         """
         slow = _fastest(self._bonds + self._librations, groups)
         within = _fastest(self._bonds, fast)

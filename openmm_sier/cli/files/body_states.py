@@ -39,7 +39,17 @@ class BodyStates(records.MadeAtTheEnd):
     def __init__(
         self, path: Path, bodies: RigidBodies, periodic: bool, run: str = "", noted: records.Noted | None = None
     ):
-        """Begin a file of body states, or continue it with what is noted of its frames."""
+        """
+        Args:
+            path: of the HDF5 file.
+            bodies: the rigid bodies.
+            periodic: whether there is a box.
+            run: identity of the run.
+            noted: what to keep of the frames; None begins anew.
+
+        Raises:
+            ValueError: the file to continue has another layout, or holds other bodies.
+        """
         self.target, self._bodies, self._periodic, self._title = path, bodies, periodic, records.title(run)
         self._frame = frame_type(bodies.n, periodic)
         self._chunk = max(1, CHUNK_BYTES // self._frame.itemsize)
@@ -99,7 +109,12 @@ class BodyStates(records.MadeAtTheEnd):
 
     @staticmethod
     def check_possible(path: Path) -> None:
-        """Check the ending of the name, and that h5py is there."""
+        """Check that such a file can be written: its name, and the packages that it needs.
+
+        Raises:
+            RecordError: the name does not end in .h5.
+            ModuleNotFoundError: h5py is missing.
+        """
         if path.suffix != SUFFIX:
             raise records.RecordError(f"body states go to a file that ends in {SUFFIX}, got {path.name}")
         import_h5py()

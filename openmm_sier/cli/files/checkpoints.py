@@ -36,7 +36,16 @@ OPTIONAL = ("bodies", "tensors")
 
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
-    """Replace the checkpoint, a zip archive: at any moment, and after an error, it is either the old or the new one."""
+    """Replace the checkpoint: at any moment the file is either the old or the new one.
+
+    Args:
+        path: of the file, a zip archive with state.xml and notes.json.
+        state: openmm.State with positions, velocities and parameters.
+        notes: what JSON can hold.
+
+    Raises:
+        OSError: it cannot be written. The old one is still there, and nothing of the new one.
+    """
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))
@@ -46,9 +55,16 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
 
 
 def read_checkpoint(path: Path, files: bool = True) -> tuple[Any, dict[str, Any]]:
-    """State and notes of a checkpoint, of the run's files too where `files` says that they matter.
+    """State and notes of a checkpoint.
 
-    A `RecordError` or `OptionError` says what is wrong; `openmm_sier.cli.plan.noted_plan` checks its plan.
+    Args:
+        path: of the checkpoint.
+        files: whether what it notes of the run's files matters.
+
+    Raises:
+        RecordError: the file is no checkpoint of this command.
+        OptionError: its notes are not what they must be; `openmm_sier.cli.plan.noted_plan` checks its plan.
+        FileNotFoundError: there is no such file.
     """
     try:
         with zipfile.ZipFile(path) as archive:

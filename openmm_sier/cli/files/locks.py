@@ -47,7 +47,9 @@ class FileLocks(ExitStack):
     def hold(self, paths: Iterable[Path]) -> None:
         """Lock files, whether they exist or not; those that are locked already stay so.
 
-        A `RunError` says which of them another process holds. All locks then stay as they were.
+        Raises:
+            RunError: another process holds one of them; the message says which. All locks stay as they were.
+            OSError: a lock cannot be made.
         """
         with ExitStack() as taken:
             for path in paths:

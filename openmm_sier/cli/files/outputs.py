@@ -54,7 +54,11 @@ class OutputFiles:
     """
 
     def __init__(self, plan: Plan, checkpoint: Path):
-        """Name all files; a `RecordError` or `ModuleNotFoundError` says which of them cannot be of its kind."""
+        """
+        Raises:
+            RecordError: a name has the wrong ending, or a package that its format needs is missing.
+            ModuleNotFoundError: a package that body states need is missing.
+        """
         named = {key: getattr(plan, output.option) for key, output in OUTPUTS.items()}
         self.checkpoint = checkpoint
         self.paths = {key: Path(path) for key, path in named.items() if path}
@@ -83,7 +87,14 @@ class OutputFiles:
             path.unlink(missing_ok=True)
 
     def check(self, inputs: Collection[Path]) -> None:
-        """Refuse outputs that cannot be written, and any that would destroy one of the `inputs` or another output."""
+        """Refuse outputs that cannot be written, and any that would destroy an input or another output.
+
+        Args:
+            inputs: files that are read.
+
+        Raises:
+            RunError: naming the file.
+        """
         for what, path in self.everything.items():
             for other in inputs:
                 if same_file(path, other):
@@ -95,7 +106,14 @@ class OutputFiles:
             _check_writable(path)
 
     def check_existing(self, existing: str) -> None:
-        """Refuse files that are in the way: all ("refuse"), or those that cannot be written ("continue")."""
+        """Refuse files that are in the way.
+
+        Args:
+            existing: what to do with files that exist: "refuse", "replace", or "continue".
+
+        Raises:
+            RunError: naming the file.
+        """
         for path in filter(os.path.lexists, self.everything.values()):
             if existing == "refuse":
                 raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
@@ -103,7 +121,11 @@ class OutputFiles:
                 raise RunError(f"{path} cannot be written: permission denied")
 
     def noted(self, notes: Mapping[str, Any]) -> dict[str, Noted]:
-        """What a checkpoint notes of the outputs, by key, if they are those of its run; none is changed."""
+        """What a checkpoint notes of the outputs, by key, if they are those of its run; none is changed.
+
+        Raises:
+            RecordError: an output is missing, or is of another run; or the checkpoint lacks what tells them apart.
+        """
         found = {}
         for key, path in self.paths.items():
             if not notes.get(key):
@@ -174,11 +196,14 @@ class Outputs:
         noted: Mapping[str, Noted],
         saved_step: int | None,
     ):
-        """Open the files.
-
+        """
         Args:
-            files, plan, box, bodies, columns: of the run; columns are those of its log.
+            files: of the run.
+            plan: of the run.
+            box: what is simulated.
+            bodies: its rigid bodies.
             run: its identity.
+            columns: of the log.
             noted: what `OutputFiles.noted` gives for a run that is continued; empty for a new one.
             saved_step: of the checkpoint that is continued; None for a new run.
         """

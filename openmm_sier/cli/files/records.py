@@ -80,7 +80,16 @@ class Noted:
     fingerprint: str
 
     def check(self, path: Path, size: int, found: Callable[[], str]) -> None:
-        """Refuse a file of fewer bytes than noted, or of other ones, of which `found` gives the fingerprint."""
+        """Refuse a file of other content.
+
+        Args:
+            path: of the file.
+            size: its bytes.
+            found: gives the fingerprint of as many bytes as are noted.
+
+        Raises:
+            RecordError: it has fewer bytes than noted, or other ones.
+        """
         if size < self.size:
             raise RecordError(f"{path} has {size} bytes, fewer than the {self.size} that it had at the checkpoint")
         if found() != self.fingerprint:
@@ -91,10 +100,14 @@ class Noted:
 
 
 def fingerprint(read: Callable[[int, int], bytes], first: int, size: int) -> str:
-    """A digest of the first and the last bytes from `first` to `size`, which takes no longer for a long file.
+    """A digest of the first and the last bytes of a file, which takes no longer for a long one.
 
-    Runs that differ in anything differ there: in the title of the trajectory, and in the last row of the log. `read`
-    gives the bytes from one offset up to another.
+    Runs that differ in anything differ there: in the title of the trajectory, and in the last row of the log.
+
+    Args:
+        read: gives the bytes from one offset up to another.
+        first: the bytes before this one are left out.
+        size: the bytes from this one on are left out.
     """
     head, tail = read(first, min(first + WINDOW, size)), read(max(first, size - WINDOW), size)
     return hashlib.blake2b(head + tail, digest_size=16).hexdigest()
@@ -113,7 +126,15 @@ class GrowingFile:
     CHANGING = 0
 
     def __init__(self, path: Path, noted: Noted | None = None):
-        """Cut an existing file, for which `check` has passed, to what is noted of it; otherwise make it anew."""
+        """
+        Args:
+            path: of the file.
+            noted: what to keep of an existing file, for which `check` has passed; the rest is cut off. Without it, the
+                file is made anew.
+
+        Raises:
+            OSError: it cannot be written.
+        """
         self.path = path
         self.size, self.count = (noted.size, noted.count) if noted else (0, 0)
         with naming(path):
@@ -125,7 +146,13 @@ class GrowingFile:
     def check(cls, path: Path, noted: Noted, run: str) -> None:
         """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
 
-        `run` is the identity of the run by the checkpoint.
+        Args:
+            path: of the output.
+            noted: of it by the checkpoint.
+            run: identity of the run by the checkpoint.
+
+        Raises:
+            RecordError: the output is missing, or is of another run.
         """
         if not noted.size:
             return
@@ -145,7 +172,11 @@ class GrowingFile:
         return not path.exists()
 
     def append(self, record: bytes, counts: bool = True) -> None:
-        """Write a record. After an error, of a full disk for example, the file ends with the previous record."""
+        """Write a record.
+
+        Raises:
+            OSError: for example, the disk is full. The file then ends with the previous record.
+        """
         with naming(self.path):
             try:
                 # One system call, so that a kill nearly always leaves whole records; cutting back mends the rest.
@@ -241,7 +272,11 @@ class MadeAtTheEnd(GrowingFile):
         """Write the output to a path."""
 
     def finish(self) -> None:
-        """Make the output and remove the growing file, which stays where the output could not be written."""
+        """Make the output and remove the growing file.
+
+        Raises:
+            RecordError: the output could not be written. The growing file stays.
+        """
         super().finish()
         try:
             with replacing(self.target) as made:
@@ -268,7 +303,11 @@ class Log(GrowingFile):
 
 
 def read_log(path: Path) -> dict[str, np.ndarray]:
-    """All rows of a `Log`, by column."""
+    """All rows of a `Log`, by column.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
     with open(path) as file:
         columns = file.readline().rstrip().split(",")
         rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))

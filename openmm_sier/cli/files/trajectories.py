@@ -63,6 +63,12 @@ class DCDTrajectory(Trajectory):
             self.append(self._memory.getvalue(), counts=False)
 
     def write(self, positions: Quantity, box: Quantity) -> None:
+        """Append a frame.
+
+        Args:
+            positions: (n, 3), nm.
+            box: periodic box vectors (a Quantity) or None.
+        """
         self._dcd.writeModel(positions, periodicBoxVectors=box)
         everything = self._memory.getvalue()
         self._memory.truncate(DCD_HEADER)
@@ -91,6 +97,10 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
     def __init__(
         self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
     ) -> None:
+        """
+        Raises:
+            RecordError: the run is to go on, but its HDF5 file has been made.
+        """
         if noted and not self.unfinished(path):
             raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
         super().__init__(self.growing(path), topology, dt, interval, run, noted)
@@ -132,7 +142,11 @@ FORMATS: dict[str, type[Trajectory]] = {
 
 
 def trajectory_format(path: Path) -> type[Trajectory]:
-    """The class for the ending of a file name."""
+    """The class for a file name.
+
+    Raises:
+        RecordError: the ending is unknown, or a package that it needs is missing.
+    """
     if path.suffix not in FORMATS:
         raise RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
     if path.suffix == ".h5" and find_spec("tables") is None:

@@ -82,7 +82,10 @@ def rewrite(integrator: openmm.CustomIntegrator, program: Program) -> None:
 def set_variables(integrator: openmm.CustomIntegrator, bath: OrnsteinUhlenbeck | None, is_guarded: bool) -> None:
     """Set the program's variables to the values that they must have, whatever was loaded.
 
-    A guarded program refuses to run, since it would do less than what was asked for.
+    Args:
+        integrator: openmm.CustomIntegrator with a program of `install`.
+        bath: of the scheme.
+        is_guarded: whether the program must refuse to run, since it would do less than what was asked for.
     """
     friction, thermal = (0.0, 0.0) if bath is None else (bath.friction, GAS_CONSTANT * bath.temperature)
     for name, value in ((EXACT_ONLY, float(is_guarded)), (PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):

@@ -70,7 +70,10 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
     Within a native step atoms move and virtual sites do not. So a fast force must not act on virtual sites; in a System
     without them any force can be fast.
 
-    Groups are the fast ones; those that move the atoms at all are a bit mask, as from `getIntegrationForceGroups`.
+    Args:
+        system: openmm.System.
+        groups: the fast force groups.
+        integration_groups: bit mask of the groups that move the atoms, as from `getIntegrationForceGroups`.
 
     Raises:
         openmm.OpenMMException: a fast group is not among `integration_groups`, or a Force in it may act on a virtual
