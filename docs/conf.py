@@ -69,7 +69,15 @@ def _formula(translator, node: nodes.Element, block: bool) -> None:
     raise nodes.SkipNode
 
 
+def _keep_errors_with_numbers(app: Sphinx, document: nodes.document, name: str) -> None:
+    """No line ends before or after ±, in tables above all."""
+    for text in list(document.findall(nodes.Text)):
+        if " ± " in text and not isinstance(text.parent, nodes.literal | nodes.literal_block):
+            text.parent.replace(text, nodes.Text(text.replace(" ± ", "\u00a0±\u00a0")))
+
+
 def setup(app: Sphinx) -> None:
+    app.connect("doctree-resolved", _keep_errors_with_numbers)
     app.add_html_math_renderer(
         "mathml",
         (lambda translator, node: _formula(translator, node, False), None),

@@ -68,6 +68,14 @@ class LengthFound:
         return value * self.forces, error * self.forces
 
     @property
+    def needed(self) -> tuple[str, str]:
+        """Trials, and force evaluations, for an independent potential energy, as text; ? marks an unknown error."""
+        (trials, error), (forces, uncertain) = self.inefficiency, self.cost
+        if not math.isfinite(error):
+            return f"{trials:.1f} ± ?", f"{forces:.0f} ± ?"
+        return f"{trials:.1f} ± {error:.1f}", f"{forces:.0f} ± {uncertain:.0f}"
+
+    @property
     def bound(self) -> tuple[int, float]:
         """Sort key of lengths, by the cost plus its error; lengths without an error come next, refused ones last."""
         cost, error = self.cost
@@ -98,8 +106,8 @@ class Tuning:
 
     def __str__(self) -> str:
         lines = [
-            f"Hybrid Monte Carlo tuned for an acceptance of {self.wanted:g}: steps of {1e3 * self.stepSize:.4g} fs, "
-            f"{self.stepsPerTrial} in a trial ({self.forceEvaluations} force evaluations)",
+            f"Hybrid Monte Carlo tuned for an acceptance of {self.wanted:g}, by {self.forceEvaluations} forces:",
+            f"steps of {1e3 * self.stepSize:.4g} fs, {self.stepsPerTrial} in a trial",
             "",
             "   step/fs     sd/kT  acceptance",
         ]
@@ -109,11 +117,7 @@ class Tuning:
             if each.refused:
                 lines.append(f"{each.steps:10}  {each.refused}")
                 continue
-            (trials, error), (forces, uncertain) = each.inefficiency, each.cost
-            known = math.isfinite(error)
-            needed = f"{trials:.1f} ± {f'{error:.1f}' if known else '?'}"
-            cost = f"{forces:.0f} ± {f'{uncertain:.0f}' if known else '?'}"
-            lines.append(f"{each.steps:10}{each.acceptance:12.3f}  {needed}, {cost}")
+            lines.append(f"{each.steps:10}{each.acceptance:12.3f}  {', '.join(each.needed)}")
         return "\n".join(lines)
 
 
