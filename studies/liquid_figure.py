@@ -21,10 +21,10 @@ import pandas as pd
 from tyro.conf import Positional
 
 from openmm_sier.cli.finished_runs import open_runs
-from openmm_sier.cli.properties import curves_of, read_runs, title_of
+from openmm_sier.cli.properties import Run, curves_of, read_runs, title_of
 from openmm_sier.measure.figures import Curve, property_figure
 from openmm_sier.measure.report import SILENT, Report
-from studies import records
+from studies import records, style
 from studies.command import Settings, execute
 from studies.records import Record
 
@@ -64,8 +64,9 @@ def _measured(settings: LiquidFigureSettings) -> Record:
     return Record({"skip": settings.skip}, {name: _rounded(curve) for name, curve in curves.items()}, _notes(runs))
 
 
-def _notes(runs: Sequence) -> dict[str, str]:
-    return {"title": f"{Path(runs[0].plan.box).stem}: {title_of(runs)}"}
+def _notes(runs: Sequence[Run]) -> dict[str, str]:
+    box = Path(str(runs[0].plan.box)).stem
+    return {"title": f"{style.MODELS.get(box, box)}: {title_of(runs)}"}
 
 
 def _rounded(curve: Curve) -> pd.DataFrame:

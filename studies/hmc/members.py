@@ -110,8 +110,10 @@ def row_of(label: str, runs: Sequence[FinishedRun], skip: float) -> dict[str, An
     for name, column in OBSERVED.items():
         series = [log[column] for log in logs]
         row[name], row[f"{name}_error"], _ = pooled([mean_and_error(each) for each in series])
-        costs = [cost(pd.DataFrame({name: each}), interval) for each in series]
-        row[f"{name}_cost"], row[f"{name}_cost_error"], _ = pooled(costs)
+        row[f"{name}_cost"] = row[f"{name}_cost_error"] = math.nan
+        if all(np.ptp(each) > 0 for each in series):  # what does not change has no samples
+            costs = [cost(pd.DataFrame({name: each}), interval) for each in series]
+            row[f"{name}_cost"], row[f"{name}_cost_error"], _ = pooled(costs)
     return row
 
 
