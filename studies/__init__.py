@@ -31,6 +31,7 @@ STUDIES = {
     "studies.checks.andersen_oscillators": "",
     "studies.checks.net_force": "half a minute",
     "studies.checks.repeatability": "seconds",
+    "studies.checks.reversal": "seconds",
     "studies.checks.pressure_tensors": "half a minute",
     "studies.figures": "seconds",
 }
