@@ -4,8 +4,9 @@
     python -m studies.hmc.members samples/* --skip 5 --out samples-table
 
 Acceptance, energy error, potential energy and volume by settings, and the number of forces for an independent potential
-energy and volume, from the logs of complete runs; those that differ in their seeds alone are pooled. An energy, for the
-decision on a trial or on a move of the volume, counts as a force. Writes members.json.
+energy, volume, dipole of the box and cosine of the first psi, from the logs and trajectories of complete runs; those
+that differ in their seeds alone are pooled. An energy, for the decision on a trial or on a move of the volume, counts
+as a force. Writes members.json.
 """
 
 from __future__ import annotations
@@ -18,15 +19,20 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import openmm
 import pandas as pd
+from mdtraj.formats import DCDTrajectoryFile
 from tyro.conf import Positional
 
 from openmm_sier.cli.finished_runs import FinishedRun, open_runs
+from openmm_sier.measure.forcefields import read_box
+from openmm_sier.measure.liquid_samples import quietly
 from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error, pooled
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
 from studies import records
 from studies.command import Settings, execute
+from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.samples import cost
 from studies.records import Record
 
@@ -43,7 +49,12 @@ COLUMNS = {
     "volume, nm³": "{volume_text}",
     "forces for an independent V": "{potential_cost_text}",
     "volume": "{volume_cost_text}",
+    "dipole": "{dipole_cost_text}",
+    "cos psi": "{psi_cost_text}",
 }
+
+#: Of what the number of forces for an independent sample is found.
+COSTS = (*OBSERVED, "dipole", "psi")
 
 
 @dataclass(frozen=True)
@@ -74,8 +85,8 @@ def study(settings: MemberSettings, report: Report = SILENT) -> Record:
         if run.complete:
             alike.setdefault(label_of(run), []).append(run)
     rows = pd.DataFrame([row_of(label, runs, settings.skip) for label, runs in alike.items()])
-    shown = records.with_text(rows, *OBSERVED, *(f"{name}_cost" for name in OBSERVED))
-    report.table(records.table("Samples at constant pressure", shown, COLUMNS))
+    shown = records.with_text(rows, *OBSERVED, *(f"{name}_cost" for name in COSTS))
+    report.table(records.table("Samples", shown, COLUMNS))
     record = Record({"skip": settings.skip}, {"rows": rows}, {})
     record.write(settings.out / "members.json")
     return record
@@ -106,15 +117,45 @@ def row_of(label: str, runs: Sequence[FinishedRun], skip: float) -> dict[str, An
     row["accepted"] = np.mean([log["Acceptance"][-1] for log in logs]) if "Acceptance" in logs[0] else math.nan
     errors = np.concatenate([log.get("Energy Error (kT)", np.array([])) for log in logs])
     row["spread"] = float(np.nanstd(errors, ddof=1)) if len(errors) else math.nan
-    interval = runs[0].plan.interval(runs[0].plan.report_every) * forces_per_step(runs[0])
     for name, column in OBSERVED.items():
-        series = [log[column] for log in logs]
-        row[name], row[f"{name}_error"], _ = pooled([mean_and_error(each) for each in series])
+        row[name], row[f"{name}_error"], _ = pooled([mean_and_error(log[column]) for log in logs])
+    rows, frames = (forces_per_step(runs[0]) * runs[0].plan.interval(each) for each in intervals(runs[0]))
+    series = [{name: pd.DataFrame({name: log[column]}) for name, column in OBSERVED.items()} for log in logs]
+    of_frames = [in_frames(run, skip) for run in runs]
+    for name in COSTS:
+        seen = [each[name] for each in (series if name in OBSERVED else of_frames) if name in each]
         row[f"{name}_cost"] = row[f"{name}_cost_error"] = math.nan
-        if all(np.ptp(each) > 0 for each in series):  # what does not change has no samples
-            costs = [cost(pd.DataFrame({name: each}), interval) for each in series]
-            row[f"{name}_cost"], row[f"{name}_cost_error"], _ = pooled(costs)
+        # What does not change has no samples.
+        if len(seen) == len(runs) and all((np.ptp(each.to_numpy(), axis=0) > 0).all() for each in seen):
+            found = [cost(each, rows if name in OBSERVED else frames) for each in seen]
+            row[f"{name}_cost"], row[f"{name}_cost_error"], _ = pooled(found)
     return row
+
+
+def intervals(run: FinishedRun) -> tuple[float, float]:
+    """ps between rows of the log, and between frames."""
+    return run.plan.report_every, run.plan.every
+
+
+def in_frames(run: FinishedRun, skip: float) -> dict[str, pd.DataFrame]:
+    """The dipole of the box, of whole molecules, e nm, and the cosine of the first psi; without those that have none.
+
+    The dipole needs neutral molecules whose sites are all in the trajectory.
+    """
+    if not run.frames or run.plan.box is None:
+        return {}
+    box = read_box(Path(run.plan.box), run.plan.forcefield, run.plan.constraints)
+    with quietly(), DCDTrajectoryFile(str(run.plan.out)) as file:
+        positions = 0.1 * file.read()[0][round(skip / run.plan.every) :].astype(float)
+    found = {}
+    if len(box.listed) == box.topology.getNumAtoms():
+        force = next(each for each in box.system.getForces() if isinstance(each, openmm.NonbondedForce))
+        charges = np.array([force.getParticleParameters(i)[0]._value for i in range(len(box.listed))])
+        found["dipole"] = pd.DataFrame(np.einsum("i,kix->kx", charges, positions), columns=["x", "y", "z"])
+    if any(residue.name == "ACE" for residue in box.topology.residues()):
+        psi = backbone(box.topology)[1]
+        found["psi"] = pd.DataFrame({"psi": np.cos([dihedral(each, psi) for each in positions])})
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

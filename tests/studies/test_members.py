@@ -9,11 +9,12 @@ import pandas as pd
 import pytest
 
 from openmm_sier.cli.ensembles import read_plan
+from openmm_sier.cli.files.checkpoints import read_checkpoint
 from openmm_sier.cli.finished_runs import open_runs
 from studies import liquid_figure
 from studies.hmc import members
 from studies.records import Record
-from tests.support.commands import SYSTEMS
+from tests.support.commands import SYSTEMS, run
 from tests.support.finished_runs import write_run
 
 ROWS = 400
@@ -60,6 +61,32 @@ def test_costs_of_members(runs, tmp_path):
     assert 68 <= hmc["potential_cost"] < 1.5 * 68
     assert 31.2 <= langevin["volume_cost"] < 1.5 * 31.2
     assert (tmp_path / "members.json").exists()
+
+
+@pytest.mark.slow
+def test_dipoles_and_dihedrals_are_those_of_the_frames(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = ["--ensemble", "hmc", "--dt", "4", "--steps-per-trial", "1", "--cutoff", "0.7", "--platform", "CPU"]
+    options += [
+        "--no-minimize",
+        "--equilibrate",
+        "0.004",
+        "--time",
+        "0.04",
+        "--every",
+        "0.004",
+        "--report-every",
+        "0.004",
+    ]
+    run("run", SYSTEMS / "dipeptide.pdb", *options, "--out", "a.dcd")
+    (made,) = open_runs([Path("a.chk")])
+    found = members.in_frames(made, 0.02)
+    assert {name: each.shape for name, each in found.items()} == {"dipole": (5, 3), "psi": (5, 1)}
+    _, notes = read_checkpoint(Path("a.chk"))
+    assert notes["trajectory"]["count"] == 10
+    # Beta, in which the file is, and molecules that are whole: no dipole of 236 of them is as long as the box.
+    assert (found["psi"]["psi"] < 0).all()
+    assert np.abs(found["dipole"].to_numpy()).max() < 5
 
 
 def test_members_must_be_named(tmp_path):
