@@ -144,7 +144,9 @@ def _go_on_as_a_restart(method: Callable, context: openmm.Context) -> bytes:
 def _mark_state(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) -> openmm.State:
     """Change nothing; but a State that is written as XML later is a restart point."""
     state = method(context, *args, **kwargs)
-    if _integrator_of(context) is not None and state.getDataTypes() & openmm.State.IntegratorParameters:
+    # Engines ask for forces several times a step, so that most calls are told by their arguments alone.
+    may_have = args or kwargs.get("integratorParameters") or kwargs.get("getIntegratorParameters")
+    if may_have and _integrator_of(context) and state.getDataTypes() & openmm.State.IntegratorParameters:
         state._sier_origin = weakref.ref(context)
     return state
 

@@ -8,7 +8,7 @@ Arrays of atoms have OpenMM's shape (N, 3).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import TypeVar
@@ -331,9 +331,9 @@ class RigidBodies:
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
         active = backend.active()
-        v, omega = state.p * self.inverse_masses, self.angular_velocities(state)
+        inverses = self.inverse_masses, self.inverse_moments
         for sites in self._sites:
-            active.move(sites, v, state.A, omega, velocities)
+            active.move(sites, state.p, state.A, state.L, *inverses, velocities)
         return velocities
 
     def displaced(
@@ -379,15 +379,20 @@ class RigidBodies:
         rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
         return translation, rotation
 
+    @cached_property
+    def mass(self) -> float:
+        """Of all bodies, dalton."""
+        return float(self.masses.sum())
+
     def centre_velocity(self, p: np.ndarray) -> np.ndarray:
-        """Velocity of the centre of mass of all bodies, (3, 1), nm/ps, at momenta (3, n)."""
-        return p.sum(axis=1, keepdims=True) / self.masses.sum()
+        """Velocity of the centre of mass of all bodies, (3,), nm/ps, at momenta (3, n)."""
+        return p.sum(axis=1) / self.mass
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
-        """The state with a velocity, (3, 1), nm/ps, added to all bodies, and its energy to the heat."""
-        moving = self.masses.sum() * (self.centre_velocity(state.p) + 0.5 * velocity)
-        gained = float((moving * velocity).sum())
-        return replace(state, p=state.p + self.masses * velocity, heat=state.heat + gained)
+        """The state with a velocity, (3,), nm/ps, added to all bodies, and its energy to the heat."""
+        gained = self.mass * float((self.centre_velocity(state.p) + 0.5 * velocity) @ velocity)
+        p = state.p + self.masses * velocity[:, None]
+        return BodyState(state.q, p, state.A, state.L, state.heat + gained, state.draws)
 
     def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         """Total momentum and total angular momentum about the origin, each (3,)."""

@@ -127,7 +127,9 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
 
 
 def _exact_drift(bodies: RigidBodies) -> Operator:
-    kinds = [(axes_of(species.moments).rates, part) for species, part in zip(bodies.species, bodies.parts, strict=True)]
+    kinds = [
+        (axes_of(kind.moments).turning_rates, part) for kind, part in zip(bodies.species, bodies.parts, strict=True)
+    ]
 
     def apply(state: BodyState, h: float) -> BodyState:
         A = backend.active().rotate(kinds, state.A, state.L, h)

@@ -153,7 +153,7 @@ def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> 
     """
     p = state.p
     if conserved and bodies.n:
-        p = p - bodies.masses * bodies.centre_velocity(p)
+        p = p - bodies.masses * bodies.centre_velocity(p)[:, None]
     moving = 0.5 * (p * p).sum(axis=0) * bodies.inverse_masses
     turning = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
     rigid = ~bodies.flexible

@@ -71,8 +71,28 @@ class NumbaBackend(NumpyBackend):
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
         return not _shared(numba_loops.place)(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
 
-    def move(self, sites: Sites, v: ndarray, A: ndarray, omega: ndarray, velocities: ndarray) -> None:
-        _shared(numba_loops.move)(sites.part, sites.part.start, v, A, omega, sites.places, sites.atoms, velocities)
+    def move(
+        self,
+        sites: Sites,
+        p: ndarray,
+        A: ndarray,
+        L: ndarray,
+        inverse_masses: ndarray,
+        inverse_moments: ndarray,
+        velocities: ndarray,
+    ) -> None:
+        _shared(numba_loops.move)(
+            sites.part,
+            sites.part.start,
+            p,
+            A,
+            L,
+            inverse_masses,
+            inverse_moments,
+            sites.places,
+            sites.atoms,
+            velocities,
+        )
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray

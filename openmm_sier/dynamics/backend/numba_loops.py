@@ -128,14 +128,24 @@ def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moment
     return 0
 
 
-def arm_of(places, j, A, n):
-    """The place of a site relative to the centre of its body, in the lab frame."""
-    place = (places[0, j], places[1, j], places[2, j])
+def columns_of(A, n):
+    """The columns of the attitude matrix of a body, to be read once for all of its sites."""
     return (
-        combine(place, A[0, 0, n], A[1, 0, n], A[2, 0, n]),
-        combine(place, A[0, 1, n], A[1, 1, n], A[2, 1, n]),
-        combine(place, A[0, 2, n], A[1, 2, n], A[2, 2, n]),
+        (A[0, 0, n], A[1, 0, n], A[2, 0, n]),
+        (A[0, 1, n], A[1, 1, n], A[2, 1, n]),
+        (A[0, 2, n], A[1, 2, n], A[2, 2, n]),
     )
+
+
+def lab_frame(vector, columns):
+    """A vector of the principal frame in the lab frame."""
+    x, y, z = columns
+    return combine(vector, x[0], x[1], x[2]), combine(vector, y[0], y[1], y[2]), combine(vector, z[0], z[1], z[2])
+
+
+def arm_of(places, j, columns):
+    """The place of a site relative to the centre of its body, in the lab frame."""
+    return lab_frame((places[0, j], places[1, j], places[2, j]), columns)
 
 
 def place(start, stop, first, q, A, places, atoms, positions):
@@ -145,25 +155,31 @@ def place(start, stop, first, q, A, places, atoms, positions):
     """
     broken = 0
     for n in range(np.uint64(start), np.uint64(stop)):
-        total = 0.0
+        columns, centre, total = columns_of(A, n), (q[0, n], q[1, n], q[2, n]), 0.0
         for j in range(atoms.shape[1]):
-            arm = arm_of(places, j, A, n)
+            x, y, z = plus(centre, arm_of(places, j, columns))
             atom = np.uint64(atoms[n - np.uint64(first), j])
-            for x in range(3):
-                positions[atom, x] = q[x, n] + arm[x]
-                total += abs(positions[atom, x])
+            positions[atom, 0], positions[atom, 1], positions[atom, 2] = x, y, z
+            total += abs(x) + abs(y) + abs(z)
         broken += not total < np.inf
     return broken
 
 
-def move(start, stop, first, v, A, omega, places, atoms, velocities):
-    """As `Sites.move`, for a range of the bodies; see `place`."""
+def move(start, stop, first, p, A, L, inverse_masses, inverse_moments, places, atoms, velocities):
+    """As `NumpyBackend.move`, for a range of the bodies; see `place`."""
     for n in range(np.uint64(start), np.uint64(stop)):
+        columns, m = columns_of(A, n), inverse_masses[n]
+        x, y, z = columns
+        turning = (
+            inverse_moments[0, n] * (x[0] * L[0, n] + y[0] * L[1, n] + z[0] * L[2, n]),
+            inverse_moments[1, n] * (x[1] * L[0, n] + y[1] * L[1, n] + z[1] * L[2, n]),
+            inverse_moments[2, n] * (x[2] * L[0, n] + y[2] * L[1, n] + z[2] * L[2, n]),
+        )
+        omega, v = lab_frame(turning, columns), (m * p[0, n], m * p[1, n], m * p[2, n])
         for j in range(atoms.shape[1]):
-            swing = cross((omega[0, n], omega[1, n], omega[2, n]), arm_of(places, j, A, n))
+            moved = plus(v, cross(omega, arm_of(places, j, columns)))
             atom = np.uint64(atoms[n - np.uint64(first), j])
-            for x in range(3):
-                velocities[atom, x] = v[x, n] + swing[x]
+            velocities[atom, 0], velocities[atom, 1], velocities[atom, 2] = moved
     return 0
 
 
@@ -171,11 +187,11 @@ def collect(start, stop, first, vectors, A, places, weights, atoms, total, momen
     """As `Sites.collect`, for a range of the bodies; returns how many have a sum that is not finite. See `place`."""
     broken = 0
     for n in range(np.uint64(start), np.uint64(stop)):
-        sums, moments = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        columns, sums, moments = columns_of(A, n), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for j in range(atoms.shape[1]):
             atom = np.uint64(atoms[n - np.uint64(first), j])
             weighted = (weights[j] * vectors[atom, 0], weights[j] * vectors[atom, 1], weights[j] * vectors[atom, 2])
-            sums, moments = plus(sums, weighted), plus(moments, cross(arm_of(places, j, A, n), weighted))
+            sums, moments = plus(sums, weighted), plus(moments, cross(arm_of(places, j, columns), weighted))
         size = 0.0
         for x in range(3):
             total[x, n], moment[x, n] = sums[x], moments[x]

@@ -12,6 +12,7 @@ from openmm_sier.dynamics.backend import long_steps
 from openmm_sier.dynamics.backend.elliptic import shortest_series
 from openmm_sier.dynamics.backend.formulas import (
     LINE,
+    angular_velocity,
     body_frame,
     combine,
     cross,
@@ -31,12 +32,12 @@ class NumpyBackend:
 
     name = "NumPy"
 
-    def rotate(self, kinds: Sequence[tuple[ndarray, slice]], A: ndarray, L: ndarray, h: float) -> ndarray:
+    def rotate(self, kinds: Sequence[tuple[ndarray | None, slice]], A: ndarray, L: ndarray, h: float) -> ndarray:
         """Attitudes (3, 3, n) after the exact free rotation of bodies for a time h.
 
         Args:
             kinds: inverse moments, descending, of each kind of body, and which bodies are of it. They are (3,), or
-                (3, n) for a single kind whose bodies differ; zeros for points, three equal ones for lines.
+                (3, n) for a single kind whose bodies differ; three equal ones for lines, and None for points.
             A: attitudes, (3, 3, n).
             L: angular momenta, (3, n).
             h: time.
@@ -46,10 +47,10 @@ class NumpyBackend:
         """
         new = np.empty(A.shape)
         for rates, part in kinds:
-            if rates.any():
-                self._rotate_kind(rates, part, A, L, h, new)
-            else:
+            if rates is None:
                 new[:, :, part] = A[:, :, part]
+            else:
+                self._rotate_kind(rates, part, A, L, h, new)
         return new
 
     def _rotate_kind(self, rates: ndarray, part: slice, A: ndarray, L: ndarray, h: float, new: ndarray) -> None:
@@ -102,9 +103,20 @@ class NumpyBackend:
             sites.place(q, A, positions)
         return bool(np.isfinite(q[:, sites.part]).all() and np.isfinite(A[:, :, sites.part]).all())
 
-    def move(self, sites: Sites, v: ndarray, A: ndarray, omega: ndarray, velocities: ndarray) -> None:
-        """Write the velocities (N, 3) of atoms, see `Sites.move`."""
-        sites.move(v, A, omega, velocities)
+    def move(
+        self,
+        sites: Sites,
+        p: ndarray,
+        A: ndarray,
+        L: ndarray,
+        inverse_masses: ndarray,
+        inverse_moments: ndarray,
+        velocities: ndarray,
+    ) -> None:
+        """Write the velocities (N, 3) of the atoms of bodies with momenta and angular momenta, (3, n)."""
+        part = sites.part
+        omega = angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part])
+        sites.move(p[:, part] * inverse_masses[part], A, omega, velocities)
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray

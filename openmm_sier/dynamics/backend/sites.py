@@ -46,9 +46,9 @@ class Sites:
             positions[column] = (q[:, self.part] + arm).T
 
     def move(self, v: np.ndarray, A: np.ndarray, omega: np.ndarray, velocities: np.ndarray) -> None:
-        """Write the velocities (N, 3) of the atoms of bodies with velocities and angular velocities, (3, n)."""
+        """Write the velocities (N, 3) of the atoms of these bodies, at velocities and angular velocities, (3, m)."""
         for column, arm in self._arms(A):
-            velocities[column] = (v[:, self.part] + cross(omega[:, self.part], arm)).T
+            velocities[column] = (v + cross(omega, arm)).T
 
     def collect(
         self, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray, total: np.ndarray, moment: np.ndarray

@@ -225,7 +225,7 @@ class ExactEngine(Engine):
         self._context.setTime(self.clock.time + self._flow.step)
         self._last_written = now = Snapshot(self._context)
         state = self._reconciliation.reconcile(self._reached, before, now)
-        self._take(now, before)
+        self._take(now, before, moved=not now.same_positions(before))
         return state
 
     def _update_box(self) -> BodyState:
@@ -302,10 +302,10 @@ class ExactEngine(Engine):
         self._motion.follow(self._context)
 
     def centre_velocity(self) -> np.ndarray:
-        return self.bodies.centre_velocity(self._reached.p)[:, 0]
+        return self.bodies.centre_velocity(self._reached.p)
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
-        self._state = self.bodies.shifted(self._reached, velocity[:, None])
+        self._state = self.bodies.shifted(self._reached, velocity)
 
     def prepare_for_volume_moves(self) -> None:
         self._moves_volume = True
@@ -365,8 +365,9 @@ class ExactEngine(Engine):
             before = None if moved else self._last_written
             state = self._reconciliation.recall(values, now, moved)
             state = state or self._reconciliation.reconcile(known, before, now)
-        self._take(now, self._last_written)
-        self.forces.velocities[:] = now.velocities
+        self._take(now, self._last_written, moved)
+        if state is not known:
+            self.forces.velocities[:] = now.velocities
         self.forces.select(integrator.getIntegrationForceGroups(), self._flow.fast_groups)
         heat, draws = map(integrator.getGlobalVariableByName, (HEAT, DRAWS))
         if (heat, draws) != (state.heat, state.draws):
@@ -375,9 +376,9 @@ class ExactEngine(Engine):
         self.clock = self._last_clock = Clock(now.time, now.steps)
         self._last_written = now
 
-    def _take(self, now: Snapshot, before: Snapshot | None) -> None:
+    def _take(self, now: Snapshot, before: Snapshot | None, moved: bool) -> None:
         """Take over positions, box and parameters of a snapshot where they differ from those of an earlier one."""
-        if not now.same_positions(before):
+        if moved:
             self.forces.take_positions(now)
         if not now.same_environment(before):
             self._forget_forces()
