@@ -53,7 +53,8 @@ def test_the_acceptance_that_was_asked_for(h, scheme):
     # the spread depends on the length of trajectories in wells by some tenths.
     assert integrator.acceptanceRate == pytest.approx(0.8, abs=0.15)
     assert f"{found.stepsPerTrial} in a trial" in str(found)
-    assert str(found).count("\n") == 4 + len(found.steps) + len(found.lengths)
+    # Two lines of what was found, and two headings below empty lines.
+    assert str(found).count("\n") == 5 + len(found.steps) + len(found.lengths)
 
 
 def test_equal_seeds_tune_alike():
