@@ -59,6 +59,7 @@ html_show_sphinx = False
 html_math_renderer = "mathml"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
+copybutton_line_continuation_character = "\\"
 
 
 def _formula(translator, node: nodes.Element, block: bool) -> None:
