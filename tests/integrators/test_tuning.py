@@ -180,3 +180,8 @@ def test_inefficiency_of_what_does_not_change_is_the_length():
     assert math.isnan(inefficiency(np.ones(12))[1])
     # A trend has no memory that the series tells.
     assert inefficiency(np.arange(40.0))[0] > 10
+
+
+def test_errors_that_few_samples_do_not_tell_are_marked():
+    assert LengthFound(4, 0.9, 12.0, (2.0, 0.5)).needed == ("2.0 ± 0.5", "24 ± 6")
+    assert LengthFound(4, 0.9, 12.0, (2.0, math.inf)).needed == ("2.0 ± ?", "24 ± ?")
