@@ -59,6 +59,7 @@ html_show_sphinx = False
 html_math_renderer = "mathml"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
+copybutton_line_continuation_character = "\\"
 
 
 def _formula(translator, node: nodes.Element, block: bool) -> None:
@@ -69,7 +70,15 @@ def _formula(translator, node: nodes.Element, block: bool) -> None:
     raise nodes.SkipNode
 
 
+def _keep_errors_with_numbers(app: Sphinx, document: nodes.document, name: str) -> None:
+    """No line ends before or after ±, in tables above all."""
+    for text in list(document.findall(nodes.Text)):
+        if " ± " in text and not isinstance(text.parent, nodes.literal | nodes.literal_block):
+            text.parent.replace(text, nodes.Text(text.replace(" ± ", "\u00a0±\u00a0")))
+
+
 def setup(app: Sphinx) -> None:
+    app.connect("doctree-resolved", _keep_errors_with_numbers)
     app.add_html_math_renderer(
         "mathml",
         (lambda translator, node: _formula(translator, node, False), None),

@@ -40,6 +40,10 @@ FREE = ("sizes", "schemes", "dt", "trials")
 #: are narrower than twice the usual cut-off.
 SMALLEST_POOLED = 512
 
+#: Factor by which the points of one method are beside those of the one before, in the figure, and the relative
+#: difference of two laws below which one line would hide the other.
+APART, ALIKE = 1.12, 0.03
+
 #: Number of molecules up to which lines of acceptance are drawn.
 LARGEST_DRAWN = 262144
 
@@ -183,14 +187,17 @@ def study(settings: AcceptanceSettings, report: Report = SILENT) -> Record:
 def figure(record: Record, path: Path) -> None:
     """Acceptance and spread of the energy error against the number of molecules, one line per method and step."""
     rows = record.tables["rows"]
-    steps = sorted(rows["fs_per_force"].unique())
+    steps, limits = sorted(rows["fs_per_force"].unique()), record.tables["limits"].to_dict("records")
     with style.figure(path, 2) as (made, (accepted, spread)):
-        for limit in record.tables["limits"].to_dict("records"):
+        for i, limit in enumerate(limits):
             method, dt = limit["method"], limit["fs_per_force"]
             mine = rows[(rows["method"] == method) & (rows["fs_per_force"] == dt)]
             look = style.of_method(method) | {"ls": ("-", "--", ":", "-.")[steps.index(dt) % 4]}
-            style.curves(accepted, mine, "molecules", "acceptance", ls="", label="_")
-            style.curves(spread, mine, "molecules", "spread", ls="", label="_")
+            if any(abs(limit["spread"] / earlier["spread"] - 1) < ALIKE for earlier in limits[:i]):
+                look |= {"ls": (0, (5, 5))}  # so that the line below shows between the dashes
+            beside = mine.assign(molecules=mine["molecules"] * APART ** (i - (len(limits) - 1) / 2))
+            style.curves(accepted, beside, "molecules", "acceptance", ls="", label="_", zorder=3)
+            style.curves(spread, beside, "molecules", "spread", ls="", label="_", zorder=3)
             along = np.geomspace(mine["molecules"].min(), max(LARGEST_DRAWN, mine["molecules"].max()), 200)
             spreads = limit["spread"] * np.sqrt(along)
             spread.plot(along, spreads, **look | {"marker": ""})

@@ -234,7 +234,7 @@ def figure(record: Record, path: Path) -> None:
     """T_rot - T_trans against the step per force evaluation, one line per method, and the prediction for SIER2."""
     rows = record.tables["rows"]
     with style.figure(path, 1) as (_, (axes,)):
-        style.curves(axes, rows, "fs_per_force", "difference", apart=0.02)
+        style.curves(axes, rows, "fs_per_force", "difference", apart=0.05)
         known = rows[rows["predicted"] < 0]
         if len(known):
             h = np.linspace(0, known["fs_per_force"].max(), 100)

@@ -222,13 +222,14 @@ def study(settings: SchemesSettings, report: Report = SILENT) -> Record:
 def figure(record: Record, path: Path) -> None:
     """Energy error of the first liquid against simulated time per force, one line per scheme."""
     rows = record.tables["rows"]
-    rows = rows[rows["liquid"] == rows["liquid"].iloc[0]]
+    first = rows["liquid"].iloc[0]
+    rows, liquid = rows[rows["liquid"] == first], style.MODELS.get(first, first)
     usual = rows[(rows["method"] == REFERENCE) & (rows["fs_per_force"] == USUAL)]
     with style.figure(path, 1) as (made, (axes,)):
         style.curves(axes, rows, "fs_per_force", "percent")
         for value in usual["percent"]:
-            axes.axhline(value, color=style.GREY, lw=1, zorder=0)
-        axes.set(yscale="log", ylabel="rms(H)/rms(V) (%)", title=f"Energy error, {rows['liquid'].iloc[0]}")
+            axes.axhline(value, color=style.GREY, lw=1, zorder=0, label=f"{REFERENCE}, {USUAL:g} fs")
+        axes.set(yscale="log", ylabel="rms(H)/rms(V) (%)", title=f"Energy error, {liquid}")
         axes.set_xlabel("simulated time per force evaluation (fs)")
         axes.yaxis.set_major_formatter("{x:g}")
         style.shared_legend(made, axes)

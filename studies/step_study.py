@@ -58,9 +58,6 @@ COMPARED = {"energy": "Potential energy, kJ/mol", "diffusion": "Self-diffusion, 
 #: Left out of the reference: its bath heats the liquid at any step (`studies.checks.andersen_oscillators`).
 HEATED = "OpenMM Verlet"
 
-#: Names of the models of boxes in the figure and the tables of deviations; another box has its own name there.
-MODELS = {"spce-512": "SPC/E", "tip3p-512": "TIP3P", "tip4p2005-512": "TIP4P/2005"}
-
 #: fs by which the points of different methods are shifted apart.
 APART = 0.03
 
@@ -208,7 +205,7 @@ def deviations(record: Record, key: str) -> Table:
     lines = [[*point, *(texts.get(box, "-") for box in boxes)] for point, texts in found.items()]
     return Table(
         f"{COMPARED[key]}, less its mean at the shortest step",
-        ["method", "fs per force", *(MODELS.get(box, box) for box in boxes)],
+        ["method", "fs per force", *(style.MODELS.get(box, box) for box in boxes)],
         lines,
     )
 
@@ -224,11 +221,13 @@ def figure(record: Record, path: Path) -> None:
         made.suptitle(record.notes["title"], x=0.01, ha="left", fontsize=14, fontweight="bold")
         grid = made.subplots(len(boxes), len(PROPERTIES), squeeze=False, sharex=True)
         for box, line in zip(boxes, grid, strict=True):
-            line[0].set_title(MODELS.get(box, box))
+            line[0].set_title(style.MODELS.get(box, box))
             for key, axes in zip(PROPERTIES, line, strict=True):
                 style.curves(axes, rows[rows["box"] == box], "fs_per_force", key, apart=APART)
                 axes.set(
-                    xlim=(0, None), ylabel=PROPERTIES[key][1], title=MODELS.get(box, box) if key == "density" else ""
+                    xlim=(0, None),
+                    ylabel=PROPERTIES[key][1],
+                    title=style.MODELS.get(box, box) if key == "density" else "",
                 )
         for axes in grid[-1]:
             axes.set_xlabel("simulated time per force evaluation (fs)")

@@ -43,6 +43,9 @@ METHODS = {
 
 UNKNOWN = ("#000000", "x")
 
+#: Boxes of the repository by their names, as titles name them.
+MODELS = {"spce-512": "SPC/E", "tip3p-512": "TIP3P", "tip4p2005-512": "TIP4P/2005"}
+
 #: Methods of this package, drawn with full lines and markers; others have broken lines and open markers.
 OWN = ("SIER", "MRDL", "SEJ4")
 

@@ -15,7 +15,7 @@ from openmm_sier.cli.finished_runs import FinishedRun, check_alike, open_runs
 from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.measure import properties
-from openmm_sier.measure.figures import can_draw, property_figure
+from openmm_sier.measure.figures import Curve, can_draw, property_curves, property_figure
 from openmm_sier.measure.forcefields import Box, describe, read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, read_samples
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
@@ -169,16 +169,30 @@ def properties_of(runs: Sequence[Path], box: Path | None, skip: float, viscosity
     if not moving:
         REPORT.note("trials of hybrid Monte Carlo are no motion: they give no diffusion, viscosity and rotation")
     rows, stressed = _rows(found, None if viscosity is None else Estimate(viscosity, 0.0))
-    plan = found[0].plan
-    length = sum(float(np.ptp(run.log["Time (ps)"])) for run in found)
-    number = f"{len(found)} runs" if len(found) > 1 else "one run"
-    title = f"{plan.title}, {number}, {length:.4g} ps in all"
+    title = title_of(found)
     table(title, ("", "", "water, 298.15 K, 1 bar"), rows)
     if can_draw(REPORT):
         out.mkdir(parents=True, exist_ok=True)
-        samples = [run.samples for run in _written_as_often(found)]
-        property_figure(samples, title, out / "properties.png", _integrals(_written_as_often(stressed)), moving)
+        property_figure(curves_of(found, stressed), title, out / "properties.png")
         REPORT.note(f"wrote {out / 'properties.png'}")
+
+
+def title_of(runs: Sequence[Run]) -> str:
+    """What was run, how often and for how long."""
+    length = sum(float(np.ptp(run.log["Time (ps)"])) for run in runs)
+    number = f"{len(runs)} runs" if len(runs) > 1 else "one run"
+    return f"{runs[0].plan.title}, {number}, {length:.4g} ps in all"
+
+
+def curves_of(runs: Sequence[Run], stressed: Sequence[Run]) -> dict[str, Curve]:
+    """What the figure shows.
+
+    Args:
+        runs: all of them.
+        stressed: those among them that give a viscosity.
+    """
+    samples = [run.samples for run in _written_as_often(runs)]
+    return property_curves(samples, _integrals(_written_as_often(stressed)), runs[0].plan.ensemble != "hmc")
 
 
 def _written_as_often(runs: Sequence[Run]) -> list[Run]:

@@ -55,13 +55,15 @@ def rows(log: dict[str, np.ndarray], moves_volume: bool) -> list[tuple[str, str]
         log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
         moves_volume: whether the pressure was constant.
     """
-    momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
     found = _energy_rows(log)
     for name, kind in (("T_trans", "Translational"), ("T_rot", "Rotational"), ("T of flexible molecules", "Flexible")):
         values = log[f"{kind} Temperature (K)"]
         if kind != "Flexible" or not np.isnan(values).all():
             found.append((name, _value(mean_and_error(values), "K")))
-    found.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
+    # Trials draw momenta anew, that of the whole box included: it says nothing there.
+    if "Acceptance" not in log:
+        momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
+        found.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
     if moves_volume:
         found.append(("density", _value(mean_and_error(log["Density (g/mL)"]), "g/ml")))
     if "Acceptance" in log:

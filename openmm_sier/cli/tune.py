@@ -41,7 +41,7 @@ def run(acceptance: float, trials: int, samples: int, **given: Any) -> None:
 
 def _rows(plan: Plan, found: Tuning) -> list[tuple[str, str]]:
     chosen = next(each for each in found.lengths if each.steps == found.stepsPerTrial)
-    (needed, error), (cost, uncertain) = chosen.inefficiency, chosen.cost
+    needed, cost = chosen.needed
     return [
         ("scheme", plan.method.name),
         ("step", f"{1000 * found.stepSize:.4g} fs"),
@@ -49,8 +49,8 @@ def _rows(plan: Plan, found: Tuning) -> list[tuple[str, str]]:
         ("acceptance", f"{100 * chosen.acceptance:.1f} %"),
         ("force evaluations per trial", f"{chosen.forces:.1f}"),
         ("force evaluations per accepted trial", f"{chosen.forces / chosen.acceptance:.1f}"),
-        ("trials for an independent potential energy", f"{needed:.1f} ± {error:.1f}"),
-        ("force evaluations for one", f"{cost:.0f} ± {uncertain:.0f}"),
+        ("trials for an independent potential energy", needed),
+        ("force evaluations for one", cost),
         ("force evaluations of the tuning", str(found.forceEvaluations)),
     ]
 

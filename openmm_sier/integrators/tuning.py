@@ -66,12 +66,18 @@ class LengthFound(NamedTuple):
         value, error = self.inefficiency
         return value * self.forces, error * self.forces
 
+    @property
+    def needed(self) -> tuple[str, str]:
+        """Trials, and force evaluations, for an independent potential energy, as text; ? marks an unknown error."""
+        (trials, error), (forces, uncertain) = self.inefficiency, self.cost
+        if not math.isfinite(error):
+            return f"{trials:.1f} ± ?", f"{forces:.0f} ± ?"
+        return f"{trials:.1f} ± {error:.1f}", f"{forces:.0f} ± {uncertain:.0f}"
+
     def __str__(self) -> str:
         if self.refused:
             return f"{self.steps:10}  {self.refused}"
-        (trials, error), (forces, uncertain) = self.inefficiency, self.cost
-        errors = (f"{error:.1f}", f"{uncertain:.0f}") if math.isfinite(error) else ("?", "?")
-        return f"{self.steps:10}{self.acceptance:12.3f}  {trials:.1f} ± {errors[0]}, {forces:.0f} ± {errors[1]}"
+        return f"{self.steps:10}{self.acceptance:12.3f}  {', '.join(self.needed)}"
 
 
 @dataclass(frozen=True)
@@ -96,8 +102,8 @@ class Tuning:
 
     def __str__(self) -> str:
         lines = [
-            f"Hybrid Monte Carlo tuned for an acceptance of {self.wanted:g}: steps of {1e3 * self.stepSize:.4g} fs, "
-            f"{self.stepsPerTrial} in a trial ({self.forceEvaluations} force evaluations)",
+            f"Hybrid Monte Carlo tuned for an acceptance of {self.wanted:g}, by {self.forceEvaluations} forces:",
+            f"steps of {1e3 * self.stepSize:.4g} fs, {self.stepsPerTrial} in a trial",
             "",
             "   step/fs     sd/kT  acceptance",
         ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -50,68 +51,96 @@ def context() -> AbstractContextManager:
     return mpl.rc_context(RC)
 
 
-def panels(columns: int, title: str = "", **options: Any) -> tuple[Figure, list[Axes]]:
+def panels(columns: int, title: str = "", rows: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
     """A Figure with panels side by side, and the list of them.
 
     Args:
-        columns: number of panels.
+        columns: number of panels side by side.
         title: above all of them.
+        rows: of panels; the list goes through one after the other.
         options: of `Figure.subplots`.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(1 + 5.6 * columns, 4.8), layout="constrained")
+    figure = Figure(figsize=(1 + 5.6 * columns, 4.8 * rows), layout="constrained")
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
-    return figure, list(figure.subplots(1, columns, squeeze=False, **options)[0])
+    return figure, list(figure.subplots(rows, columns, squeeze=False, **options).flat)
 
 
-def property_figure(
+class Curve(NamedTuple):
+    """What a panel shows.
+
+    Attributes:
+        x: (k,), in the unit that its label says.
+        y: (k,) likewise.
+        error: (k,), standard errors of y; None where they are not known.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    error: np.ndarray | None = None
+
+
+#: Labels of the axes of each curve of a liquid, in the order of their panels.
+LABELS = {
+    "pairs": ("distance (nm)", "pair distribution of first atoms"),
+    "displacements": ("time (ps)", "mean square displacement (nm²)"),
+    "orientations": ("time (ps)", r"$\langle P_2 \rangle$ of orientations"),
+    "viscosity": ("upper limit of the Green-Kubo integral (ps)", "shear viscosity (mPa s)"),
+}
+
+
+def property_curves(
     samples: Sequence[LiquidSamples],
-    title: str,
-    path: Path,
     viscosities: tuple[np.ndarray, np.ndarray] | None = None,
     moving: bool = True,
-) -> None:
-    """Pair distribution, displacements, the decay of orientations and the viscosity of a liquid, the mean of all runs.
+) -> dict[str, Curve]:
+    """Curves of a liquid by the keys of `LABELS`, the mean of all runs.
 
     Args:
         samples: of runs with the same interval between frames.
-        title: above the figure.
-        path: PNG file to write.
-        viscosities: times (k,), ps, and running Green-Kubo integrals (c, k), mPa s; None leaves their panel out.
+        viscosities: times (k,), ps, and running Green-Kubo integrals (c, k), mPa s; None leaves them out.
         moving: whether frames follow each other by motion; otherwise displacements and orientations are left out.
     """
+    found = {"pairs": Curve(samples[0].distances, np.mean([run.pairs for run in samples], axis=0))}
+    if moving:
+        longest = min(len(run.centres) for run in samples) // 4
+        times = np.arange(longest) * samples[0].interval
+        squares = np.mean([mean_square_displacements(run.centres)[:longest] for run in samples], axis=0)
+        decay = np.mean([orientation_correlation(run.directions, longest) for run in samples], axis=0)[:longest]
+        # What remains after this is noise, which a logarithm would magnify.
+        shown = decay > 0.02
+        found |= {"displacements": Curve(times, squares), "orientations": Curve(times[shown], decay[shown])}
+    if viscosities is not None:
+        times, integrals = viscosities
+        error = integrals.std(axis=0, ddof=1) / np.sqrt(len(integrals))
+        found["viscosity"] = Curve(times, integrals.mean(axis=0), error)
+    return found
+
+
+def property_figure(curves: Mapping[str, Curve], title: str, path: Path) -> None:
+    """Pair distribution, displacements, orientations and viscosity of a liquid, as far as they are known.
+
+    Args:
+        curves: see `property_curves`.
+        title: above the figure.
+        path: PNG file to write.
+    """
+    columns = min(2, len(curves))
     with context():
-        figure, (pairs, *further) = panels(1 + 2 * moving + (viscosities is not None), title)
-        pairs.plot(samples[0].distances, np.mean([run.pairs for run in samples], axis=0), color=COLOUR)
-        pairs.set_xlabel("distance (nm)")
-        pairs.set_ylabel("pair distribution of first atoms")
-        if moving:
-            _draw_motion(further[0], further[1], samples)
-        if viscosities is not None:
-            _draw_integrals(further[-1], *viscosities)
+        figure, axes = panels(columns, title, rows=math.ceil(len(curves) / columns))
+        for empty in axes[len(curves) :]:
+            empty.remove()
+        for panel, (name, curve) in zip(axes, curves.items(), strict=False):
+            panel.plot(curve.x, curve.y, color=COLOUR)
+            if curve.error is not None:
+                band = (curve.y - curve.error, curve.y + curve.error)
+                panel.fill_between(curve.x, *band, color=COLOUR, alpha=0.25, lw=0)
+            panel.set_xlabel(LABELS[name][0])
+            panel.set_ylabel(LABELS[name][1])
+            if name == "orientations":
+                panel.set_yscale("log")
+            else:
+                panel.set_ylim(bottom=0)
         figure.savefig(path)
-
-
-def _draw_motion(displacements: Axes, turning: Axes, samples: Sequence[LiquidSamples]) -> None:
-    longest = min(len(run.centres) for run in samples) // 4
-    times = np.arange(longest) * samples[0].interval
-    squares = np.mean([mean_square_displacements(run.centres)[:longest] for run in samples], axis=0)
-    displacements.plot(times, squares, color=COLOUR)
-    displacements.set_xlabel("time (ps)")
-    displacements.set_ylabel("mean square displacement (nm²)")
-    decay = np.mean([orientation_correlation(run.directions, longest) for run in samples], axis=0)[:longest]
-    shown = decay > 0.02
-    turning.semilogy(times[shown], decay[shown], color=COLOUR)
-    turning.set_xlabel("time (ps)")
-    turning.set_ylabel(r"$\langle P_2 \rangle$ of orientations")
-
-
-def _draw_integrals(axes: Axes, times: np.ndarray, integrals: np.ndarray) -> None:
-    value, error = integrals.mean(axis=0), integrals.std(axis=0, ddof=1) / np.sqrt(len(integrals))
-    axes.plot(times, value, color=COLOUR)
-    axes.fill_between(times, value - error, value + error, color=COLOUR, alpha=0.25, lw=0)
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel("upper limit of the Green-Kubo integral (ps)")
-    axes.set_ylabel("shear viscosity (mPa s)")

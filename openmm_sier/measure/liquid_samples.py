@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -113,20 +114,27 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     )
 
 
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Without the lines that MDTraj's reader of DCD files prints, which is not written in Python."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
 def read_chunks(trajectory: Path, topology: mdtraj.Topology, skip: int = 0) -> Iterator[mdtraj.Trajectory]:
     """Frames of a trajectory, some at a time, without the lines that MDTraj's reader of DCD files prints."""
     settings = {} if trajectory.suffix == ".h5" else {"top": topology}
     chunks = mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=skip, **settings)
     while True:
-        sys.stdout.flush()
-        kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 1)
-        try:
+        with quietly():
             chunk = next(chunks, None)
-        finally:
-            os.dup2(kept, 1)
-            os.close(kept)
-            os.close(nowhere)
         if chunk is None:
             return
         yield chunk

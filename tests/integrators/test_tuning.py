@@ -53,7 +53,8 @@ def test_the_acceptance_that_was_asked_for(h, scheme):
     # the spread depends on the length of trajectories in wells by some tenths.
     assert integrator.acceptanceRate == pytest.approx(0.8, abs=0.15)
     assert f"{found.stepsPerTrial} in a trial" in str(found)
-    assert str(found).count("\n") == 4 + len(found.steps) + len(found.lengths)
+    # Two lines of what was found, and two headings below empty lines.
+    assert str(found).count("\n") == 5 + len(found.steps) + len(found.lengths)
 
 
 def test_equal_seeds_tune_alike():
@@ -179,3 +180,8 @@ def test_inefficiency_of_what_does_not_change_is_the_length():
     assert math.isnan(inefficiency(np.ones(12))[1])
     # A trend has no memory that the series tells.
     assert inefficiency(np.arange(40.0))[0] > 10
+
+
+def test_errors_that_few_samples_do_not_tell_are_marked():
+    assert LengthFound(4, 0.9, 12.0, (2.0, 0.5)).needed == ("2.0 ± 0.5", "24 ± 6")
+    assert LengthFound(4, 0.9, 12.0, (2.0, math.inf)).needed == ("2.0 ± ?", "24 ± ?")

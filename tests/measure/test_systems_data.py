@@ -152,7 +152,7 @@ def test_one_molecule_is_rigid_and_without_a_box():
 def test_readme_has_every_file_and_every_dipole():
     text = (SYSTEMS / "README.md").read_text()
     for path in SYSTEMS.iterdir():
-        if path.suffix in (".pdb", ".xml", ".py"):
+        if path.suffix in (".pdb", ".xml", ".py", ".toml"):
             assert path.name in text
     for model in PURE:
         charge, _, _, positions = nonbonded(model)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from studies.checks import net_force, pressure_tensors, repeatability, two_commands
+from openmm_sier import SIER4G
+from studies.checks import net_force, pressure_tensors, repeatability, reversal, two_commands
 from studies.checks.kill_loop import kill_loop
 from studies.checks.two_commands import TwoSettings
 
@@ -47,3 +48,12 @@ def test_forces_remember_the_neighbour_list_of_other_positions():
     found = repeatability.differences()
     assert found["after positions 0.05 nm away"] > 2e-4
     assert all(value < 0.05 for value in found.values())
+
+
+@pytest.mark.slow
+def test_trajectories_come_back_unless_chaos_has_its_time():
+    """The rounding of forces leaves some 1e-7 nm after 60 fs; 1e-5 is a tenth of what is accepted."""
+    distance, unit = reversal.missed(SIER4G, 10, 6.0).split()
+    assert unit == "nm"
+    assert float(distance) < 1e-5
+    assert "missed its start by" in reversal.missed(SIER4G, 100, 6.0)

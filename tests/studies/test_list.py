@@ -36,6 +36,5 @@ def test_figures_of_the_documentation_are_drawn_from_the_repository(tmp_path):
     figures.study(figures.FigureSettings(out=tmp_path))
     drawn = {path.name for path in tmp_path.iterdir()}
     there = {path.name for path in (ROOT / "docs").glob("*.png")}
-    # That of `openmm-sier properties` needs trajectories.
-    assert drawn == there - {"properties.png"}
+    assert drawn == there
     assert all(name in PAGE for name in there)

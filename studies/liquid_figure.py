@@ -1,0 +1,89 @@
+"""The curves of a liquid that `openmm-sier properties` draws, kept as numbers.
+
+    openmm-sier ensemble systems/motion.toml --out motion
+    python -m studies.liquid_figure motion/* --out motion-figure
+    python -m studies.liquid_figure
+
+Pair distribution, displacements, orientations and the running integral of the viscosity, the means of runs that differ
+in their seeds alone. Writes properties.json and properties.png. Without runs the numbers are those in `studies/data`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pandas as pd
+from tyro.conf import Positional
+
+from openmm_sier.cli.finished_runs import open_runs
+from openmm_sier.cli.properties import Run, curves_of, read_runs, title_of
+from openmm_sier.measure.figures import Curve, property_figure
+from openmm_sier.measure.report import SILENT, Report
+from studies import records, style
+from studies.command import Settings, execute
+from studies.records import Record
+
+DATA = Path(__file__).parent / "data" / "properties.json"
+
+#: Digits of the numbers that are kept: more than any error bar needs.
+DIGITS = 5
+
+
+@dataclass(frozen=True)
+class LiquidFigureSettings(Settings):
+    """What is drawn.
+
+    Attributes:
+        runs: directories of members, or checkpoints; none takes the numbers in `studies/data`.
+        skip: ps to leave out at the beginning of each run.
+    """
+
+    runs: Positional[tuple[Path, ...]] = ()
+    skip: float = 0.0
+
+    ANY_SIGN: ClassVar[tuple[str, ...]] = ("skip",)
+
+
+def study(settings: LiquidFigureSettings, report: Report = SILENT) -> Record:
+    """Write properties.json and properties.png."""
+    record = _measured(settings) if settings.runs else records.read(DATA)
+    record.write(settings.out / "properties.json")
+    figure(record, settings.out / "properties.png")
+    report.note(f"wrote {settings.out / 'properties.png'}")
+    return record
+
+
+def _measured(settings: LiquidFigureSettings) -> Record:
+    runs = read_runs(open_runs(settings.runs), None, settings.skip)
+    curves = curves_of(runs, [run for run in runs if run.tensors is not None])
+    return Record({"skip": settings.skip}, {name: _rounded(curve) for name, curve in curves.items()}, _notes(runs))
+
+
+def _notes(runs: Sequence[Run]) -> dict[str, str]:
+    box = Path(str(runs[0].plan.box)).stem
+    return {"title": f"{style.MODELS.get(box, box)}: {title_of(runs)}"}
+
+
+def _rounded(curve: Curve) -> pd.DataFrame:
+    frame = pd.DataFrame({name: values for name, values in curve._asdict().items() if values is not None})
+    return frame.map(lambda value: float(np.format_float_positional(value, DIGITS, fractional=False)))
+
+
+def figure(record: Record, path: Path) -> None:
+    """Draw the curves of a record."""
+    columns = {name: frame.to_dict("list") for name, frame in record.tables.items()}
+    curves = {name: Curve(**{key: np.array(values) for key, values in each.items()}) for name, each in columns.items()}
+    property_figure(curves, record.notes["title"], path)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(LiquidFigureSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
