@@ -95,8 +95,8 @@ def _of_peer(peer: peers.Peer, water: peers.Liquid, dt: float, time: float) -> M
     steps = max(1, round(1e3 * time / dt))
     every = min(steps, max(1, round(INTERVAL / dt)))
     with tempfile.TemporaryDirectory() as directory:
-        energies, seconds = peer.simulate(water, dt, steps, every, Path(directory))
-    return energies, steps * dt / seconds
+        run = peer.simulate(water, dt, steps, every, Path(directory))
+    return run.energies, steps * dt / run.seconds
 
 
 def _peers(liquid: Liquid, report: Report) -> Iterator[tuple[peers.Peer, peers.Liquid]]:
@@ -110,7 +110,7 @@ def _peers(liquid: Liquid, report: Report) -> Iterator[tuple[peers.Peer, peers.L
         report.note("no other program: they are compared at three-site water alone")
         return
     for peer in found:
-        report.note(f"{peer.name}: {peers.DIFFERENCES[peer.name.split()[0]]}")
+        report.note(f"{peer.name}: {peers.DIFFERENCES[peer.name.split()[0]]}; {peer.build}")
         yield peer, water
 
 

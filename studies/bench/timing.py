@@ -24,9 +24,7 @@ class BenchSettings(BoxSettings):
         rounds: how often everything takes its turn; steps in small boxes do so more often, in large ones less often.
         time: length of the runs that measure the energy error, ps.
         equilibrate: before those runs, ps.
-        parts: of steps, rotations, layer, accuracy, platform; unless given, `platform` if a platform is given, and all
-            others if not.
-        molecules: numbers of molecules for the platform, multiples of that of the box.
+        parts: of steps, rotations, layer, accuracy; all unless given.
     """
 
     copies: tuple[int, ...] = (1, 2, 4)
@@ -35,7 +33,6 @@ class BenchSettings(BoxSettings):
     time: float = 1.0
     equilibrate: float = 2.0
     parts: tuple[str, ...] = ()
-    molecules: tuple[int, ...] = (512, 4096, 32768, 98304)
 
 
 def interleaved(
