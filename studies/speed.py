@@ -1,13 +1,15 @@
 """Simulated time per day of OpenMM's integrators and of these, at the steps for which each is meant.
 
     python -m studies.speed [--platform CUDA] [--boxes water-512 peptide]
+    python -m studies.speed --table studies/data/speed.json
 
 takes boxes of water, a peptide and a protein, with OpenMM's default tolerance. OpenMM's integrators have the System as
 OpenMM makes it, those of this package have it prepared. All take turns; ratios are those within a round, of processor
 time on the CPU platform and of wall time on others. Small boxes of water also go to LAMMPS (lmp) and GROMACS (gmx) at
 their own settings where they are on the PATH; they use no GPU unless they were built to. For water it also gives the
 speed at equal energy error: the steps that have it are found in the box of 512 molecules. Set OPENMM_CPU_THREADS to 1
-for a machine that does other work. Writes speed.json and speed.md.
+for a machine that does other work: ns/day are then those of processor time too. Writes speed.json and speed.md. With
+`--table` it prints those of an earlier measurement.
 """
 
 from __future__ import annotations
@@ -63,21 +65,11 @@ STEPS = {
 }
 LEVELS = (0.1, 1.0)
 
-SPEEDS = {
-    "box": "{box}",
-    "method": "{name}",
-    "fs per force": "{fs_per_force:g}",
-    "ns/day": "{ns_per_day:.3g} ± {ns_per_day_error:.1g}",
-    "ns/day of processor time": "{ns_per_day_processor:.3g}",
-    "over Verlet at 2 fs": "{over:.2f} ± {over_error:.2f}",
-}
-
 EQUAL = {
     "box": "{box}",
     "rms(H)/rms(V)/%": "{percent:g}",
     "method": "{method}",
     "fs per force": "{fs_per_force:.2f} ± {fs_per_force_error:.2f}",
-    "ns/day of processor time": "{ns_per_day_processor:.3g}",
     "over Verlet": "{over:.2f} ± {over_error:.2f}",
 }
 
@@ -96,6 +88,7 @@ class SpeedSettings(BoxSettings):
         time: of each run that measures an energy error, ps.
         equilibrate: before these, ps.
         starts: of these.
+        table: the file of an earlier measurement, whose tables are printed; nothing is measured then.
     """
 
     boxes: tuple[str, ...] = ("water-512", "water-4096", "water-32768", "peptide", "dhfr")
@@ -105,6 +98,7 @@ class SpeedSettings(BoxSettings):
     time: float = 1.0
     equilibrate: float = 2.0
     starts: int = 3
+    table: Path | None = None
 
 
 class Contestant(NamedTuple):
@@ -279,7 +273,6 @@ def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
             over = dt / verlet_dt * mine["over"] / mine["fs_per_force"] * verlet["fs_per_force"]
             share = 0.0 if method == "OpenMM Verlet" else math.hypot(error / dt, verlet_error / verlet_dt)
             row = {"box": box, "percent": level, "method": method, "fs_per_force": dt, "fs_per_force_error": error}
-            row["ns_per_day_processor"] = mine["ns_per_day_processor"] * dt / mine["fs_per_force"]
             found.append(row | {"over": over, "over_error": over * share})
     return pd.DataFrame(found)
 
@@ -293,38 +286,53 @@ def _steps_at(points: pd.DataFrame, method: str, level: float) -> tuple[float, f
 # --- the study ---
 
 
-def tables(rows: pd.DataFrame, equal: pd.DataFrame | None) -> list[Table]:
-    """Speeds, for the report."""
-    made = [records.table(f"Simulated time per day, {rows['platform'].iloc[0]} platform", rows, SPEEDS, left=2)]
-    if equal is not None:
-        made.append(records.table("At equal energy error; - where no step has it", equal, EQUAL))
+def tables(record: Record) -> list[Table]:
+    """Speeds, for the report: a row for each method and a column for each box."""
+    rows = record.tables["speeds"]
+    platform = rows["platform"].iloc[0]
+    of_processor = platform in ON_PROCESSORS and record.notes["threads"] == 1
+    form = "{ns_per_day_processor:.3g}" if of_processor else "{ns_per_day:.3g}"
+    cells = {
+        (row["name"], row["box"]): records.cell(form + ", {over:.2f} ± {over_error:.2f}", row)
+        for row in rows.to_dict("records")
+    }
+    names, there = rows["name"].unique(), rows["box"].unique()
+    body = [[name, *(cells.get((name, box), "") for box in there)] for name in names]
+    title = f"ns/day{' of processor time' if of_processor else ''}, and over Verlet at 2 fs; {platform} platform"
+    made = [Table(title, ["method", *there], body, 1)]
+    if "equal" in record.tables:
+        made.append(records.table("At equal energy error; - where no step has it", record.tables["equal"], EQUAL))
     return made
 
 
 def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
-    """Measure, and write speed.json and speed.md.
+    """Measure, and write speed.json and speed.md; or print the tables of an earlier measurement.
 
     Raises:
         ValueError: a box is unknown.
         ImportError: dhfr is to be measured without openmmtools.
     """
-    made: list[dict[str, Any]] = []
-    named = [name for name in settings.boxes if not name.startswith("water-")]
-    chosen(named, SYSTEMS_OF, "box")
-    for name in settings.boxes:
-        made += speeds(speed_boxes.start(name, settings, report), settings, report)
-    rows, found = pd.DataFrame(made), {"speeds": pd.DataFrame(made)}
-    equal = None
-    if len(named) < len(settings.boxes):
-        found["points"] = energy_errors(settings, report)
-        equal = found["equal"] = at_equal_error(rows, found["points"])
-    shown = tables(rows, equal)
+    record = _measured(settings, report) if settings.table is None else records.read(settings.table)
+    shown = tables(record)
     for table in shown:
         report.table(table)
+    (settings.out / "speed.md").write_text("\n".join(records.markdown(table) for table in shown))
+    return record
+
+
+def _measured(settings: SpeedSettings, report: Report) -> Record:
+    with_solute = [name for name in settings.boxes if not name.startswith("water-")]
+    chosen(with_solute, SYSTEMS_OF, "box")
+    made: list[dict[str, Any]] = []
+    for name in settings.boxes:
+        made += speeds(speed_boxes.start(name, settings, report), settings, report)
+    found = {"speeds": pd.DataFrame(made)}
+    if len(with_solute) < len(settings.boxes):
+        found["points"] = energy_errors(settings, report)
+        found["equal"] = at_equal_error(found["speeds"], found["points"])
     builds = {peer.name: peer.build for peer in usual_inputs.installed()}
     record = Record(settings.recorded(), found, {"peers": builds, "threads": threads.count()})
     record.write(settings.out / "speed.json")
-    (settings.out / "speed.md").write_text("\n".join(records.markdown(table) for table in shown))
     return record
 
 
