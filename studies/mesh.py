@@ -215,34 +215,43 @@ def timed(
     tried = sizes(edge, settings.spacing)
     if copies > 1:
         tried = sorted({tried[round(i)] for i in np.linspace(0, len(tried) - 1, min(settings.meshes, len(tried)))})
-    made = {
-        f"mesh {mesh}": _with(replica, settings, Parameters(best_alpha(scanned, edge / mesh), mesh)) for mesh in tried
-    }
-    choices = {(tolerance, split): f"{split} {tolerance:g}" for tolerance in settings.tolerances for split in _SPLITS}
-    made |= {name: _by_tolerance(replica, settings, *choice) for choice, name in choices.items()}
-    platform = next(iter(made.values())).context.getPlatform().getName()
-    errors = {name: error(forces.read(), exact) for name, forces in made.items()}
-    begun = time.perf_counter()
-    next(iter(made.values())).again(1)
-    count = max(1, math.ceil(settings.turn / max(time.perf_counter() - begun, 1e-6)))
-    clock = time.process_time if platform in ON_PROCESSORS else time.perf_counter
-    actions: dict[str, Callable[[], object]] = {name: partial(forces.again, count) for name, forces in made.items()}
-    seconds = {name: each / count for name, each in interleaved(actions, settings.rounds, clock).items()}
-    rows = [_row(molecules, made[name], errors[name], seconds[name]) for name in made if name.startswith("mesh")]
+    made = [_with(replica, settings, Parameters(best_alpha(scanned, edge / mesh), mesh)) for mesh in tried]
+    choices = [(tolerance, split) for tolerance in settings.tolerances for split in _SPLITS]
+    made += [_by_tolerance(replica, settings, *choice) for choice in choices]
+    errors = [error(forces.read(), exact) for forces in made]
+    seconds = _seconds(made, settings)
+    rows = [_row(molecules, *each) for each in zip(made, errors, seconds, strict=True)]
     compared = []
-    for (tolerance, split), name in choices.items():
-        row = {"tolerance": tolerance, "split": split} | _row(molecules, made[name], errors[name], seconds[name])
-        exact_enough = [f"mesh {mesh}" for mesh in tried if errors[f"mesh {mesh}"] <= errors[name]]
-        if exact_enough:
-            best = min(exact_enough, key=lambda each: float(np.median(seconds[each])))
-            ratio, ratio_error, _ = median_and_error(seconds[best] / seconds[name])
-            row |= {"best_mesh": made[best].parameters.mesh, "best_alpha": made[best].parameters.alpha}
-            row |= {"best_error": errors[best], "ratio": ratio, "ratio_error": ratio_error}
-        else:
-            row |= dict.fromkeys(("best_mesh", "best_alpha", "best_error", "ratio", "ratio_error"), math.nan)
+    for number, (tolerance, split) in enumerate(choices, start=len(tried)):
+        row = {"tolerance": tolerance, "split": split} | rows[number]
+        row |= _fastest(rows[: len(tried)], seconds, number, errors[number])
         report.note(records.cell("{molecules} molecules, {split} {tolerance:g}: fastest takes {ratio:.3f} of it", row))
         compared.append(row)
-    return rows, compared
+    return rows[: len(tried)], compared
+
+
+def _seconds(made: Sequence[Forces], settings: MeshSettings) -> list[np.ndarray]:
+    """Seconds that a force evaluation of each takes in each round."""
+    begun = time.perf_counter()
+    made[0].again(1)
+    count = max(1, math.ceil(settings.turn / max(time.perf_counter() - begun, 1e-6)))
+    on_processor = made[0].context.getPlatform().getName() in ON_PROCESSORS
+    actions: dict[str, Callable[[], object]] = {str(i): partial(each.again, count) for i, each in enumerate(made)}
+    found = interleaved(actions, settings.rounds, time.process_time if on_processor else time.perf_counter)
+    return [each / count for each in found.values()]
+
+
+def _fastest(
+    meshes: Sequence[dict[str, Any]], seconds: Sequence[np.ndarray], choice: int, wanted: float
+) -> dict[str, float]:
+    """Which of the meshes is fastest among those with an error as small as wanted, and its time over a choice's."""
+    exact_enough = [i for i, row in enumerate(meshes) if row["error"] <= wanted]
+    if not exact_enough:
+        return dict.fromkeys(("best_mesh", "best_alpha", "best_error", "ratio", "ratio_error"), math.nan)
+    best = min(exact_enough, key=lambda i: meshes[i]["milliseconds"])
+    ratio, ratio_error, _ = median_and_error(seconds[best] / seconds[choice])
+    found = {f"best_{name}": meshes[best][name] for name in ("mesh", "alpha", "error")}
+    return found | {"ratio": ratio, "ratio_error": ratio_error}
 
 
 _SPLITS = (OPENMM, BALANCED)
