@@ -8,7 +8,7 @@ STUDIES = {
     "studies.schemes": "3 to 10 min of one core a liquid",
     "studies.equipartition": "",
     "studies.defaults": "13 min, as two commands with one thread each",
-    "studies.speed": "",
+    "studies.speed": "20 min of one core of a busy machine",
     "studies.mesh": "7 min of one core of a busy machine",
     "studies.bench": "9 min",
     "studies.acceptance": "1 to 2 h of one core",

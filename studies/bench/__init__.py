@@ -17,8 +17,9 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure.report import SILENT, Report, Table
-from studies.bench import accuracy, layer, peers, rotations, steps
+from studies.bench import accuracy, layer, peers, rotations, steps, timing
 from studies.bench.timing import BenchSettings
 from studies.command import chosen
 from studies.records import Record, provenance
@@ -54,7 +55,11 @@ def study(settings: BenchSettings, report: Report = SILENT) -> Record:
     for part in parts:
         for table in part.tables(found):
             report.table(table)
-    notes = {"peers": {peer.name: peer.build for peer in peers.installed()}} if "points" in found else {}
+    notes = {}
+    if "points" in found:
+        of_processor = timing.counts_processor_time(settings.platform)
+        builds = {peer.name: peer.build for peer in peers.installed()}
+        notes = {"peers": builds, "clock": "processor" if of_processor else "wall", "threads": threads.count()}
     record = Record(settings.recorded(), found, notes)
     record.write(settings.out / "bench.json")
     if "points" in found:

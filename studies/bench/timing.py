@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.statistics import Estimate
 from studies.command import BoxSettings
@@ -33,6 +34,15 @@ class BenchSettings(BoxSettings):
     time: float = 1.0
     equilibrate: float = 2.0
     parts: tuple[str, ...] = ()
+
+
+#: Platforms on which processor time is what a computation costs; on others the processor waits.
+ON_PROCESSORS = ("CPU", "Reference")
+
+
+def counts_processor_time(platform: str | None) -> bool:
+    """Whether speeds are those of processor time: on one thread, where other work has less effect on it."""
+    return platform in ON_PROCESSORS and threads.count() == 1
 
 
 def interleaved(

@@ -87,7 +87,7 @@ def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):
     )
     rows = pd.DataFrame(
         [
-            {"box": "water-512", "method": method, "fs_per_force": 2.0, "over": 1.0}
+            {"box": "water-512", "method": method, "fs_per_force": 2.0, "over": 1.0, "over_error": 0.0}
             for method in ("OpenMM Verlet", "SIER2")
         ]
     )
