@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from openmm_sier.measure.report import SILENT, Report
-from studies import acceptance, equipartition, liquid_figure, records, schemes, step_study
+from studies import acceptance, equipartition, liquid_figure, mesh, records, schemes, step_study
 from studies.bench import accuracy
 from studies.command import Settings, chosen, execute
 from studies.paper import water
@@ -38,6 +38,7 @@ FIGURES = {
     "cost": Drawn(accuracy.figure, "cost.json", "python -m studies.bench --parts accuracy"),
     "energy": Drawn(schemes.figure, "schemes.json", "python -m studies.schemes"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json", "python -m studies.equipartition"),
+    "mesh": Drawn(mesh.figure, "mesh.json", "python -m studies.mesh"),
     "paper-water": Drawn(water.figure, "paper-water.json", "python -m studies.paper water"),
     "properties": Drawn(liquid_figure.figure, "properties.json", "python -m studies.liquid_figure motion/*"),
     "step-study": Drawn(step_study.figure, "step-study.json", "python -m studies.step_study step-study/* --skip 5"),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import NamedTuple
 
 import numpy as np
@@ -121,10 +121,11 @@ def equilibrated_liquid(
 
 
 class Followed(NamedTuple):
-    """A run: its samples, and the simulated time in fs per second of wall time."""
+    """A run: its samples, and the simulated time in fs per second of wall and of processor time."""
 
     series: Series
     fs_per_second: float
+    fs_per_processor_second: float
 
 
 def follow(
@@ -161,9 +162,11 @@ def follow(
         context.setState(liquid.start)
         with report.progress(f"{method.name}, {dt:g} fs per force", steps, 1e-3 * step) as show:
             integrator.step(round(1e3 * settle / step))
-            begun = perf_counter()
+            begun, processor = perf_counter(), process_time()
             series = sample(context, liquid.bodies, steps, every, show)
-            return Followed(series, len(series.time) * every * step / (perf_counter() - begun))
+            simulated = len(series.time) * every * step
+            wall, processor = perf_counter() - begun, max(process_time() - processor, 1e-9)
+            return Followed(series, simulated / wall, simulated / processor)
     except openmm.OpenMMException as error:
         raise Unstable(" ".join(str(error).split())) from error
 

@@ -1,12 +1,10 @@
 """Cost of a step beyond its forces, and cost of accuracy.
 
     python -m studies.bench [BOX.pdb] [--parts steps rotations layer accuracy]
-    python -m studies.bench --platform CUDA [--molecules 512 4096]
 
-The first measures the cost of a step over that of its forces and over OpenMM's integrators, of the free rotation and of
-the layer above the forces alone, and energy error against cost, beside LAMMPS (lmp) and GROMACS (gmx) where they are on
-the PATH; it takes some ten minutes of two cores. The second measures steps and forces per second, cost over the forces
-and simulated time per second at equal energy error on a platform. Writes bench.json and bench.png.
+measures the cost of a step over that of its forces and over OpenMM's integrators, of the free rotation and of the layer
+above the forces alone, and energy error against cost, beside LAMMPS (lmp) and GROMACS (gmx) where they are on the PATH;
+it takes some ten minutes of two cores. `studies.speed` compares speeds. Writes bench.json and bench.png.
 
 All timings in a table come from one run. The things compared take turns for several rounds, and ratios are taken within
 a round, so that changes of a machine's speed cancel. Medians over the rounds are shown with their standard errors.
@@ -19,8 +17,9 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure.report import SILENT, Report, Table
-from studies.bench import accuracy, layer, platforms, rotations, steps
+from studies.bench import accuracy, layer, peers, rotations, steps, timing
 from studies.bench.timing import BenchSettings
 from studies.command import chosen
 from studies.records import Record, provenance
@@ -38,7 +37,6 @@ PARTS = {
     "rotations": Part(rotations.find, rotations.tables),
     "layer": Part(layer.find, layer.tables),
     "accuracy": Part(accuracy.find, accuracy.tables),
-    "platform": Part(platforms.find, platforms.tables),
 }
 
 
@@ -48,8 +46,7 @@ def study(settings: BenchSettings, report: Report = SILENT) -> Record:
     Raises:
         ValueError: a part is unknown.
     """
-    usual = [name for name in PARTS if (name == "platform") == (settings.platform is not None)]
-    parts = chosen(settings.parts or usual, PARTS, "part of the benchmark")
+    parts = chosen(settings.parts, PARTS, "part of the benchmark")
     report.note(", ".join(f"{name} {value}" for name, value in provenance()["machine"].items()))
     report.note(", ".join(f"{name} {value}" for name, value in settings.recorded().items()))
     found: dict[str, pd.DataFrame] = {}
@@ -58,7 +55,12 @@ def study(settings: BenchSettings, report: Report = SILENT) -> Record:
     for part in parts:
         for table in part.tables(found):
             report.table(table)
-    record = Record(settings.recorded(), found, {})
+    notes = {}
+    if "points" in found:
+        of_processor = timing.counts_processor_time(settings.platform)
+        builds = {peer.name: peer.build for peer in peers.installed()}
+        notes = {"peers": builds, "clock": "processor" if of_processor else "wall", "threads": threads.count()}
+    record = Record(settings.recorded(), found, notes)
     record.write(settings.out / "bench.json")
     if "points" in found:
         accuracy.figure(record, settings.out / "bench.png")

@@ -15,7 +15,7 @@ from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.report import Report, Table
 from studies import records, style
 from studies.bench import peers
-from studies.bench.timing import BenchSettings
+from studies.bench.timing import BenchSettings, counts_processor_time
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
 from studies.sampling import INTERVAL, Energies, Liquid, Unstable, equilibrated_liquid, follow
@@ -45,7 +45,7 @@ COSTS = {
     "simulated fs per second": "{fs_per_second:.0f}",
 }
 
-#: What is measured: energies, and simulated fs per second of wall time.
+#: What is measured: energies, and simulated fs per second, of processor time if `counts_processor_time`.
 Measured = tuple[Energies, float]
 
 
@@ -53,14 +53,15 @@ def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:
     """All methods at all their steps from one equilibrated start, and what an energy error costs.
 
     Returns:
-        `points` with rms(H)/rms(V) in per cent and the simulated time per wall time, both NaN where a method broke
+        `points` with rms(H)/rms(V) in per cent and the simulated time per second, both NaN where a method broke
         down, and `costs`, see `costs_of`.
     """
     liquid = equilibrated_liquid(settings, settings.equilibrate, report)
     points = measure(liquid, METHODS, settings.time, report)
     for peer, water in _peers(liquid, report):
         for dt in SECOND_ORDER:
-            points.append(_point(peer.name, dt, partial(_of_peer, peer, water, dt, settings.time), report))
+            run = partial(_of_peer, peer, water, dt, settings)
+            points.append(_point(peer.name, dt, run, report))
     made = pd.DataFrame(points)
     return {"points": made, "costs": costs_of(made)}
 
@@ -88,15 +89,16 @@ def _point(method: str, dt: float, run: Callable[[], Measured], report: Report) 
 
 def _of_openmm(liquid: Liquid, method: Method, dt: float, time: float) -> Measured:
     found = follow(liquid, method, dt, time)
-    return found.series, found.fs_per_second
+    of_processor = counts_processor_time(liquid.platform)
+    return found.series, found.fs_per_processor_second if of_processor else found.fs_per_second
 
 
-def _of_peer(peer: peers.Peer, water: peers.Liquid, dt: float, time: float) -> Measured:
-    steps = max(1, round(1e3 * time / dt))
+def _of_peer(peer: peers.Peer, water: peers.Liquid, dt: float, settings: BenchSettings) -> Measured:
+    steps = max(1, round(1e3 * settings.time / dt))
     every = min(steps, max(1, round(INTERVAL / dt)))
     with tempfile.TemporaryDirectory() as directory:
-        energies, seconds = peer.simulate(water, dt, steps, every, Path(directory))
-    return energies, steps * dt / seconds
+        run = peer.simulate(water, dt, steps, every, Path(directory))
+    return run.energies, steps * dt / (run.processor if counts_processor_time(settings.platform) else run.seconds)
 
 
 def _peers(liquid: Liquid, report: Report) -> Iterator[tuple[peers.Peer, peers.Liquid]]:
@@ -110,7 +112,7 @@ def _peers(liquid: Liquid, report: Report) -> Iterator[tuple[peers.Peer, peers.L
         report.note("no other program: they are compared at three-site water alone")
         return
     for peer in found:
-        report.note(f"{peer.name}: {peers.DIFFERENCES[peer.name.split()[0]]}")
+        report.note(f"{peer.name}: {peers.DIFFERENCES[peer.name.split()[0]]}; {peer.build}")
         yield peer, water
 
 
@@ -160,7 +162,7 @@ def figure(record: Record, path: Path) -> None:
         style.curves(speed, points, "percent", "fs_per_second")
         cost.set(xlabel="force evaluations per picosecond", ylabel="rms(H)/rms(V) (%)")
         cost.set_title("Accuracy for a number of forces")
-        speed.set(xlabel="rms(H)/rms(V) (%)", ylabel="simulated fs per second of wall time")
+        speed.set(xlabel="rms(H)/rms(V) (%)", ylabel="simulated fs per second")
         speed.set_title("Speed for an accuracy")
         for axes in (cost, speed):
             style.logarithmic(axes)

@@ -1,25 +1,31 @@
 """LAMMPS and GROMACS, where they are installed, at the same liquid: rigid water of three sites.
 
 Both get the positions, velocities, charges, cut-offs, Ewald parameter, mesh and spline order of the OpenMM System. What
-differs is written down in `DIFFERENCES` and printed with the comparison.
+differs is written down in `DIFFERENCES` and printed with the comparison. With `usual` settings they get positions,
+velocities, charges and cut-offs alone, and take what they recommend for the rest, see `studies.bench.usual_inputs`.
+
+Both run with as many threads as OpenMM, `OPENMM_CPU_THREADS` or all cores.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier.dynamics.backend import threads
 from studies.sampling import Energies
 
 KCAL = 4.184
@@ -68,29 +74,74 @@ class Liquid:
         return len(self.positions) // 3
 
 
+class Run(NamedTuple):
+    """What a program did: energies, and the seconds of wall and of processor time that it counts for its steps."""
+
+    energies: Energies
+    seconds: float
+    processor: float
+
+
+#: (liquid, step in fs, number of steps, steps between two samples) -> a program's input.
+Input = Callable[[Liquid, float, int, int], str]
+
+
 @dataclass(frozen=True)
 class Peer:
     """A program that is installed.
 
     Attributes:
         name: for tables.
-        simulate: (liquid, step in fs, number of steps, steps between two samples, empty directory) -> energies, and the
-            seconds that the run took.
+        simulate: (liquid, step in fs, number of steps, steps between two samples, empty directory) -> what it did.
+        build: version, precision, compiled instructions and threads, as the program tells them.
     """
 
     name: str
-    simulate: Callable[[Liquid, float, int, int, Path], tuple[Energies, float]]
+    simulate: Callable[[Liquid, float, int, int, Path], Run]
+    build: str
 
 
 def installed() -> list[Peer]:
     """The peers on this machine: `lmp`, `gmx` and `gmx_d` on the PATH or beside the running Python."""
-    peers = []
-    if (lammps := _find("lmp")) is not None:
-        peers.append(Peer("LAMMPS rigid/nve/small", _Lammps(lammps)))
-    for name, title in (("gmx", "GROMACS md-vv, mixed"), ("gmx_d", "GROMACS md-vv, double")):
-        if (program := _find(name)) is not None:
-            peers.append(Peer(title, _Gromacs(program)))
-    return peers
+    found = [lammps("LAMMPS rigid/nve/small", _lammps_input)]
+    found += [gromacs(f"GROMACS md-vv, {name}", _mdp, program) for name, program in PRECISIONS.items()]
+    return [peer for peer in found if peer is not None]
+
+
+#: GROMACS by precision.
+PRECISIONS = {"mixed": "gmx", "double": "gmx_d"}
+
+
+def lammps(name: str, script: Input) -> Peer | None:
+    """LAMMPS with an input, where it is installed."""
+    if (program := _find("lmp")) is None:
+        return None
+    return Peer(name, _Lammps(program, script), f"{_lammps_build(program)}, {threads.count()} threads")
+
+
+def gromacs(name: str, mdp: Input, command: str = "gmx") -> Peer | None:
+    """GROMACS with parameters of a run, where it is installed."""
+    if (program := _find(command)) is None:
+        return None
+    return Peer(name, _Gromacs(program, mdp), f"{_gromacs_build(program)}, {threads.count()} threads")
+
+
+def _lammps_build(program: str) -> str:
+    told = _told(program, "-h")
+    version = re.search(r"Massively Parallel Simulator - (.+)", told)
+    compiler = re.search(r"^Compiler: (.+)", told, re.M)
+    return f"LAMMPS {version[1] if version else '?'}, double precision, {compiler[1] if compiler else '?'}"
+
+
+def _gromacs_build(program: str) -> str:
+    told = _told(program, "--version")
+    named = dict(re.findall(r"^(GROMACS version|Precision|SIMD instructions|CPU FFT library): +(.+)", told, re.M))
+    return ", ".join(f"{name.removesuffix(' version')} {value}" for name, value in named.items()) or "GROMACS ?"
+
+
+def _told(program: str, option: str) -> str:
+    """What a program tells of itself."""
+    return subprocess.run([program, option], capture_output=True, text=True).stdout
 
 
 def _find(program: str) -> str | None:
@@ -136,22 +187,26 @@ def _execute(command: list[str], directory: Path, given: str = "") -> str:
 
 
 class _Lammps:
-    """LAMMPS, on all cores if the `mpiexec` that belongs to it lies beside it."""
+    """LAMMPS, with threads if the `mpiexec` that belongs to it lies beside it."""
 
-    def __init__(self, program: str):
+    def __init__(self, program: str, script: Input):
         # An MPI other than the one that LAMMPS was built with would start that many independent runs.
-        launcher = shutil.which("mpiexec", path=str(Path(program).parent))
-        self.command = [*([launcher, "-n", str(cores())] if launcher else []), program, "-in", "in.lmp", "-log", "log"]
+        launcher = shutil.which("mpiexec", path=str(Path(program).parent)) if threads.count() > 1 else None
+        launch = [launcher, "-n", str(threads.count())] if launcher else []
+        self.command = [*launch, program, "-in", "in.lmp", "-log", "log"]
+        self.script = script
 
-    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> tuple[Energies, float]:
+    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> Run:
         (directory / "data").write_text(_lammps_data(liquid))
-        (directory / "in.lmp").write_text(_lammps_input(liquid, step, steps, every))
+        (directory / "in.lmp").write_text(self.script(liquid, step, steps, every))
         text = _execute(self.command, directory)
         table = re.search(r"^ *Step +PotEng +KinEng *\n((?: *\d.*\n)+)Loop time of ([\d.eE+-]+)", text, re.M)
         if table is None:
             raise PeerError("LAMMPS printed no energies")
         rows = np.array([line.split() for line in table[1].splitlines()], dtype=float)
-        return Energies(1e-3 * step * rows[:, 0], KCAL * rows[:, 1], KCAL * rows[:, 2]), float(table[2])
+        energies = Energies(1e-3 * step * rows[:, 0], KCAL * rows[:, 1], KCAL * rows[:, 2])
+        seconds, use = float(table[2]), re.search(r"([\d.]+)% CPU use with (\d+) MPI tasks", text)
+        return Run(energies, seconds, seconds * float(use[1]) / 100 * int(use[2]) if use else math.nan)
 
 
 def _lammps_input(liquid: Liquid, step: float, steps: int, every: int) -> str:
@@ -215,21 +270,31 @@ def _lammps_data(liquid: Liquid) -> str:
 
 
 class _Gromacs:
-    """GROMACS on all cores."""
+    """GROMACS."""
 
-    def __init__(self, program: str):
-        self.program = program
+    def __init__(self, program: str, mdp: Input):
+        self.program, self.mdp = program, mdp
 
-    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> tuple[Energies, float]:
+    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> Run:
         (directory / "conf.gro").write_text(_gro(liquid))
         (directory / "topol.top").write_text(_topology(liquid))
-        (directory / "grompp.mdp").write_text(_mdp(liquid, step, steps, every))
+        (directory / "grompp.mdp").write_text(self.mdp(liquid, step, steps, every))
         _execute([self.program, "grompp", "-maxwarn", "10"], directory)
-        _execute([self.program, "mdrun", "-ntmpi", "1", "-ntomp", str(cores()), "-pin", "off"], directory)
+        before, begun = _children(), time.perf_counter()
+        _execute([self.program, "mdrun", "-ntmpi", "1", "-ntomp", str(threads.count()), "-pin", "off"], directory)
+        share = (_children() - before) / (time.perf_counter() - begun)
         _execute([self.program, "energy", "-dp", "-o", "e.xvg"], directory, "Potential\nKinetic-En.\n\n")
-        time, potential, kinetic = np.loadtxt(directory / "e.xvg", comments=("#", "@")).T
+        times, potential, kinetic = np.loadtxt(directory / "e.xvg", comments=("#", "@")).T
         wall = re.search(r"^ +Time: +[\d.]+ +([\d.]+)", (directory / "md.log").read_text(), re.M)
-        return Energies(time, potential, kinetic), float(wall[1]) if wall else math.nan
+        seconds = float(wall[1]) if wall else math.nan
+        # Its own "core time" is wall time times threads.
+        return Run(Energies(times, potential, kinetic), seconds, seconds * share)
+
+
+def _children() -> float:
+    """Processor time of programs that have ended, s."""
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def _gro(liquid: Liquid) -> str:

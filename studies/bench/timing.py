@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.statistics import Estimate
 from studies.command import BoxSettings
@@ -24,9 +25,7 @@ class BenchSettings(BoxSettings):
         rounds: how often everything takes its turn; steps in small boxes do so more often, in large ones less often.
         time: length of the runs that measure the energy error, ps.
         equilibrate: before those runs, ps.
-        parts: of steps, rotations, layer, accuracy, platform; unless given, `platform` if a platform is given, and all
-            others if not.
-        molecules: numbers of molecules for the platform, multiples of that of the box.
+        parts: of steps, rotations, layer, accuracy; all unless given.
     """
 
     copies: tuple[int, ...] = (1, 2, 4)
@@ -35,7 +34,15 @@ class BenchSettings(BoxSettings):
     time: float = 1.0
     equilibrate: float = 2.0
     parts: tuple[str, ...] = ()
-    molecules: tuple[int, ...] = (512, 4096, 32768, 98304)
+
+
+#: Platforms on which processor time is what a computation costs; on others the processor waits.
+ON_PROCESSORS = ("CPU", "Reference")
+
+
+def counts_processor_time(platform: str | None) -> bool:
+    """Whether speeds are those of processor time: on one thread, where other work has less effect on it."""
+    return platform in ON_PROCESSORS and threads.count() == 1
 
 
 def interleaved(

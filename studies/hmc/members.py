@@ -103,10 +103,11 @@ def label_of(run: FinishedRun) -> str:
 def forces_per_step(run: FinishedRun) -> float:
     """Forces of a step, which is a trial with hybrid Monte Carlo, and energies for decisions."""
     plan = run.plan
-    moves = plan.moves_volume
+    moves, scheme = plan.moves_volume, plan.method.scheme
+    forces = scheme.force_evaluations if scheme else 1
     if plan.ensemble == "hmc":
-        return plan.method.forces * plan.steps_per_trial + 1 + moves
-    return plan.method.forces + (moves / BAROSTAT_INTERVAL)
+        return forces * plan.steps_per_trial + 1 + moves
+    return forces + moves / BAROSTAT_INTERVAL
 
 
 def row_of(label: str, runs: Sequence[FinishedRun], skip: float) -> dict[str, Any]:
@@ -142,7 +143,7 @@ def in_frames(run: FinishedRun, skip: float) -> dict[str, pd.DataFrame]:
 
     The dipole needs neutral molecules whose sites are all in the trajectory.
     """
-    if not run.frames or run.plan.box is None:
+    if not run.notes["trajectory"]["count"] or run.plan.box is None:
         return {}
     box = read_box(Path(run.plan.box), run.plan.forcefield, run.plan.constraints)
     with quietly(), DCDTrajectoryFile(str(run.plan.out)) as file:

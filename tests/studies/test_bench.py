@@ -74,7 +74,7 @@ def test_bench_in_miniature(box, tmp_path, monkeypatch):
 
 
 def test_unknown_part_is_refused():
-    known = "known are steps, rotations, layer, accuracy, platform"
+    known = "known are steps, rotations, layer, accuracy"
     with pytest.raises(ValueError, match=f"unknown part of the benchmark 'speed'; {known}"):
         bench.study(timing.BenchSettings(parts=("speed",)))
 
@@ -175,6 +175,9 @@ def test_other_liquids_are_left_to_openmm():
 
 FAKE = """#!{python}
 import sys
+if sys.argv[1:] == ["-h"]:
+    print("Large-scale Atomic/Molecular Massively Parallel Simulator - 1 Jan 2030\\n\\nCompiler: GNU C++ 20")
+    sys.exit()
 assert sys.argv[1:] == ["-in", "in.lmp", "-log", "log"] and "run 4" in open("in.lmp").read()
 if {fails}:
     sys.exit("ERROR: no such pair style")
@@ -183,6 +186,7 @@ print("         0  -10.0   5.0")
 print("         2  -12.0   6.5")
 print("         4  -11.0   6.0")
 print("Loop time of 0.25 on 1 procs for 4 steps with 1536 atoms")
+print("96.0% CPU use with 1 MPI tasks x 1 OpenMP threads")
 """
 
 
@@ -199,10 +203,12 @@ def test_a_program_on_the_path_is_found_and_read(liquid, tmp_path, monkeypatch, 
         with pytest.raises(peers.PeerError, match="no such pair style"):
             peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
         return
-    energies, seconds = peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
+    energies, seconds, processor = peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
     assert energies.time == pytest.approx([0, 0.003, 0.006])
     assert energies.total == pytest.approx([-5 * 4.184, -5.5 * 4.184, -5 * 4.184])
     assert seconds == 0.25
+    assert processor == pytest.approx(0.24)
+    assert peer.build.startswith("LAMMPS 1 Jan 2030, double precision, GNU C++ 20, ")
 
 
 def test_median_comes_with_its_standard_error(rng):

@@ -1,0 +1,342 @@
+"""Simulated time per day of OpenMM's integrators and of these, at the steps for which each is meant.
+
+    python -m studies.speed [--platform CUDA] [--boxes water-512 peptide]
+    python -m studies.speed --table studies/data/speed.json
+
+takes boxes of water, a peptide and a protein, with OpenMM's default tolerance. OpenMM's integrators have the System as
+OpenMM makes it, those of this package have it prepared. All take turns; ratios are those within a round, of processor
+time on the CPU platform and of wall time on others. Small boxes of water also go to LAMMPS (lmp) and GROMACS (gmx) at
+their own settings where they are on the PATH; they use no GPU unless they were built to. For water it also gives the
+speed at equal energy error: the steps that have it are found in the box of 512 molecules. Set OPENMM_CPU_THREADS to 1
+for a machine that does other work: ns/day are then those of processor time too. Writes speed.json and speed.md. With
+`--table` it prints those of an earlier measurement.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+import pandas as pd
+
+from openmm_sier import prepare_system
+from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.measure.report import SILENT, Report, Table
+from openmm_sier.measure.starts import make_context
+from studies import records, speed_boxes
+from studies.bench import accuracy, peers, usual_inputs
+from studies.bench.timing import ON_PROCESSORS, median_and_error
+from studies.command import BoxSettings, chosen, execute
+from studies.records import Record
+from studies.sampling import equilibrated_liquid
+from studies.speed_boxes import SYSTEMS_OF, Start
+
+#: What ratios are taken over: OpenMM's Verlet at its usual step.
+REFERENCE = "OpenMM Verlet, 2 fs"
+
+#: Force evaluations of the shortest turn, a multiple of those in a step of every method, and of the longest.
+EVALUATIONS, MOST_EVALUATIONS = 12, 12000
+
+#: Fewest steps of a turn of another program, whose lists of pairs are made every 20 to 40 steps.
+PEER_STEPS = 200
+
+#: fs per force evaluation at which energy errors are measured, and the errors in per cent at which speeds are compared,
+#: which these steps of all methods enclose: at OpenMM's default tolerance none has less than 0.06 %.
+STEPS = {
+    "verlet": (0.5, 1.0, 1.5, 2.0, 2.5),
+    "sier2": (0.5, 1.0, 1.5, 2.0, 2.5),
+    "sier2p3": (1.5, 2.0, 3.0, 3.5, 4.0, 5.0),
+    "sier4g": (1.5, 2.0, 2.5, 3.0),
+}
+LEVELS = (0.3, 0.7)
+
+EQUAL = {
+    "box": "{box}",
+    "rms(H)/rms(V)/%": "{percent:g}",
+    "method": "{method}",
+    "fs per force": "{fs_per_force:.2f} ± {fs_per_force_error:.2f}",
+    "over Verlet": "{over:.2f} ± {over_error:.2f}",
+}
+
+
+@dataclass(frozen=True)
+class SpeedSettings(BoxSettings):
+    """Settings of the comparison.
+
+    Attributes:
+        box: of 512 water molecules of three sites, which larger boxes repeat.
+        boxes: water-N, N a multiple of the molecules of `box`, peptide, dhfr; water-512, water-4096, water-32768,
+            peptide and dhfr unless given.
+        rounds: in which all methods take their turns.
+        turn: least seconds of a turn.
+        largest_for_peers: most molecules of water that LAMMPS and GROMACS get.
+        time: of each run that measures an energy error, ps.
+        equilibrate: before these, ps.
+        starts: of these.
+        table: the file of an earlier measurement, whose tables are printed; nothing is measured then.
+    """
+
+    boxes: tuple[str, ...] = ("water-512", "water-4096", "water-32768", "peptide", "dhfr")
+    rounds: int = 5
+    turn: float = 0.5
+    largest_for_peers: int = 4096
+    time: float = 1.0
+    equilibrate: float = 2.0
+    starts: int = 3
+    table: Path | None = None
+
+
+class Contestant(NamedTuple):
+    """An integrator at a step.
+
+    Attributes:
+        method: name without the step.
+        step: fs.
+        forces: evaluations in a step.
+        prepared: whether its System is.
+        make: (step in ps, temperature in K) -> integrator.
+    """
+
+    method: str
+    step: float
+    forces: int
+    prepared: bool
+    make: Callable[[float, float], openmm.Integrator]
+
+    @property
+    def name(self) -> str:
+        return f"{self.method}, {self.step:g} fs"
+
+
+def contestants(has_solute: bool) -> list[Contestant]:
+    """All of them; with solutes SIER2P3 has the step that bonds allow."""
+
+    def own(scheme: Scheme, step: float) -> Contestant:
+        return Contestant(scheme.name, step, scheme.force_evaluations, True, lambda h, _: SIERIntegrator(h, scheme))
+
+    def verlet(h: float, _: float) -> openmm.Integrator:
+        return openmm.VerletIntegrator(h)
+
+    def middle(h: float, temperature: float) -> openmm.Integrator:
+        return openmm.LangevinMiddleIntegrator(temperature, 1.0, h)
+
+    theirs = [Contestant("OpenMM Verlet", step, 1, False, verlet) for step in (1.0, 2.0)]
+    theirs += [Contestant("OpenMM LangevinMiddle", step, 1, False, middle) for step in (2.0, 4.0)]
+    return [*theirs, own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 6.0)]
+
+
+class Turn(NamedTuple):
+    """Simulated fs of a turn, and the seconds of wall and of processor time that it took."""
+
+    simulated: float
+    wall: float
+    processor: float
+
+
+def turns(actions: Mapping[str, Callable[[], Turn]], rounds: int) -> dict[str, np.ndarray]:
+    """Simulated fs, wall and processor time of each turn, (rounds, 3); a first round is not counted."""
+    found: dict[str, list[Turn]] = {name: [] for name in actions}
+    for number in range(rounds + 1):
+        for name, action in actions.items():
+            turn = action()
+            if number:
+                found[name].append(turn)
+    return {name: np.array(each, dtype=float) for name, each in found.items()}
+
+
+def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
+    """A row for each method in one box."""
+    systems = {False: start.system, True: copy.deepcopy(start.system)}
+    prepare_system(systems[True])
+    methods = {method.name: method for method in contestants(start.has_solute)}
+    contexts = {name: _context(method, systems[method.prepared], start, settings) for name, method in methods.items()}
+    evaluations = _evaluations(contexts[REFERENCE], settings.turn)
+    actions: dict[str, Callable[[], Turn]] = {
+        name: partial(_turn, contexts[name], evaluations // method.forces, method.step)
+        for name, method in methods.items()
+    }
+    actions |= _actions_of_peers(start, evaluations, settings)
+    platform = contexts[REFERENCE].getPlatform().getName()
+    found = turns(actions, settings.rounds)
+    rows = rows_of(found, platform)
+    for row in rows:
+        method = methods.get(row["name"])
+        row |= {
+            "box": start.name,
+            "atoms": start.system.getNumParticles(),
+            "platform": platform,
+            "engine": getattr(contexts[row["name"]].getIntegrator(), "engine", "") if method else "",
+            "method": method.method if method else row["name"].partition(",")[0],
+            "fs_per_force": method.step / method.forces if method else usual_inputs.STEP,
+        }
+        report.note(records.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))
+    return rows
+
+
+def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, Any]]:
+    """Speeds in ns/day, and ratios to `REFERENCE`, from what `turns` found."""
+    clock = 2 if platform in ON_PROCESSORS else 1
+    speed = {name: each[:, 0] / each[:, clock] for name, each in found.items()}
+    rows = []
+    for name, each in found.items():
+        # 86400 s a day, 1e6 fs a ns.
+        wall, wall_error, _ = median_and_error(0.0864 * each[:, 0] / each[:, 1])
+        processor = float(np.median(0.0864 * each[:, 0] / np.maximum(each[:, 2], 1e-9)))
+        over, over_error, _ = median_and_error(speed[name] / speed[REFERENCE])
+        row = {"name": name, "ns_per_day": wall, "ns_per_day_error": wall_error, "ns_per_day_processor": processor}
+        rows.append(row | {"over": over, "over_error": 0.0 if name == REFERENCE else over_error})
+    return rows
+
+
+def _context(method: Contestant, system: openmm.System, start: Start, settings: SpeedSettings) -> openmm.Context:
+    integrator = method.make(1e-3 * method.step, settings.temperature)
+    context = make_context(system, integrator, settings.platform)
+    context.setState(start.state)
+    return context
+
+
+def _turn(context: openmm.Context, steps: int, step: float) -> Turn:
+    """Run; reading the positions waits for a GPU."""
+    wall, processor = time.perf_counter(), time.process_time()
+    context.getIntegrator().step(steps)
+    context.getState(positions=True)
+    return Turn(steps * step, time.perf_counter() - wall, time.process_time() - processor)
+
+
+def _evaluations(context: openmm.Context, least: float) -> int:
+    """Number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes so many seconds."""
+    _turn(context, EVALUATIONS, 1.0)
+    seconds = _turn(context, EVALUATIONS, 1.0).wall
+    return EVALUATIONS * min(math.ceil(least / max(seconds, 1e-6)), MOST_EVALUATIONS // EVALUATIONS)
+
+
+def _actions_of_peers(start: Start, evaluations: int, settings: SpeedSettings) -> dict[str, Callable[[], Turn]]:
+    """Turns of LAMMPS and GROMACS, where they are installed and the box is for them."""
+    if start.has_solute or start.molecules > settings.largest_for_peers:
+        return {}
+    liquid = peers.liquid_of(start.system, start.state)
+    if liquid is None:
+        return {}
+    steps = max(evaluations, PEER_STEPS)
+    named = {f"{peer.name}, {usual_inputs.STEP:g} fs": peer for peer in usual_inputs.installed()}
+    return {name: partial(_turn_of_peer, peer, liquid, steps) for name, peer in named.items()}
+
+
+def _turn_of_peer(peer: peers.Peer, liquid: peers.Liquid, steps: int) -> Turn:
+    with tempfile.TemporaryDirectory() as directory:
+        run = peer.simulate(liquid, usual_inputs.STEP, steps, steps, Path(directory))
+    return Turn(steps * usual_inputs.STEP, run.seconds, run.processor)
+
+
+# --- at equal energy error ---
+
+
+def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
+    """Points of `accuracy.measure` with the seed of their start, in the box of water, prepared."""
+    found = []
+    for seed in range(settings.seed, settings.seed + settings.starts):
+        mine = replace(settings, seed=seed)
+        liquid = equilibrated_liquid(mine, settings.equilibrate, report, speed_boxes.TOLERANCE)
+        found += [row | {"seed": seed} for row in accuracy.measure(liquid, STEPS, settings.time, report)]
+    return pd.DataFrame(found)
+
+
+def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
+    """Speed of each method in each box of water at each of `LEVELS`.
+
+    The step that has an error is interpolated for each start; its mean and standard error are over the starts.
+    """
+    steps = {
+        (method, level): _steps_at(points, method, level) for method in points["method"].unique() for level in LEVELS
+    }
+    found = []
+    usual = rows.drop_duplicates(["box", "method"], keep="last").set_index(["box", "method"])
+    for box in (name for name in rows["box"].unique() if name.startswith("water")):
+        for (method, level), (dt, error) in sorted(steps.items(), key=lambda item: item[0][1]):
+            mine, verlet = usual.loc[(box, method)], usual.loc[(box, "OpenMM Verlet")]
+            verlet_dt, verlet_error = steps["OpenMM Verlet", level]
+            over = dt / verlet_dt * mine["over"] / mine["fs_per_force"] * verlet["fs_per_force"]
+            shares = (error / dt, verlet_error / verlet_dt, mine["over_error"] / mine["over"])
+            share = 0.0 if method == "OpenMM Verlet" else math.hypot(*shares)
+            row = {"box": box, "percent": level, "method": method, "fs_per_force": dt, "fs_per_force_error": error}
+            found.append(row | {"over": over, "over_error": over * share})
+    return pd.DataFrame(found)
+
+
+def _steps_at(points: pd.DataFrame, method: str, level: float) -> tuple[float, float]:
+    """fs per force that have an error, mean over the starts and its standard error; NaN where a start has none."""
+    each = np.array([accuracy.step_at(mine, method, level) for _, mine in points.groupby("seed")])
+    return float(each.mean()), float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
+
+
+# --- the study ---
+
+
+def tables(record: Record) -> list[Table]:
+    """Speeds, for the report: a row for each method and a column for each box."""
+    rows = record.tables["speeds"]
+    platform = rows["platform"].iloc[0]
+    of_processor = platform in ON_PROCESSORS and record.notes["threads"] == 1
+    form = "{ns_per_day_processor:.3g}" if of_processor else "{ns_per_day:.3g}"
+    cells = {
+        (row["name"], row["box"]): records.cell(form + ", {over:.2f} ± {over_error:.2f}", row)
+        for row in rows.to_dict("records")
+    }
+    names, there = rows["name"].unique(), rows["box"].unique()
+    body = [[name, *(cells.get((name, box), "") for box in there)] for name in names]
+    title = f"ns/day{' of processor time' if of_processor else ''}, and over Verlet at 2 fs; {platform} platform"
+    made = [Table(title, ["method", *there], body, 1)]
+    if "equal" in record.tables:
+        made.append(records.table("At equal energy error; - where no step has it", record.tables["equal"], EQUAL))
+    return made
+
+
+def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
+    """Measure, and write speed.json and speed.md; or print the tables of an earlier measurement.
+
+    Raises:
+        ValueError: a box is unknown.
+        ImportError: dhfr is to be measured without openmmtools.
+    """
+    record = _measured(settings, report) if settings.table is None else records.read(settings.table)
+    shown = tables(record)
+    for table in shown:
+        report.table(table)
+    (settings.out / "speed.md").write_text("\n".join(records.markdown(table) for table in shown))
+    return record
+
+
+def _measured(settings: SpeedSettings, report: Report) -> Record:
+    with_solute = [name for name in settings.boxes if not name.startswith("water-")]
+    chosen(with_solute, SYSTEMS_OF, "box")
+    made: list[dict[str, Any]] = []
+    for name in settings.boxes:
+        made += speeds(speed_boxes.start(name, settings, report), settings, report)
+    found = {"speeds": pd.DataFrame(made)}
+    if len(with_solute) < len(settings.boxes):
+        found["points"] = energy_errors(settings, report)
+        found["equal"] = at_equal_error(found["speeds"], found["points"])
+    builds = {peer.name: peer.build for peer in usual_inputs.installed()}
+    record = Record(settings.recorded(), found, {"peers": builds, "threads": threads.count()})
+    record.write(settings.out / "speed.json")
+    return record
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(SpeedSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
