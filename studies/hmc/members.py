@@ -3,10 +3,10 @@
     openmm-sier ensemble systems/dipeptide-samples.toml --out samples
     python -m studies.hmc.members samples/* --skip 5 --out samples-table
 
-Acceptance, energy error, potential energy, volume and density by settings, and the number of forces for an independent potential
-energy, volume, dipole of the box and cosine of the first psi, from the logs and trajectories of complete runs; those
-that differ in their seeds alone are pooled. An energy, for the decision on a trial or on a move of the volume, counts
-as a force. Writes members.json.
+Acceptance, energy error, potential energy, volume and density by settings, and the number of forces for an
+independent potential energy, volume, dipole of the box and cosine of the first psi, from the logs and trajectories of
+complete runs; those that differ in their seeds alone are pooled. An energy, for the decision on a trial or on a move of
+the volume, counts as a force. Writes members.json.
 """
 
 from __future__ import annotations
