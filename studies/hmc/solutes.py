@@ -90,7 +90,7 @@ def read(settings: SoluteSettings) -> Solution:
 def write(path: Path, solution: Solution) -> None:
     """Write a box as a PDB file that `openmm-sier` reads, with the force fields of the project's peptides in it.
 
-    DHFR's own force field is in files of Amber, and an earlier one of its family.
+    The parameters of DHFR in its study are those of Amber's files, and need not be those of the force fields named.
     """
     # The box of the topology may be that of another state than the System's.
     vectors = [vector.value_in_unit(unit.nanometer) for vector in solution.system.getDefaultPeriodicBoxVectors()]
