@@ -24,11 +24,11 @@ import pandas as pd
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.report import SILENT, Report
 from studies import records
 from studies.command import BoxSettings, chosen, claim, execute
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
+from studies.report import SILENT, Report
 from studies.sampling import Liquid, equilibrated_liquid, follow
 
 #: What makes a cell of the table.

@@ -11,11 +11,11 @@ from openmm import unit
 
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
-from openmm_sier.measure.report import Report
 from openmm_sier.measure.starts import make_context
 from openmm_sier.prepare.pme import meshed_forces
 from studies import boxes
 from studies.command import SYSTEMS, BoxSettings
+from studies.report import Report
 
 #: OpenMM's default ewaldErrorTolerance; nm.
 TOLERANCE, CUTOFF, SWITCH = 5e-4, 0.9, 0.75
