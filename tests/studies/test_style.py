@@ -21,7 +21,8 @@ def test_every_method_that_can_be_compared_has_a_look(name):
 def test_methods_of_the_figure_of_costs_have_a_look():
     # Peers among them, which may not be installed here.
     drawn = pd.concat(records.read(figures.DATA / "cost.json").tables.values())["method"].dropna()
-    assert any("LAMMPS" in name for name in drawn) and any("GROMACS" in name for name in drawn)
+    assert any("LAMMPS" in name for name in drawn)
+    assert any("GROMACS" in name for name in drawn)
     assert set(drawn) <= set(style.METHODS)
 
 
