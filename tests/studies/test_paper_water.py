@@ -282,23 +282,6 @@ def test_phase_points():
 
 
 @pytest.mark.slow
-def test_pme_liquid_runs():
-    """The practical twin: SIER2's error is of second order, and SIER4's far below it.
-
-    The slope was 1.94 to 1.97: forces of PME with so short a cut-off are not quite those of its energy, which adds some
-    0.04 % of rms(V) to either error.
-    """
-    settings = replace(
-        miniature()[0], kinds=(PME,), force_steps_fs=(0.75, 1.5), compared_from_fs=9.0, compared_to_fs=9.0, runs=1
-    )
-    found = ratios(evaluated(settings))
-    assert math.log2(found["SIER2", 1.5] / found["SIER2", 0.75]) == pytest.approx(2, abs=0.2)
-    # The molecular cut-off of as many molecules has 0.5 %.
-    assert 0.2 < found["SIER2", 1.5] < 2
-    assert found["SIER4", 1.5] < 0.4 * found["SIER2", 1.5]
-
-
-@pytest.mark.slow
 def test_phase_points_are_liquid_water():
     """64 molecules near -40 kJ/mol each."""
     context = liquids.context(liquids.build(PME, box(), SMALL), openmm.VerletIntegrator(0.001), PME)
