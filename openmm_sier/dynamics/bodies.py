@@ -17,11 +17,10 @@ import numpy as np
 
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
-from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import RigidityError as RigidityError
-from openmm_sier.dynamics.species import Species
+from openmm_sier.dynamics.species import Species, sites_of
 
 
 class NotFiniteError(ValueError):
@@ -118,8 +117,8 @@ class RigidBodies:
         counts = [s.atoms.shape[0] for s in self.species]
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        self._sites = [Sites(part, s.atoms, s.sites) for s, part in zip(self.species, self.parts, strict=True)]
-        self._ones = [np.ones(len(s.masses)) for s in self.species]
+        self._sites, self._fractions = sites_of(self.species, self.parts)
+        self._ones = [np.ones(len(fractions)) for fractions in self._fractions]
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
@@ -282,7 +281,8 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(velocities, A, [s.masses for s in self.species])
+        velocity, moment = self._sum_over_sites(velocities, A, self._fractions)
+        return self.masses * velocity, self.masses * moment
 
     def forces_and_torques(self, forces: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).

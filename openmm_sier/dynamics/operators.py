@@ -8,6 +8,7 @@ the start of the next without any bookkeeping.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from operator import is_
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class CachedForces:
         return self._latest(state.q, state.A)
 
     def _latest(self, *where: np.ndarray) -> tuple[np.ndarray, ...]:
-        if [id(array) for array in where] != [id(array) for array in self._where]:
+        if len(where) != len(self._where) or not all(map(is_, where, self._where)):
             self.invalidate()
             self._value = self.at(*where)
             self._where = where
@@ -65,9 +66,10 @@ class CachedForces:
         """
         self.evaluations += 1
         found = self._compute(*where)
-        if any(vectors.shape != where[0].shape for vectors in found):
-            shapes = " and ".join(str(vectors.shape) for vectors in found)
-            raise ValueError(f"forces must have the shape {where[0].shape} of the positions, got {shapes}")
+        for vectors in found:
+            if vectors.shape != where[0].shape:
+                shapes = " and ".join(str(each.shape) for each in found)
+                raise ValueError(f"forces must have the shape {where[0].shape} of the positions, got {shapes}")
         return found
 
 

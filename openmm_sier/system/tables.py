@@ -32,7 +32,7 @@ class Constraints(NamedTuple):
 
 def masses(system: openmm.System) -> np.ndarray:
     """Masses of all particles, (N,), dalton; 0 for virtual sites and for atoms that are frozen."""
-    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())], dtype=float)
+    return np.fromiter((system.getParticleMass(i)._value for i in range(system.getNumParticles())), float)
 
 
 def constraints(system: openmm.System) -> Constraints:
@@ -42,9 +42,10 @@ def constraints(system: openmm.System) -> Constraints:
         RigidityError: a constraint joins an atom with mass to one without, which OpenMM refuses too, or a pair of atoms
             has two lengths.
     """
-    found = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
-    pairs = np.sort(np.array([(a, b) for a, b, _ in found], dtype=np.int64).reshape(-1, 2), axis=1)
-    lengths = np.array([length._value for *_, length in found], dtype=float)
+    # An iterator, since a list of all quantities would be the largest thing in memory.
+    found = map(system.getConstraintParameters, range(system.getNumConstraints()))
+    rows = np.fromiter(((a, b, length._value) for a, b, length in found), np.dtype((float, 3)))
+    pairs, lengths = np.sort(rows[:, :2].astype(np.int64), axis=1), rows[:, 2]
     frozen = masses(system)[pairs] == 0
     if (wrong := np.flatnonzero(frozen[:, 0] != frozen[:, 1])).size:
         row = int(wrong[0])

@@ -28,7 +28,6 @@ from tyro.conf import Positional
 from openmm_sier.cli.finished_runs import FinishedRun, open_runs
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.liquid_samples import quietly
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error, pooled
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
 from studies import records
@@ -36,6 +35,7 @@ from studies.command import Settings, execute
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.samples import cost
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: What is observed, with its column in the log.
 OBSERVED = {"potential": "Potential Energy (kJ/mole)", "volume": "Box Volume (nm^3)"}

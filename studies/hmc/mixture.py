@@ -32,7 +32,6 @@ from openmm_sier import SIER4G, RigidBodies, SIERHMCIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import temperatures
 from openmm_sier.measure import validation
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, pooled
 from openmm_sier.observe.conservation import density
@@ -40,6 +39,7 @@ from studies import records
 from studies.command import Settings, execute
 from studies.hmc.curvature import KINDS, Curvature
 from studies.records import Record
+from studies.report import SILENT, Report
 from studies.sampling import body_state
 from systems import peptide
 

@@ -29,13 +29,13 @@ from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.metropolis import expected_acceptance, spread_at
 from openmm_sier.dynamics.rotation import exact, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
-from openmm_sier.measure.report import SILENT, Report
 from studies import records
 from studies.acceptance import pooled_spread
 from studies.command import execute
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
 from studies.records import Record
+from studies.report import SILENT, Report
 
 COLUMNS = {
     "box": "{box}",

@@ -19,7 +19,7 @@ class SoluteError(ValueError):
 def solute_system(
     system: openmm.System, atoms: ArrayLike, groups: Iterable[int], rigid: ArrayLike | None = None
 ) -> openmm.System:
-    """A System of the same particles with nothing but the bonded forces of some force groups.
+    """A System with nothing but the bonded forces of some force groups, and no particles after the last in them.
 
     Args:
         system: openmm.System to copy from; it is not changed.
@@ -37,18 +37,24 @@ def solute_system(
     moving[np.asarray(atoms, dtype=np.int64)] = True
     rigid = np.full(n, -1) if rigid is None else np.asarray(rigid)
     reduced, wanted = openmm.System(), frozenset(groups)
-    for _ in range(n):
-        reduced.addParticle(1.0)
-    reduced.setDefaultPeriodicBoxVectors(*system.getDefaultPeriodicBoxVectors())
+    last = int(np.max(atoms, initial=-1))
     for force in system.getForces():
         if force.getForceGroup() in wanted and not isinstance(force, WITHOUT_FORCES):
-            _refuse(force, moving, rigid)
+            last = max(last, int(_checked_terms(force, moving, rigid).max(initial=0)))
             reduced.addForce(openmm.XmlSerializer.clone(force))
+    # Solutes come before water most often, so that few particles are left.
+    for _ in range(last + 1):
+        reduced.addParticle(1.0)
+    reduced.setDefaultPeriodicBoxVectors(*system.getDefaultPeriodicBoxVectors())
     return reduced
 
 
-def _refuse(force: openmm.Force, moving: np.ndarray, rigid: np.ndarray) -> None:
-    """Refuse a Force that is not bonded, or has a term on an atom that does not move by itself."""
+def _checked_terms(force: openmm.Force, moving: np.ndarray, rigid: np.ndarray) -> np.ndarray:
+    """Particles of each term of a bonded Force, (t, k), which act on atoms that move by themselves.
+
+    Raises:
+        SoluteError: it is not bonded, or has a term on another atom.
+    """
     remedy = (
         f"Put it into another group than {force.getForceGroup()} with setForceGroup or, if prepare_system put it "
         "there, prepare a new System for these bodies: prepare_system(system, bodies)"
@@ -68,6 +74,7 @@ def _refuse(force: openmm.Force, moving: np.ndarray, rigid: np.ndarray) -> None:
             f"a {TERMS[kind][0].lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}; atom "
             f"{atoms[~moving[atoms]][0]} is not among those that move flexibly. {remedy}"
         )
+    return terms
 
 
 class SoluteForces:
