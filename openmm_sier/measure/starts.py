@@ -22,8 +22,8 @@ from openmm_sier.measure.report import SILENT, Advance, Report
 from openmm_sier.system import tables
 from openmm_sier.system.vibrations import Vibrations
 
-#: Net force on a molecule in kJ/mol/nm above which a start is minimized. Among 512 molecules of water at 297 K the
-#: largest is 1000 to 2200.
+#: Net force on a molecule in kJ/mol/nm above which a start is minimized, over the root of the number of its bodies, as
+#: which it grows. Among 512 molecules of water at 297 K the largest is 1000 to 2200.
 LARGE_FORCE = 5e3
 
 #: Equilibration: friction in 1/ps, and a scheme whose step leaves rotations within 0.3 K of translations. SIER2 would
@@ -128,7 +128,7 @@ def prepare(
 
 
 def _strongest_force(context: openmm.Context) -> float:
-    """Largest net force on a molecule, kJ/mol/nm; infinite where one is not finite."""
+    """Largest net force on a molecule over the root of its size, kJ/mol/nm; infinite where one is not finite."""
     integrator = context.getIntegrator()
     forces = context.getState(forces=True).getForces(asNumpy=True)
     forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
@@ -138,7 +138,8 @@ def _strongest_force(context: openmm.Context) -> float:
     except NotFiniteError:
         return math.inf
     # Bonds pull at the bodies of a molecule much more than its surroundings do.
-    return float(np.linalg.norm([np.bincount(bodies.molecules, row) for row in F], axis=0).max())
+    net = np.linalg.norm([np.bincount(bodies.molecules, row) for row in F], axis=0)
+    return float((net / np.sqrt(np.bincount(bodies.molecules))).max())
 
 
 class Means(NamedTuple):
