@@ -22,7 +22,7 @@ from openmm_sier.engines.variables import PREFIX
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
 
-#: Per-atom variables of the program. They hold positions or a displacement to come back to, velocities to return to, and
+#: Per-atom variables of the program. They hold positions or a displacement to be undone, velocities to return to, and
 #: the heat that the bath, and removers of the motion of the centre of mass, gave to each degree of freedom.
 KEPT, V0, WORK = (PREFIX + name for name in ("kept", "v0", "work"))
 VECTORS = (KEPT, V0, WORK)
@@ -178,8 +178,9 @@ def write(
     forces, and each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs
     follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md).
 
-    Velocities are constrained at the end of the step and before a bath, and nowhere else: what they have along the
-    constraints changes no position that is constrained afterwards, since the constraint forces take it up.
+    Velocities are constrained where they are read, at the end of the step and before a bath, and not after every stage:
+    what they have along the constraints changes no position that is constrained next, since the constraint forces take
+    it up. Only forces at displaced positions are constrained where they act.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
