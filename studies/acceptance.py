@@ -22,13 +22,13 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.dynamics.metropolis import expected_acceptance, spread_at
-from openmm_sier.measure.report import SILENT, Report
 from studies import acceptance_trials as trials
 from studies import boxes, records, style
 from studies.acceptance_trials import AcceptanceSettings
 from studies.command import chosen, claim, execute
 from studies.methods import REVERSIBLE
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: The directory of intermediate results.
 KEPT = "trials"

@@ -15,12 +15,12 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.system.find_bodies import RigidBodies
 from studies.boxes import Replica
 from studies.command import BoxSettings
 from studies.methods import OwnMethod
+from studies.report import SILENT, Report
 
 #: Size in nm and number of the random displacements of molecules that tell the noise of the energy. Single precision
 #: resolves the coordinates of a large box about as well.

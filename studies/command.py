@@ -14,9 +14,8 @@ import openmm
 import tyro
 from tyro.conf import Positional
 
-from openmm_sier.cli.console import REPORT
 from openmm_sier.measure.ensemble import EnsembleError
-from openmm_sier.measure.report import Report
+from studies.report import PrintedReport, Report
 
 #: The boxes of the repository.
 SYSTEMS = Path(__file__).parents[1] / "systems"
@@ -94,7 +93,7 @@ def execute(
     try:
         settings = tyro.cli(kind, prog=_program(), args=arguments, description=description)
         settings.out.mkdir(parents=True, exist_ok=True)
-        study(settings, REPORT)
+        study(settings, PrintedReport())
     except EXPECTED as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 1

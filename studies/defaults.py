@@ -24,11 +24,11 @@ import pandas as pd
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.report import SILENT, Report
-from studies import records
+from studies import boxes, records
 from studies.command import BoxSettings, chosen, claim, execute
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
+from studies.report import SILENT, Report
 from studies.sampling import Liquid, equilibrated_liquid, follow
 
 #: What makes a cell of the table.
@@ -68,9 +68,10 @@ def systems(settings: DefaultsSettings) -> Iterator[tuple[dict[str, Any], openmm
     """The box with all combinations of settings, each with its cell of the table."""
     for values in product(settings.tolerance, settings.cutoff, settings.switch, settings.balanced):
         tolerance, cutoff, switch, balanced = values
-        interactions = Interactions(cutoff, None if switch == "yes" else 0.0, tolerance, balanced=balanced == "yes")
+        interactions = Interactions(cutoff, None if switch == "yes" else 0.0, tolerance)
         box = forcefields.read_box(settings.box, settings.forcefield, interactions=interactions)
-        yield dict(zip(CELL, values, strict=True)), box.system
+        system = box.system if balanced == "yes" else boxes.split_by_openmm(box.system)
+        yield dict(zip(CELL, values, strict=True)), system
 
 
 def percent(liquid: Liquid, method: Method, settings: DefaultsSettings, report: Report) -> float:

@@ -23,15 +23,14 @@ from openmm import unit
 
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure.observables import energy_drift
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.measure.statistics import mean_and_error, slope_and_error
 from openmm_sier.observe.conservation import density
 from studies import records, sampling, style
 from studies.command import BoxSettings, chosen, execute
 from studies.methods import CONSTANT_ENERGY, Method, with_bath
 from studies.records import Record
+from studies.report import SILENT, Report
 from studies.sampling import Liquid, Unstable, equilibrated_liquid, follow
 
 #: Start of every run that is left out, ps.
@@ -159,7 +158,7 @@ def _row(liquid: Liquid, method: Method, dt: float, time: float, report: Report)
     )
     for name, values in zip(MEASURED, measured, strict=True):
         row[name], row[f"{name}_error"], _ = mean_and_error(values)
-    return row | {"drift": energy_drift(series.time, series.total)[0], "broken": ""}
+    return row | {"drift": slope_and_error(series.time, series.total).value, "broken": ""}
 
 
 def pooled(rows: pd.DataFrame) -> pd.DataFrame:

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from openmm_sier.measure.report import SILENT, Report
 from studies import acceptance, equipartition, liquid_figure, mesh, records, schemes, step_study
 from studies.bench import accuracy
 from studies.command import Settings, chosen, execute
 from studies.paper import water
 from studies.records import Record
+from studies.report import SILENT, Report
 
 DATA = Path(__file__).parent / "data"
 DOCS = Path(__file__).parents[1] / "docs"

@@ -23,10 +23,10 @@ from tyro.conf import Positional
 from openmm_sier.cli.finished_runs import open_runs
 from openmm_sier.cli.properties import Run, curves_of, read_runs, title_of
 from openmm_sier.measure.figures import Curve, property_figure
-from openmm_sier.measure.report import SILENT, Report
 from studies import records, style
 from studies.command import Settings, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 
 DATA = Path(__file__).parent / "data" / "properties.json"
 

@@ -28,13 +28,13 @@ from openmm import unit
 
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure import forcefields
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
 from openmm_sier.prepare.pme import meshed_forces
 from studies import boxes, records, style
 from studies.bench.timing import ON_PROCESSORS, interleaved, median_and_error
 from studies.command import BoxSettings, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: Prime factors for which Fourier transforms are fast.
 FACTORS = (2, 3, 5, 7)

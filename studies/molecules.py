@@ -34,12 +34,12 @@ from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines.temperature import MomentumConservation, temperatures
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box
-from openmm_sier.measure.observables import energy_drift, energy_error, energy_fluctuation
-from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.observables import energy_error, energy_fluctuation
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import block_means, mean_and_error
+from openmm_sier.measure.statistics import block_means, mean_and_error, slope_and_error
 from studies import boxes
 from studies.command import BoxSettings, execute
+from studies.report import SILENT, Report
 from studies.sampling import body_state
 
 #: Bins of a dihedral's distribution, and blocks from which its errors are taken.
@@ -157,7 +157,7 @@ def energy(settings: MoleculeSettings, report: Report) -> None:
             time, total, potential = np.array(rows).T
             error = 100 * energy_error(time, total, potential)
             reference.setdefault(per_force, error)
-            drift, uncertainty, _ = energy_drift(time, total)
+            drift, uncertainty, _ = slope_and_error(time, total)
             report.note(
                 f"{name:8} {per_force:4g} fs per force: rms(H)/rms(V) {error:.4f} %, Verlet's over it "
                 f"{reference[per_force] / error:.1f}, rms(H) {energy_fluctuation(time, total):.4f} kJ/mol, "
@@ -222,7 +222,7 @@ def _kinds(rows: np.ndarray, conserves: bool) -> str:
     averages = ((kind, *mean_and_error(values)[:2]) for kind, values in kinds.items())
     told = [f"{kind} {mean:.2f} +- {error:.2f} K" for kind, mean, error in averages if not np.isnan(mean)]
     if conserves:
-        drift, uncertainty, _ = energy_drift(time, total)
+        drift, uncertainty, _ = slope_and_error(time, total)
         told.append(f"drift {drift:+.3f} +- {uncertainty:.3f} kJ/mol/ps")
         told.append(f"rms(H) {energy_fluctuation(time, total):.3f} kJ/mol")
     return f"{time[-1]:.1f} ps: {', '.join(told)}"

@@ -18,9 +18,9 @@ import pandas as pd
 
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
-from openmm_sier.measure.report import Table
 from openmm_sier.measure.statistics import Estimate
 from openmm_sier.version import __version__
+from studies.report import Table
 
 #: Packages that results can depend on.
 PACKAGES = ("numpy", "openmm", "numba", "mpmath", "pandas")

@@ -19,7 +19,6 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.named import SIER2Integrator
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
@@ -27,6 +26,7 @@ from studies import boxes
 from studies.command import BoxSettings
 from studies.methods import Method
 from studies.records import replace_file
+from studies.report import SILENT, Report
 
 #: Tolerance of constraints for OpenMM's own integrators.
 CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE

@@ -23,12 +23,13 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import DRIFT, KICK, alternating
-from openmm_sier.measure.observables import energy_drift, energy_error
-from openmm_sier.measure.report import SILENT, Report
+from openmm_sier.measure.observables import energy_error
+from openmm_sier.measure.statistics import slope_and_error
 from studies import records, style
 from studies.command import BoxSettings, chosen, claim, execute
 from studies.methods import CONSTANT_ENERGY, OTHERS, Method, of_scheme
 from studies.records import Record
+from studies.report import SILENT, Report
 from studies.sampling import Liquid, Unstable, equilibrated_liquid, follow
 
 #: Everything that can be compared, by the names that users give.
@@ -154,7 +155,7 @@ def _run(liquid: Liquid, method: Method, dt: float, time: float, report: Report)
     except Unstable as error:
         return run | {"broken": str(error)}
     run["percent"] = 100 * energy_error(series.time, series.total, series.potential)
-    run["drift"] = energy_drift(series.time, series.total).value
+    run["drift"] = slope_and_error(series.time, series.total).value
     return run
 
 

@@ -33,13 +33,13 @@ from openmm_sier import prepare_system
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.starts import make_context
 from studies import records, speed_boxes
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error
 from studies.command import BoxSettings, chosen, execute
 from studies.records import Record
+from studies.report import SILENT, Report, Table
 from studies.sampling import equilibrated_liquid
 from studies.speed_boxes import SYSTEMS_OF, Start
 

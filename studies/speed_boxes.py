@@ -11,11 +11,11 @@ from openmm import unit
 
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
-from openmm_sier.measure.report import Report
 from openmm_sier.measure.starts import make_context
 from openmm_sier.prepare.pme import meshed_forces
 from studies import boxes
 from studies.command import SYSTEMS, BoxSettings
+from studies.report import Report
 
 #: OpenMM's default ewaldErrorTolerance; nm.
 TOLERANCE, CUTOFF, SWITCH = 5e-4, 0.9, 0.75
@@ -26,7 +26,7 @@ HYDROGEN = 1.5
 #: LangevinMiddle before all methods start, steps of 2 fs.
 SETTLE = 50
 
-INTERACTIONS = Interactions(CUTOFF, SWITCH, TOLERANCE, HYDROGEN, balanced=False)
+INTERACTIONS = Interactions(CUTOFF, SWITCH, TOLERANCE, HYDROGEN)
 
 
 class Start(NamedTuple):
@@ -67,14 +67,13 @@ def _water(molecules: int, settings: BoxSettings) -> tuple[int, openmm.System, n
     found = boxes.repeated(box, settings.box.parent, shape)
     for force in meshed_forces(found.system):
         force.setEwaldErrorTolerance(TOLERANCE)
-        force.setPMEParameters(0, 0, 0, 0)
-    return found.molecules, found.system, found.positions
+    return found.molecules, boxes.split_by_openmm(found.system), found.positions
 
 
 def _peptide() -> tuple[int, openmm.System, np.ndarray]:
     box = forcefields.read_box(SYSTEMS / "peptide.pdb", None, "hbonds", INTERACTIONS)
     positions = np.array(box.positions.value_in_unit(unit.nanometer))
-    return box.topology.getNumResidues(), box.system, positions
+    return box.topology.getNumResidues(), boxes.split_by_openmm(box.system), positions
 
 
 def _dhfr() -> tuple[int, openmm.System, np.ndarray]:

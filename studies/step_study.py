@@ -27,11 +27,11 @@ from openmm_sier.cli.finished_runs import FinishedRun, check_alike, open_runs
 from openmm_sier.cli.plan import RunError
 from openmm_sier.cli.properties import ROWS, estimated, read_runs
 from openmm_sier.measure.figures import context
-from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.statistics import Estimate, pooled
 from studies import records, style
 from studies.command import Settings, execute
 from studies.records import Record
+from studies.report import SILENT, Report, Table
 
 #: Properties by their keys in rows, with their names in the table and labels in the figure.
 PROPERTIES = {

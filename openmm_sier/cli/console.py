@@ -15,7 +15,7 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("the command needs rich; install it with: pip install 'openmm-sier[cli]'") from error
 
-from openmm_sier.measure.report import Advance, Table
+from openmm_sier.measure.report import Advance, Report
 
 PS_PER_NS = 1000.0
 SECONDS_PER_DAY = 86400.0
@@ -43,7 +43,14 @@ def note(message: str) -> None:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
-    """Print a table on standard output; the arguments are those of `openmm_sier.measure.report.Table`."""
+    """Print a table of text on standard output.
+
+    Args:
+        title: above the table.
+        columns: headings; none are shown if all are empty.
+        rows: cells, in each row one for each column.
+        left: number of leading columns that are aligned to the left, the others being numbers.
+    """
     made = RichTable(title=title, title_justify="left", show_header=any(columns))
     for i, heading in enumerate(columns):
         made.add_column(heading, justify="left" if i < left else "right", overflow="fold")
@@ -111,14 +118,16 @@ class ProgressBar(AbstractContextManager[Advance]):
         return f"{done:.0f}/{self._total:.0f} steps, {percent}, {speed}, {left}"
 
 
-class ConsoleReport:
-    """The `openmm_sier.measure.report.Report` of the commands."""
+class ConsoleReport(Report):
+    """Reports of the commands."""
 
-    note = staticmethod(note)
-    progress = ProgressBar
+    def note(self, message: str) -> None:
+        note(message)
 
-    def table(self, table_: Table) -> None:
-        table(*table_)
+    def progress(
+        self, description: str, total: float = 1.0, ps: float | None = None
+    ) -> AbstractContextManager[Advance]:
+        return ProgressBar(description, total, ps)
 
 
 REPORT = ConsoleReport()

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from openmm_sier.measure.observables import energy_drift, energy_error, energy_fluctuation
+from openmm_sier.measure.observables import energy_error, energy_fluctuation
 from openmm_sier.measure.report import duration
-from openmm_sier.measure.statistics import Estimate, mean_and_error
+from openmm_sier.measure.statistics import Estimate, mean_and_error, slope_and_error
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _energy_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     if np.isnan(H).any():
         return [("conserved energy H", "not known: OpenMM does not count the heat of its baths")]
     return [
-        ("drift of the conserved energy H", _value(energy_drift(time, H), "kJ/mol/ps")),
+        ("drift of the conserved energy H", _value(slope_and_error(time, H), "kJ/mol/ps")),
         ("fluctuation rms(H)", _value(energy_fluctuation(time, H), "kJ/mol")),
         ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), "%")),
     ]

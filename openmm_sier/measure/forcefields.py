@@ -53,14 +53,12 @@ class Interactions:
         switch: where Lennard-Jones starts to be switched off, nm; 0 for a jump at the cut-off.
         tolerance: of the sums of PME.
         hydrogen_mass: of hydrogens outside water, dalton, taken from the atoms that they are bonded to.
-        balanced: whether the sums of PME are balanced (`openmm_sier.balance_pme`).
     """
 
     cutoff: float | None = None
     switch: float | None = None
     tolerance: float | None = None
     hydrogen_mass: float | None = None
-    balanced: bool = True
 
 
 @dataclass(frozen=True)
@@ -166,8 +164,8 @@ def pme_system(
 ) -> openmm.System:
     """The System: rigid water, PME in a periodic box, no cut-off without one.
 
-    In a box too small for the cut-off it is shorter. Lennard-Jones has the usual correction for its tail. The motion of
-    the centre of mass is not removed.
+    In a box too small for the cut-off it is shorter. The sums of PME are balanced (`openmm_sier.balance_pme`).
+    Lennard-Jones has the usual correction for its tail. The motion of the centre of mass is not removed.
 
     Args:
         topology: openmm.app.Topology.
@@ -188,7 +186,7 @@ def pme_system(
         system = forcefield.createSystem(topology, rigidWater=True, removeCMMotion=False, **settings)
     except Exception as error:
         raise ForceFieldError(first_line(error)) from error
-    if interactions.balanced and meshed_forces(system):
+    if meshed_forces(system):
         balance_pme(system)
     _refuse_huge_meshes(system)
     return system

@@ -1,29 +1,12 @@
-"""Reports of long computations: notes, tables and progress.
+"""Reports of long computations: notes and progress.
 
 Nothing here prints. The command passes in an object that prints with rich; without one, computations are silent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import NamedTuple, Protocol
-
-
-class Table(NamedTuple):
-    """A table of text.
-
-    Attributes:
-        title: above the table.
-        columns: headings; none are shown if all are empty.
-        rows: cells, in each row one for each column.
-        left: number of leading columns that are aligned to the left, the others being numbers.
-    """
-
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    left: int = 1
+from typing import Protocol
 
 
 class Advance(Protocol):
@@ -32,14 +15,11 @@ class Advance(Protocol):
     def __call__(self, done: float, description: str | None = None) -> None: ...
 
 
-class Report(Protocol):
-    """The receiver of reports."""
+class Report:
+    """The receiver of reports. This one ignores them; others extend it."""
 
     def note(self, message: str) -> None:
         """Take a line of progress information."""
-
-    def table(self, table: Table) -> None:
-        """Take a table of results."""
 
     def progress(
         self, description: str, total: float = 1.0, ps: float | None = None
@@ -51,24 +31,10 @@ class Report(Protocol):
             total: how much there is to do.
             ps: length of a step, if steps are counted.
         """
-
-
-class Silent:
-    """Reports nothing."""
-
-    def note(self, message: str) -> None:
-        pass
-
-    def table(self, table: Table) -> None:
-        pass
-
-    def progress(
-        self, description: str, total: float = 1.0, ps: float | None = None
-    ) -> AbstractContextManager[Advance]:
         return nullcontext(lambda done, description=None: None)
 
 
-SILENT = Silent()
+SILENT = Report()
 
 
 def duration(seconds: float) -> str:

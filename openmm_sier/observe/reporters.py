@@ -143,7 +143,7 @@ class BodyStateReporter(_Reporter):
             file: path of the HDF5 file, which is replaced unless `append` is true.
             reportInterval: steps between two frames.
             append: continue after the last frame of the file, which must be of the same bodies; a missing file is
-                created.
+                created, and so is one without a frame, which a run leaves that ended before its first report.
             unwrapped: write centres as they are in the Context, along continuous paths. Otherwise each centre is moved
                 into the periodic box, as molecules are in OpenMM's trajectories by default (`enforcePeriodicBox`) and
                 in those of `openmm-sier run`.
@@ -155,10 +155,10 @@ class BodyStateReporter(_Reporter):
         super().__init__(reportInterval)
         h5py = import_h5py()
         self._path, self._unwrapped = Path(file), unwrapped
-        self._append = append and self._path.exists()
-        if not self._append:
-            # An unwritable path fails here, before the run.
-            h5py.File(self._path, "w", libver="earliest").close()
+        # An unwritable path fails here, before the run.
+        with h5py.File(self._path, "a" if append else "w", libver="earliest") as there:
+            # A run that ended before its first report left an empty file.
+            self._append = len(there) > 0
         self._file: BodyStateFile | None = None
 
     def report(self, simulation: app.Simulation, state: openmm.State) -> None:

@@ -43,7 +43,7 @@ def fast_force_groups(system: openmm.System) -> int:
     return sum({1 << force.getForceGroup() for force in system.getForces() if force.getName() == NAME})
 
 
-def add_close_pairs(system: openmm.System, edges: np.ndarray, movable: np.ndarray, group: int, periodic: bool) -> int:
+def add_close_pairs(system: openmm.System, edges: np.ndarray, group: int, periodic: bool) -> int:
     """Add the interactions of close pairs to a fast group, and subtract them from that of the NonbondedForce.
 
     They are those of the NonbondedForces as they are now, with global parameters at their defaults, and without cut-off
@@ -52,8 +52,7 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, movable: np.ndarra
 
     Args:
         system: openmm.System, which has none of `own_forces`.
-        edges: bonded pairs of particles, (b, 2).
-        movable: for each particle whether its pairs may act within drifts, (N,).
+        edges: bonded pairs of particles, (b, 2), all of which may act within drifts.
         group: the fast force group.
         periodic: whether distances are those of the nearest images.
 
@@ -61,7 +60,7 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, movable: np.ndarra
         How many pairs there are.
     """
     forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
-    close = list(_close(edges, movable))
+    close = _close(edges, system.getNumParticles())
     fast = _pair_force(NAME, "", group, periodic)
     opposite = _pair_force(OPPOSITE, "-", forces[0].getForceGroup() if forces else 0, periodic)
     for force in forces:
@@ -121,17 +120,15 @@ def _numbers(parameters: Iterable[Any]) -> np.ndarray:
     return np.array([p.value_in_unit_system(md) if unit.is_quantity(p) else float(p) for p in parameters])
 
 
-def _close(edges: np.ndarray, movable: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Movable pairs (smaller, larger) up to `REACH` edges apart."""
-    neighbours = defaultdict(set)
-    for a, b in np.asarray(edges).tolist():
-        neighbours[a].add(b)
-        neighbours[b].add(a)
-    for start in sorted(neighbours):
-        if not movable[start]:
-            continue
-        seen, front = {start}, {start}
-        for _ in range(REACH):
-            front = {other for atom in front for other in neighbours[atom]} - seen
-            seen |= front
-        yield from ((start, other) for other in sorted(seen) if other > start and movable[other])
+def _close(edges: np.ndarray, particles: int) -> list[tuple[int, int]]:
+    """Pairs (smaller, larger) of so many particles that are up to `REACH` edges (b, 2) apart, in ascending order."""
+    # Most systems have no solute, and need not import this.
+    from scipy import sparse
+
+    joined = sparse.coo_array((np.ones(len(edges), dtype=bool), tuple(edges.T)), (particles, particles)).tocsr()
+    step = joined + joined.T + sparse.eye_array(particles, dtype=bool, format="csr")
+    reached = step
+    for _ in range(REACH - 1):
+        reached = reached @ step
+    one, other = sparse.triu(reached, k=1).nonzero()
+    return sorted(zip(one.tolist(), other.tolist(), strict=True))

@@ -101,7 +101,7 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
         links = Links(system)
         edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
         edges = edges[point[edges].all(axis=1)]
-        if count := close_pairs.add_close_pairs(system, edges, point, group, periodic):
+        if count := close_pairs.add_close_pairs(system, edges, group, periodic):
             done.append(
                 f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart act there too, and are "
                 "subtracted in the kicks."

@@ -18,11 +18,11 @@ from typing import NamedTuple
 import pandas as pd
 
 from openmm_sier.dynamics.backend import threads
-from openmm_sier.measure.report import SILENT, Report, Table
 from studies.bench import accuracy, layer, peers, rotations, steps, timing
 from studies.bench.timing import BenchSettings
 from studies.command import chosen
 from studies.records import Record, provenance
+from studies.report import SILENT, Report, Table
 
 
 class Part(NamedTuple):

@@ -12,12 +12,12 @@ from pathlib import Path
 import pandas as pd
 
 from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.report import Report, Table
 from studies import records, style
 from studies.bench import peers
 from studies.bench.timing import BenchSettings, counts_processor_time
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
+from studies.report import Report, Table
 from studies.sampling import INTERVAL, Energies, Liquid, Unstable, equilibrated_liquid, follow
 
 #: fs per force evaluation: of methods of second order, and of those of fourth.

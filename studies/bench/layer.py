@@ -15,9 +15,9 @@ import pandas as pd
 
 from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure.force_clock import ForceClock
-from openmm_sier.measure.report import Report, Table
 from studies import records
 from studies.bench.timing import BenchSettings, apart, median_and_error
+from studies.report import Report, Table
 
 STEP = 1e-3
 STEPS = 20

@@ -12,9 +12,9 @@ import pandas as pd
 from openmm_sier.dynamics import backend, rotation
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.measure.report import Report, Table
 from studies import records
 from studies.bench.timing import BenchSettings, interleaved, median_and_error
+from studies.report import Report, Table
 
 STEP = 1e-3
 WATER_MOMENTS = (0.0061, 0.0115, 0.0176)

@@ -17,10 +17,10 @@ from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.schemes import SIER2, SIER4
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.force_clock import ForceClock
-from openmm_sier.measure.report import Report, Table
 from openmm_sier.measure.starts import make_context
 from studies import boxes, records
 from studies.bench.timing import BenchSettings, apart, interleaved, median_and_error
+from studies.report import Report, Table
 
 #: Step per force evaluation of every method, ps.
 STEP = 1e-3

@@ -28,11 +28,11 @@ from openmm import unit
 
 from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.cli.stopping import interrupt_behind
-from openmm_sier.measure.report import SILENT, Report
 from studies import records
 from studies.checks.soak import deformation, water
 from studies.command import Settings, chosen, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 
 STEP, TEMPERATURE, FRICTION = 0.001, 297.0, 5.0
 

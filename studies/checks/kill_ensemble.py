@@ -25,8 +25,8 @@ from typing import Literal
 
 from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.measure.ensemble import WORKER, Member, Outcome, ensemble
-from openmm_sier.measure.report import SILENT, Report
 from studies.command import BoxSettings, execute
+from studies.report import SILENT, Report
 
 OPTIONS = "--scheme sier2 --dt 2 --ensemble nvt --platform CPU --equilibrate 0.02 --every 0.04 --checkpoint-every 0.04"
 

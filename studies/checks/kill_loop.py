@@ -26,9 +26,9 @@ import mdtraj
 import numpy as np
 
 from openmm_sier.cli.files import checkpoints
-from openmm_sier.measure.report import SILENT, Report
 from studies.boxes import write_lattice
 from studies.command import Settings, execute
+from studies.report import SILENT, Report
 
 #: A frame every 4 steps, a row every 6, body states every 5 and a checkpoint every 10, so that many kills come while
 #: something is written.

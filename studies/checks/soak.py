@@ -25,12 +25,13 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.report import SILENT, Report, duration
+from openmm_sier.measure.report import duration
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.measure.statistics import mean_and_error
 from studies import boxes, records, sampling
 from studies.command import Settings, chosen, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: How often the run is checked, steps between two energies, and ps of equilibration.
 LOOKS, EVERY, EQUILIBRATION = 20, 500, 20.0

@@ -30,11 +30,11 @@ import pandas as pd
 from openmm_sier.cli import main as command_line
 from openmm_sier.cli import run as _imported_before_the_fork  # noqa: F401
 from openmm_sier.cli.member import CHECKPOINT
-from openmm_sier.measure.report import SILENT, Report
 from studies import records
 from studies.boxes import write_lattice
 from studies.command import Settings, chosen, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 
 COMMANDS = ("run", "restart", "ensemble")
 

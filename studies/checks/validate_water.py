@@ -18,9 +18,9 @@ from pathlib import Path
 
 from openmm_sier.cli.main import main as main_command
 from openmm_sier.cli.validate import InvalidError
-from openmm_sier.measure.report import SILENT, Report
 from studies.boxes import write_lattice
 from studies.command import Settings, execute
+from studies.report import SILENT, Report
 
 MOLECULES = 64
 

@@ -11,9 +11,17 @@ PSI = ((0, "N"), (0, "CA"), (0, "C"), (1, "N"))
 
 
 def backbone(topology: app.Topology) -> tuple[list[int], list[int]]:
-    """Indices of the atoms of phi and psi of the first residue that has an alpha carbon between two others."""
+    """Indices of the atoms of phi and psi of the first residue that has both.
+
+    Raises:
+        ValueError: none has.
+    """
     residues = [{atom.name: atom.index for atom in residue.atoms()} for residue in topology.residues()]
-    centre = next(i for i, names in enumerate(residues) if {"N", "CA", "C"} <= set(names))
+    wanted = PHI + PSI
+    inner = range(1, len(residues) - 1)
+    centre = next((i for i in inner if all(name in residues[i + beside] for beside, name in wanted)), None)
+    if centre is None:
+        raise ValueError("no residue has an alpha carbon between two others")
     phi, psi = ([residues[centre + beside][name] for beside, name in atoms] for atoms in (PHI, PSI))
     return phi, psi
 

@@ -22,12 +22,12 @@ import pandas as pd
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error
 from studies import records
 from studies.command import Settings, execute
 from studies.hmc.model_engine import KT, Chain, Dipoles, Wells
 from studies.records import Record
+from studies.report import SILENT, Report
 
 COLUMNS = {
     "": "{name}",

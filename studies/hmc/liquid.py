@@ -26,13 +26,13 @@ from openmm import app, unit
 from tyro.conf import Positional
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, balance_pme
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, inefficiency, mean_and_error
 from openmm_sier.observe.conservation import density
 from studies import records
 from studies.command import SYSTEMS, Settings, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 from studies.sampling import observe
 
 CUTOFF, TOLERANCE = 0.7, 1e-4

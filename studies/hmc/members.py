@@ -3,14 +3,15 @@
     openmm-sier ensemble systems/dipeptide-samples.toml --out samples
     python -m studies.hmc.members samples/* --skip 5 --out samples-table
 
-Acceptance, energy error, potential energy and volume by settings, and the number of forces for an independent potential
-energy, volume, dipole of the box and cosine of the first psi, from the logs and trajectories of complete runs; those
-that differ in their seeds alone are pooled. An energy, for the decision on a trial or on a move of the volume, counts
-as a force. Writes members.json.
+Acceptance, energy error, potential energy, volume and density by settings, and the number of forces for an
+independent potential energy, volume, dipole of the box and cosine of the first psi, from the logs and trajectories of
+complete runs; those that differ in their seeds alone are pooled. An energy, for the decision on a trial or on a move of
+the volume, counts as a force. Writes members.json.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 from collections.abc import Sequence
@@ -27,7 +28,6 @@ from tyro.conf import Positional
 from openmm_sier.cli.finished_runs import FinishedRun, open_runs
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.liquid_samples import quietly
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error, pooled
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
 from studies import records
@@ -35,9 +35,13 @@ from studies.command import Settings, execute
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.samples import cost
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: What is observed, with its column in the log.
 OBSERVED = {"potential": "Potential Energy (kJ/mole)", "volume": "Box Volume (nm^3)"}
+
+#: Of what means are shown.
+MEANS = OBSERVED | {"density": "Density (g/mL)"}
 
 COLUMNS = {
     "run": "{label}",
@@ -47,6 +51,7 @@ COLUMNS = {
     "energy error, kT": "{spread:.3f}",
     "V, kJ/mol": "{potential_text}",
     "volume, nm³": "{volume_text}",
+    "g/cm³": "{density_text}",
     "forces for an independent V": "{potential_cost_text}",
     "volume": "{volume_cost_text}",
     "dipole": "{dipole_cost_text}",
@@ -85,7 +90,7 @@ def study(settings: MemberSettings, report: Report = SILENT) -> Record:
         if run.complete:
             alike.setdefault(label_of(run), []).append(run)
     rows = pd.DataFrame([row_of(label, runs, settings.skip) for label, runs in alike.items()])
-    shown = records.with_text(rows, *OBSERVED, *(f"{name}_cost" for name in COSTS))
+    shown = records.with_text(rows, *MEANS, *(f"{name}_cost" for name in COSTS))
     report.table(records.table("Samples", shown, COLUMNS))
     record = Record({"skip": settings.skip}, {"rows": rows}, {})
     record.write(settings.out / "members.json")
@@ -97,7 +102,8 @@ def label_of(run: FinishedRun) -> str:
     plan = run.plan
     trials = f", trials of {1e3 * plan.step_time:.4g} fs" if plan.ensemble == "hmc" else ""
     friction = f", friction {plan.friction:g}/ps" if plan.friction else ""
-    return f"{Path(str(plan.box)).stem}: {plan.method.name}{trials}, steps of {plan.dt:g} fs{friction}"
+    hydrogens = f", hydrogens of {plan.hydrogen_mass:g}" if plan.hydrogen_mass else ""
+    return f"{Path(str(plan.box)).stem}: {plan.method.name}{trials}, steps of {plan.dt:g} fs{friction}{hydrogens}"
 
 
 def forces_per_step(run: FinishedRun) -> float:
@@ -118,7 +124,7 @@ def row_of(label: str, runs: Sequence[FinishedRun], skip: float) -> dict[str, An
     row["accepted"] = np.mean([log["Acceptance"][-1] for log in logs]) if "Acceptance" in logs[0] else math.nan
     errors = np.concatenate([log.get("Energy Error (kT)", np.array([])) for log in logs])
     row["spread"] = float(np.nanstd(errors, ddof=1)) if len(errors) else math.nan
-    for name, column in OBSERVED.items():
+    for name, column in MEANS.items():
         row[name], row[f"{name}_error"], _ = pooled([mean_and_error(log[column]) for log in logs])
     rows, frames = (forces_per_step(runs[0]) * runs[0].plan.interval(each) for each in intervals(runs[0]))
     series = [{name: pd.DataFrame({name: log[column]}) for name, column in OBSERVED.items()} for log in logs]
@@ -153,7 +159,8 @@ def in_frames(run: FinishedRun, skip: float) -> dict[str, pd.DataFrame]:
         force = next(each for each in box.system.getForces() if isinstance(each, openmm.NonbondedForce))
         charges = np.array([force.getParticleParameters(i)[0]._value for i in range(len(box.listed))])
         found["dipole"] = pd.DataFrame(np.einsum("i,kix->kx", charges, positions), columns=["x", "y", "z"])
-    if any(residue.name == "ACE" for residue in box.topology.residues()):
+    # Amides and water have no psi.
+    with contextlib.suppress(ValueError):
         psi = backbone(box.topology)[1]
         found["psi"] = pd.DataFrame({"psi": np.cos([dihedral(each, psi) for each in positions])})
     return found

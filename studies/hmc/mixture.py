@@ -4,6 +4,7 @@
     python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 1 --out mixture
     python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 3 --out mixture
     python -m studies.hmc.mixture --table mixture/*.json      the others are compared with the first
+    python -m studies.hmc.mixture --pdb systems/mixture.pdb   the start alone, for `openmm-sier`
 
 Bonds to hydrogen are constrained; 1 bar; steps are in fs for each force evaluation. A hydrogen mass of 1 leaves masses
 as they are. Kinetic energies are tested with `openmm_sier.measure.validation`. Configurational temperatures are
@@ -31,7 +32,6 @@ from openmm_sier import SIER4G, RigidBodies, SIERHMCIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import temperatures
 from openmm_sier.measure import validation
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, pooled
 from openmm_sier.observe.conservation import density
@@ -39,6 +39,7 @@ from studies import records
 from studies.command import Settings, execute
 from studies.hmc.curvature import KINDS, Curvature
 from studies.records import Record
+from studies.report import SILENT, Report
 from studies.sampling import body_state
 from systems import peptide
 
@@ -73,6 +74,7 @@ class MixtureSettings(Settings):
 
     Attributes:
         table: records of runs to be read, in place of a run.
+        pdb: where to write the start of all runs, in place of a run.
         method: of the run.
         step: fs for each force evaluation.
         hydrogen_mass: of hydrogens outside water, dalton.
@@ -84,6 +86,7 @@ class MixtureSettings(Settings):
     """
 
     table: tuple[Path, ...] = ()
+    pdb: Path | None = None
     method: Literal["hmc", "langevin"] = "hmc"
     step: float = 2.0
     hydrogen_mass: float = 1.0
@@ -106,7 +109,12 @@ class MixtureSettings(Settings):
 
 
 def study(settings: MixtureSettings, report: Report = SILENT) -> None:
-    """Make a run, or tables of runs, which are written to mixture.json."""
+    """Make a run, or tables of runs, which are written to mixture.json; or the start of runs alone."""
+    if settings.pdb is not None:
+        begun = start(settings)
+        peptide.write(settings.pdb, begun.topology, begun.positions)
+        report.note(f"wrote {settings.pdb}")
+        return
     if not settings.table:
         run(settings, report)
         return

@@ -30,7 +30,6 @@ from openmm import unit
 from openmm_sier import SIER4G, SIERHMCIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.integrators.tuning import inefficiency
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from studies import records
 from studies.command import execute
@@ -38,6 +37,7 @@ from studies.hmc import solutes
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.solutes import SoluteSettings, Solution
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: fs: between two attempts to change the volume, and between two samples at least.
 EVERY = 120.0

@@ -16,6 +16,7 @@ from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.starts import make_context
 from studies.command import Settings
+from systems import peptide
 
 #: The name that stands for DHFR in water, the benchmark of Amber and CHARMM, whose files openmmtools has.
 DHFR = "dhfr"
@@ -84,6 +85,17 @@ def read(settings: SoluteSettings) -> Solution:
         freeze(system, np.flatnonzero(dry == (settings.moving == "water")))
     prepare_system(system)
     return Solution(settings.box.stem, topology, positions, system, np.flatnonzero(dry), waters)
+
+
+def write(path: Path, solution: Solution) -> None:
+    """Write a box as a PDB file that `openmm-sier` reads, with the force fields of the project's peptides in it.
+
+    DHFR's own force field is in files of Amber, and an earlier one of its family.
+    """
+    # The box of the topology may be that of another state than the System's.
+    vectors = [vector.value_in_unit(unit.nanometer) for vector in solution.system.getDefaultPeriodicBoxVectors()]
+    solution.topology.setPeriodicBoxVectors(vectors * unit.nanometer)
+    peptide.write(path, solution.topology, solution.positions * unit.nanometer)
 
 
 def _of_pdb(settings: SoluteSettings) -> tuple[openmm.System, app.Topology, np.ndarray]:

@@ -5,6 +5,7 @@
     python -m studies.hmc.solvated dhfr --moving solute --trials 20 --out solvated     water is frozen
     python -m studies.hmc.solvated systems/peptide.pdb --scheme verlet --out solvated
     python -m studies.hmc.solvated --table solvated/*.json
+    python -m studies.hmc.solvated dhfr --pdb dhfr.pdb       the box for `openmm-sier`, before any equilibration
 
 Steps are in fs for each force evaluation, bonds to hydrogen are constrained, and fast forces act within the drifts.
 `verlet` is the control: kick, drift, kick with all forces in the kicks, and water that RATTLE turns, solved to rounding
@@ -28,13 +29,13 @@ from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.metropolis import expected_acceptance, spread_at
 from openmm_sier.dynamics.rotation import exact, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
-from openmm_sier.measure.report import SILENT, Report
 from studies import records
 from studies.acceptance import pooled_spread
 from studies.command import execute
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
 from studies.records import Record
+from studies.report import SILENT, Report
 
 COLUMNS = {
     "box": "{box}",
@@ -71,6 +72,7 @@ class SolvatedSettings(SoluteSettings):
 
     Attributes:
         table: records of trials to be read, in place of a run.
+        pdb: where to write the box, in place of a run.
         scheme: by name, or `verlet`.
         step: fs for each force evaluation.
         length: of a trial, fs, rounded to a whole number of steps.
@@ -79,6 +81,7 @@ class SolvatedSettings(SoluteSettings):
     """
 
     table: tuple[Path, ...] = ()
+    pdb: Path | None = None
     scheme: Literal["sier2", "sier4g", "sier4p", "sier4v", "verlet"] = "sier4g"
     step: float = 2.0
     length: float = 30.0
@@ -87,7 +90,11 @@ class SolvatedSettings(SoluteSettings):
 
 
 def study(settings: SolvatedSettings, report: Report = SILENT) -> None:
-    """Make trials, or tables of those made, which are written to solvated.json with all energy errors."""
+    """Make trials, or tables of those made, which are written to solvated.json with all energy errors; or a box."""
+    if settings.pdb is not None:
+        solutes.write(settings.pdb, solutes.read(settings))
+        report.note(f"wrote {settings.pdb}")
+        return
     if not settings.table:
         report.table(records.table("Trials", pd.DataFrame([row_of(run(settings, report))]), COLUMNS, left=3))
         return

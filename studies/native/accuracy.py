@@ -22,12 +22,12 @@ from openmm import unit
 
 from openmm_sier import SIERIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
-from openmm_sier.measure.observables import energy_drift, energy_error
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
+from openmm_sier.measure.statistics import rms, slope_and_error
 from studies import boxes, records
 from studies.command import BoxSettings, chosen, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: Steps of 2 fs before the runs, and of 1 fs in a strong bath before those of boxes that are set up here.
 EQUILIBRATION, MELTING = 1000, 2000
@@ -179,7 +179,8 @@ def run(context: openmm.Context, state: openmm.State, step: float, time: float) 
         found = context.getState(energy=True)
         rows.append([found.getTime()._value, found.getPotentialEnergy()._value, found.getKineticEnergy()._value])
     times, potential, kinetic = np.array(rows).T
-    return 100 * energy_error(times, potential + kinetic, potential, None), energy_drift(times, potential + kinetic)[0]
+    total = potential + kinetic
+    return 100 * rms(total) / rms(potential), slope_and_error(times, total).value
 
 
 def compare(begun: Started, scheme: Scheme, settings: NativeSettings, report: Report) -> list[dict[str, Any]]:

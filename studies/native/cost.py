@@ -20,12 +20,12 @@ import pandas as pd
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.starts import make_context
 from studies import boxes, records
 from studies.bench.timing import interleaved, median_and_error
 from studies.command import BoxSettings, chosen, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: ps for each force evaluation, and force evaluations in a turn.
 STEP, EVALUATIONS = 0.002, 12

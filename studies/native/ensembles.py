@@ -23,13 +23,13 @@ import pandas as pd
 from openmm import unit
 
 from openmm_sier import SIER4G, SIERLangevinIntegrator
-from openmm_sier.measure.report import SILENT, Report
 from openmm_sier.measure.statistics import mean_and_error
 from openmm_sier.observe.conservation import density
 from studies import records
 from studies.command import execute
 from studies.native.accuracy import NativeSettings, context_on, start
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: ps: the step, and what is left out at the beginning; steps between two moves of the volume.
 STEP, SETTLING, MOVES = 0.006, 2.0, 5

@@ -17,10 +17,11 @@ from typing import Literal, NamedTuple
 from tyro.conf import Positional
 
 from openmm_sier.measure.ensemble import Member, ensemble
-from openmm_sier.measure.report import SILENT, Report, Table, duration
+from openmm_sier.measure.report import duration
 from studies.command import Settings
 from studies.paper import dipole, free_rotation, liquids, water, water_runs
 from studies.records import Record
+from studies.report import SILENT, Report, Table
 
 #: The module that executes the members of the ensemble.
 MEMBER = "studies.paper.member"

@@ -26,13 +26,13 @@ import pandas as pd
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState
-from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.statistics import Estimate, jackknife
 from studies import records, style
 from studies.methods import PAPER, OwnMethod
 from studies.paper import published, tip4p
 from studies.paper.published import FS
 from studies.records import Record
+from studies.report import SILENT, Report, Table
 
 #: One debye times one MV/m in kJ/mol: 1e-21/299792458 C m (CODATA), 1e6 V/m, the Avogadro constant.
 DEBYE_MV_PER_M = 1e-21 / 299792458 * 1e6 * 6.02214076e23 / 1e3

@@ -26,7 +26,6 @@ from openmm_sier.dynamics import operators, rotation
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.stages import DRIFT, KICK
-from openmm_sier.measure.report import SILENT, Report, Table
 from openmm_sier.measure.statistics import Estimate, jackknife
 from studies import records, style
 from studies.bench import rotations
@@ -34,6 +33,7 @@ from studies.methods import PAPER, OwnMethod
 from studies.paper import published, reference, tip4p
 from studies.paper.published import FS
 from studies.records import Record
+from studies.report import SILENT, Report, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pandas as pd
 
-from openmm_sier.measure.report import Table
 from openmm_sier.measure.statistics import jackknife
 from studies import records, style
 from studies.methods import PAPER
 from studies.paper import liquids, published
 from studies.paper.water_runs import PhasePoint, WaterSettings
 from studies.records import Record
+from studies.report import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
@@ -33,6 +35,21 @@ def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
         if "physical_validation" in fewer:  # the last block of its page
             pytest.importorskip("physical_validation", reason="install the extra validation")
         exec(compile(fewer, page, "exec"), names)
+
+
+@pytest.mark.slow
+def test_code_of_the_notebook_of_exact_averages_runs(monkeypatch):
+    """With fewer trials, though so many that some bin of the dihedral has ten of them."""
+    monkeypatch.chdir(ROOT / "docs" / "notebooks")
+    monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
+    pytest.importorskip("matplotlib").use("Agg")
+    cells = json.loads(Path("exact-averages.ipynb").read_text())["cells"]
+    blocks = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    names = {"__name__": "__main__"}
+    for block in blocks:
+        exec(compile(block.replace("range(350)", "range(60)"), "exact-averages.ipynb", "exec"), names)
+    assert names["integrator"].trials == 60
+    assert np.isfinite(names["free"]).any()
 
 
 def test_pages_with_code_are_found():

@@ -1,4 +1,4 @@
-"""Fluctuation and drift of the energy."""
+"""Fluctuation of the energy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from openmm_sier.measure.observables import energy_drift, energy_error, energy_fluctuation
+from openmm_sier.measure.observables import energy_error, energy_fluctuation
 
 TIME = np.arange(0.01, 10.0, 0.01)
 POTENTIAL = np.sin(7.0 * TIME)
@@ -28,11 +28,6 @@ def test_energy_error_does_not_grow_with_the_run():
     assert energy_error(TIME, slow + WAVE, POTENTIAL) == pytest.approx(EXACT, rel=0.1)
 
 
-def test_the_papers_energy_error_is_about_the_mean():
-    total = 5.0 - 3.0 * TIME + WAVE
-    assert energy_error(TIME, total, POTENTIAL, window=None) == np.std(total) / np.std(POTENTIAL)
-
-
 def test_windows_are_longer_where_samples_are_few():
     """One sample a ps: eight of them in a window, where a line leaves white noise sqrt(1 - 2/8) of its rms."""
     time = np.arange(8000.0)
@@ -44,10 +39,3 @@ def test_windows_are_longer_where_samples_are_few():
 def test_too_little_to_say():
     assert math.isnan(energy_error(TIME[:2], WAVE[:2], POTENTIAL[:2]))
     assert math.isnan(energy_error(TIME, WAVE, 0 * POTENTIAL))
-    assert math.isnan(energy_drift(TIME[:2], WAVE[:2])[0])
-
-
-def test_drift_of_a_line():
-    slope, error, _ = energy_drift(TIME, 2 - TIME / 4)
-    assert slope == pytest.approx(-0.25, rel=1e-12)
-    assert error < 1e-12

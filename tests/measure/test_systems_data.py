@@ -186,15 +186,6 @@ def test_composition_comes_nearest_to_the_molality():
         make.composition(10, 0.1)
 
 
-def test_rotations_are_proper_and_uniform():
-    R = make.random_rotations(4000, np.random.default_rng(5))
-    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
-    np.testing.assert_allclose(np.linalg.det(R), 1, atol=1e-14)
-    # Every element has the mean 0 and the variance 1/3 of a uniform direction's component; four standard errors.
-    assert np.abs(R.mean(axis=0)).max() < 4 * np.sqrt(1 / 3 / 4000)
-    assert np.abs((R**2).mean(axis=0) - 1 / 3).max() < 4 * np.sqrt(4 / 45 / 4000)
-
-
 @pytest.mark.slow
 def test_made_box_is_read_back(tmp_path, capsys):
     out = tmp_path / "made.pdb"

@@ -147,18 +147,6 @@ def test_shear_is_the_diagonal_of_a_turned_box():
     assert abs(straight[0, 1]) > 0.02 * np.abs(straight).max()
 
 
-def test_correction_for_dispersion():
-    """Its energy is inverse to the volume, so that it adds energy/volume to the pressure, and no shear."""
-    found, energies = [], []
-    for dispersion in (True, False):
-        context = context_at(*_with(openmm.VerletIntegrator(0.001), salt(dispersion=dispersion)))
-        found.append(tensor_of(context))
-        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
-    expected = (energies[0] - energies[1]) / EDGES.prod() * np.eye(3)
-    assert expected[0, 0] < -0.1
-    np.testing.assert_allclose(found[0] - found[1], expected, rtol=0, atol=1e-5 * abs(expected[0, 0]))
-
-
 def _with(integrator, made):
     system, point = made
     return system, integrator, point

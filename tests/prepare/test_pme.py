@@ -24,36 +24,9 @@ def context_of(system, positions, platform="CPU"):
     return context
 
 
-def forces(box, alpha, *mesh) -> np.ndarray:
-    pme_of(box.system).setPMEParameters(alpha, *mesh)
-    return context_of(box.system, box.positions).getState(forces=True).getForces(asNumpy=True)._value
-
-
 @pytest.fixture
 def water():
     return periodic_system("tip3p", 64)
-
-
-@pytest.fixture(scope="module")
-def box():
-    return read_box(SYSTEMS / "tip3p-512.pdb")
-
-
-@pytest.fixture(scope="module")
-def exact(box):
-    """Forces with a direct sum that ends at erfc(4.7) = 3e-11, and a mesh more than twice as fine as any here."""
-    return forces(box, 5.2, 160, 160, 160)
-
-
-@pytest.mark.parametrize("tolerance", [5e-4, 1e-4])
-def test_forces_are_more_exact_with_the_same_mesh(box, exact, tolerance):
-    pme = pme_of(box.system)
-    pme.setEwaldErrorTolerance(tolerance)
-    before = np.linalg.norm(forces(box, 0, 0, 0, 0) - exact)
-    balance_pme(box.system)
-    after = np.linalg.norm(forces(box, *pme.getPMEParameters()) - exact)
-    # Seen: 5.9 and 7.1. A share of 2 or 200 instead of 20 gives 1.9 to 4.0.
-    assert after < before / 4.5
 
 
 def test_the_mesh_is_the_one_that_openmm_chooses(water):

@@ -10,12 +10,11 @@ import openmm
 import pandas as pd
 import pytest
 
-from openmm_sier import RigidBodies, SIERHMCIntegrator, SIERIntegrator
+from openmm_sier import SIERIntegrator
 from openmm_sier.dynamics.metropolis import expected_acceptance
 from openmm_sier.measure import forcefields
 from studies import acceptance, acceptance_trials, boxes, records
 from studies.acceptance_trials import AcceptanceSettings
-from studies.methods import REVERSIBLE
 from tests.support.commands import SYSTEMS, write_lattice
 from tests.support.reports import Told
 from tests.support.waters import platform
@@ -57,25 +56,6 @@ def test_rows_and_files(finished, settings):
     pd.testing.assert_frame_equal(records.read(settings.out / "acceptance.json").tables["rows"], rows)
     assert (settings.out / "acceptance.png").read_bytes().startswith(b"\x89PNG")
     assert [len(table.rows) for table in told.tables] == [2, 0]
-
-
-def test_as_many_trials_are_made_as_are_counted(settings, monkeypatch):
-    """A step of the integrator is a whole trial."""
-    made = []
-
-    class Counting(SIERHMCIntegrator):
-        def step(self, steps):
-            made.append((steps, self.getStepsPerTrial()))
-            super().step(steps)
-
-    monkeypatch.setattr(acceptance_trials, "SIERHMCIntegrator", Counting)
-    topology, positions = boxes.on_lattice(27)
-    system = forcefields.pme_system(topology, forcefields.load(["tip3p.xml"]))
-    replica = boxes.Replica(27, positions, system)
-    begun = acceptance_trials.Start(replica, RigidBodies.from_system(system), 1e-3)
-    found = acceptance_trials.measure(begun, REVERSIBLE["sier2"], 1.0, 2, settings)
-    assert len(found["errors"]) == 2
-    assert made == [(1, 12), (1, 12)]
 
 
 @pytest.mark.slow

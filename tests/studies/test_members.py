@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,14 @@ from studies.records import Record
 from tests.support.commands import SYSTEMS, run
 from tests.support.finished_runs import write_run
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 ROWS = 400
+
+PLANS = sorted(path.name for path in SYSTEMS.glob("*.toml"))
 
 
 def columns(seed, energy):
@@ -38,7 +47,7 @@ def runs(tmp_path, monkeypatch):
     Path("box.pdb").touch()
     common = {"pressure": 1.0, "report_every": 0.12, "time": 0.12 * (ROWS - 1)}
     hmc = common | {"ensemble": "hmc", "dt": 6.0, "steps_per_trial": 5}
-    langevin = common | {"ensemble": "npt", "scheme": "langevinmiddle", "dt": 4.0}
+    langevin = common | {"ensemble": "npt", "scheme": "langevinmiddle", "dt": 4.0, "hydrogen_mass": 3.0}
     return [
         write_run("a", trials(1, -10.0), seed=1, **hmc),
         write_run("b", trials(2, -10.0), seed=2, **hmc),
@@ -50,6 +59,7 @@ def test_costs_of_members(runs, tmp_path):
     settings = members.MemberSettings(runs=tuple(map(Path, runs)), out=tmp_path)
     hmc, langevin = members.study(settings).tables["rows"].to_dict("records")
     assert hmc["label"] == "box: SIER4G, trials of 30 fs, steps of 6 fs"
+    assert langevin["label"].endswith("steps of 4 fs, friction 1/ps, hydrogens of 3")
     assert (hmc["runs"], langevin["runs"]) == (2, 1)
     assert hmc["accepted"] == pytest.approx(0.9)
     # 400 numbers tell a standard deviation to 4 %, 800 to 2.5 %.
@@ -105,8 +115,46 @@ def test_curves_of_a_record_are_drawn(tmp_path):
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("plan", sorted(path.name for path in SYSTEMS.glob("*.toml")))
-def test_shipped_plans_can_be_read(plan):
-    """All of their options are checked as on the command line."""
-    made = read_plan(SYSTEMS / plan)
+#: Boxes of plans that are too large to be shipped, and how the plan, the page of its study and the README of the boxes
+#: say that they are made.
+TO_BE_MADE = {
+    "dhfr.pdb": "python -m studies.hmc.solvated dhfr --pdb systems/dhfr.pdb",
+    "long.pdb": "python systems/peptide.py --long --time 1 --out systems/long.pdb",
+}
+
+
+def boxes_of(plan):
+    """The boxes that a plan names, in its options and its members."""
+    tables = tomllib.loads(plan.read_text())
+    named = [table["box"] for table in (tables["options"], *tables["members"]) if "box" in table]
+    return {box for names in named for box in ([names] if isinstance(names, str) else names)}
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_shipped_plans_can_be_read(plan, tmp_path):
+    """All of their options are checked as on the command line. Boxes are shipped, or stand-ins for those to be made."""
+    copy = Path(shutil.copy(SYSTEMS / plan, tmp_path))
+    for name in TO_BE_MADE:
+        (tmp_path / name).touch()
+    made = read_plan(copy)
     assert len({member.name for member in made}) == len(made) > 1
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_boxes_of_plans_are_shipped_or_can_be_made(plan):
+    tracked = {path.name for path in SYSTEMS.glob("*.pdb")} - set(TO_BE_MADE)
+    boxes = boxes_of(SYSTEMS / plan)
+    assert boxes
+    for box in boxes - tracked:
+        pages = (SYSTEMS / plan, SYSTEMS / "README.md", SYSTEMS.parent / "docs" / "hmc.md")
+        for page in pages:
+            assert TO_BE_MADE[box] in page.read_text(), page
+
+
+def test_plans_are_listed():
+    """In the README of the boxes, with what they are for, and in the list of studies or a page that it leads to."""
+    readme = (SYSTEMS / "README.md").read_text()
+    listed = (SYSTEMS.parent / "docs" / "studies.md").read_text()
+    for plan in PLANS:
+        assert f"| `{plan}` |" in readme
+        assert f"systems/{plan}" in listed

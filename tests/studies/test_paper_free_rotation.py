@@ -10,7 +10,6 @@ import mpmath
 import numpy as np
 import pytest
 
-from openmm_sier.dynamics import rotation
 from studies.paper import free_rotation, published, reference, tip4p
 from studies.paper.free_rotation import FreeRotationSettings
 from tests.support.oracles import rotation_by_dop853
@@ -34,17 +33,6 @@ def test_reference_solves_the_equations_of_motion(rng):
     for i in range(8):
         found = matrix(reference.attitude(L[:, i], WATER, 0.5))
         assert np.abs(found - rotation_by_dop853(np.eye(3), L[:, i], WATER, 0.5)).max() < 1e-11
-
-
-@pytest.mark.parametrize("time", [0.01, 1.0, -3.0])
-def test_reference_and_exact_rotation(rng, time):
-    """Rounding: some 1e-16 times the angle turned, below 100 rad per ps."""
-    L = states(rng, 20)
-    exact, _ = rotation.exact(np.repeat(np.eye(3)[:, :, None], 20, axis=2), L, WATER, time)
-    for i in range(20):
-        assert np.abs(matrix(reference.attitude(L[:, i], WATER, time)) - exact[:, :, i]).max() < 2e-15 * (
-            1 + 100 * abs(time)
-        )
 
 
 def test_reference_has_the_digits_it_claims(rng):

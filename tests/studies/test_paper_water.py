@@ -19,7 +19,6 @@ from studies.methods import PAPER
 from studies.paper import liquids, molecular_cutoff, tip4p, water, water_runs
 from studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from studies.paper.molecular_cutoff import MolecularCutoff
-from studies.paper.pairs import switch
 from studies.paper.water_runs import PhasePoint, WaterSettings
 from tests.support.oracles import random_attitudes
 
@@ -92,19 +91,6 @@ def test_molecular_cutoff_against_openmm(rng):
     assert ((R > ON) & (R < OFF)).sum() > 50
 
 
-def test_forces_are_the_gradient(rng):
-    """Central differences of the energy; their own error is some 1e-7 of these forces."""
-    positions = molecules(rng)
-    box = np.full(3, EDGE)
-    _, forces = POTENTIAL.energy_and_forces(positions, box)
-    for index in rng.integers(0, positions.size, size=12):
-        moved = np.repeat(positions.ravel()[None], 2, axis=0)
-        moved[:, index] += (-1e-5, 1e-5)
-        low, high = (POTENTIAL.energy_and_forces(x.reshape(-1, 3), box)[0] for x in moved)
-        assert (low - high) / 2e-5 == pytest.approx(forces.ravel()[index], abs=1e-6 * np.abs(forces).max())
-    assert np.abs(forces.sum(axis=0)).max() < 1e-10 * np.abs(forces).max()
-
-
 def test_periodic_images(rng):
     """Molecules that are moved by edges of the box make no difference beyond rounding."""
     positions, box = molecules(rng), np.array([1.5, 1.6, 1.7])
@@ -113,20 +99,6 @@ def test_periodic_images(rng):
     again, forces_again = POTENTIAL.energy_and_forces(positions + images, box)
     assert again == pytest.approx(energy, rel=1e-11)
     assert np.abs(forces_again - forces).max() < 1e-11 * np.abs(forces).max()
-
-
-def test_switch_is_smooth():
-    """From 1 to 0 with its slope the derivative, and so flat at the ends that a fourth derivative still vanishes."""
-    R = np.linspace(ON - 0.01, OFF + 0.01, 2001)
-    S, slope = switch(R, ON, OFF)
-    assert S[0] == 1
-    # 126 - 420 + 540 - 315 + 70 = 1.
-    assert abs(S[-1]) < 1e-13
-    assert np.abs(np.gradient(S, R)[1:-1] - (slope * R)[1:-1]).max() < 2e-3 * np.abs(slope * R).max()
-    x = np.array([1e-2, 2e-2])
-    near = 1 - switch(ON + x * (OFF - ON), ON, OFF)[0]
-    # 126 x^5 (1 - 10/3 x): doubling x gives 2^5 up to 4 %.
-    assert near[1] / near[0] == pytest.approx(32, rel=0.05)
 
 
 def test_refusals():
@@ -309,42 +281,6 @@ def test_phase_points():
     assert settings.steps_of(mrdl, PhasePoint(MOLECULAR, 1)) == coarse[1:]
 
 
-def test_intersection():
-    """Curves h^2 and h^4/4 cross at 2; there is none where one is always below."""
-    second = {h: h**2 for h in (0.5, 1.0, 1.8, 3.0)}
-    fourth = {h: h**4 / 4 for h in (0.5, 1.0, 1.8, 3.0)}
-    assert water.intersection(second, fourth) == pytest.approx(2)
-    assert math.isnan(water.intersection(second, {h: v / 2 for h, v in second.items()}))
-
-
-@pytest.mark.slow
-def test_pme_liquid_runs():
-    """The practical twin: SIER2's error is of second order, and SIER4's far below it.
-
-    The slope was 1.94 to 1.97: forces of PME with so short a cut-off are not quite those of its energy, which adds some
-    0.04 % of rms(V) to either error.
-    """
-    settings = replace(
-        miniature()[0], kinds=(PME,), force_steps_fs=(0.75, 1.5), compared_from_fs=9.0, compared_to_fs=9.0, runs=1
-    )
-    found = ratios(evaluated(settings))
-    assert math.log2(found["SIER2", 1.5] / found["SIER2", 0.75]) == pytest.approx(2, abs=0.2)
-    # The molecular cut-off of as many molecules has 0.5 %.
-    assert 0.2 < found["SIER2", 1.5] < 2
-    assert found["SIER4", 1.5] < 0.4 * found["SIER2", 1.5]
-
-
-@pytest.mark.parametrize("n", [64, 512])
-def test_starting_box(n):
-    """The project's box, or a part of it at its density, molecules whole."""
-    made = liquids.water_box(n)
-    assert made.molecules == n
-    assert n * 18.0153 / 602.214 / made.edge**3 == pytest.approx(0.99734, rel=1e-3)
-    r = made.positions.reshape(n, 4, 3)
-    # A PDB file has 1e-4 nm.
-    assert np.linalg.norm(r[:, 1:3] - r[:, :1], axis=2) == pytest.approx(np.full((n, 2), 0.09572), abs=3e-4)
-
-
 @pytest.mark.slow
 def test_phase_points_are_liquid_water():
     """64 molecules near -40 kJ/mol each."""
@@ -352,14 +288,3 @@ def test_phase_points_are_liquid_water():
     context.setState(phase(PME, 1))
     # TIP4P: -41.8 kJ/mol (Jorgensen 1983); a short cut-off without its correction and 64 molecules change it by some.
     assert -46 < liquids.energies(context)[1] / 64 < -36
-
-
-@pytest.mark.slow
-def test_phase_points_are_reproducible_and_differ():
-    """The same seed gives the same point, another seed another."""
-    positions = [
-        REAL_PHASE_POINT(box(), MOLECULAR, SMALL, 297.0, 0.02, seed).getPositions(asNumpy=True)._value
-        for seed in (3, 3, 4)
-    ]
-    assert np.array_equal(positions[0], positions[1])
-    assert np.abs(positions[0] - positions[2]).max() > 1e-4

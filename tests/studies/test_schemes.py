@@ -9,12 +9,10 @@ import pandas as pd
 import pytest
 from openmm import app, unit
 
-from openmm_sier.dynamics.schemes import DRIFT, KICK, SIER2V2, SIER4P, SIER4V, alternating
-from studies import records, schemes
+from openmm_sier.dynamics.schemes import SIER2V2, SIER4P, SIER4V
+from studies import schemes
 from studies.methods import OTHERS
 from studies.schemes import SchemesSettings
-from tests.support.convergence import slope
-from tests.support.molecules import WATER, SoftCluster
 from tests.support.reports import Told
 from tests.support.waters import water_box
 
@@ -28,25 +26,6 @@ def test_candidates_are_symmetric_and_of_fourth_order(name):
     assert scheme.order == 4
     assert scheme.is_palindrome
     assert scheme.force_evaluations == FORCES[name]
-
-
-@pytest.mark.parametrize("name", CANDIDATES)
-def test_candidates_are_of_fourth_order_in_the_dynamics(rng, name):
-    cluster = SoftCluster([WATER] * 3)
-    # SRKN6b has so small a h^4 that h^6 shows unless the steps are short.
-    assert slope(cluster, CANDIDATES[name], cluster.start(rng), steps=(24, 48, 96)) == pytest.approx(4.0, abs=0.3)
-
-
-def test_a_nystroem_scheme_of_sixth_order_needs_kicks_and_drifts():
-    """Blanes and Moan's SRKN11b rests on [B, [B, [B, A]]] = 0: of operators without that rule it is of fourth order."""
-    b = (0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879)
-    a = (0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928)
-    fractions = [x for pair in zip(b, a, strict=True) for x in pair]
-    fractions.append(0.5 - math.fsum(b))
-    assert alternating("SRKN11b", KICK, DRIFT, tuple(fractions)).order == 6
-    assert alternating("free", "B", "A", tuple(fractions)).order == 4
-    # The rule does not hold with the operators exchanged.
-    assert alternating("exchanged", DRIFT, KICK, tuple(fractions)).order == 4
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
@@ -90,15 +69,6 @@ def test_rows(finished):
     # A step of a whole period of libration breaks the run, and says so.
     assert rows["broken"].iloc[-1]
     assert math.isnan(rows["percent"].iloc[-1])
-
-
-def test_files(finished, settings):
-    record = records.read(settings.out / "schemes.json")
-    assert list(record.tables["rows"]["method"]) == list(finished[0]["method"])
-    assert record.settings["time"] == 0.3
-    assert set(record.tables["runs"]["liquid"]) == {"box, tip3p"}
-    assert (settings.out / "schemes.png").read_bytes().startswith(b"\x89PNG")
-    assert (settings.out / "schemes.png").stat().st_size > 20000
 
 
 def test_what_is_reported(finished):

@@ -22,7 +22,7 @@ def test_speed_in_miniature(tmp_path, monkeypatch):
     monkeypatch.setattr(speed, "STEPS", {"verlet": (0.5, 2.0), "sier2": (0.5,), "sier2p3": (1.0,), "sier4g": (1.0,)})
     monkeypatch.setattr(usual_inputs, "installed", list)
     # The cut-off that fits the box.
-    monkeypatch.setattr(speed_boxes, "INTERACTIONS", Interactions(balanced=False))
+    monkeypatch.setattr(speed_boxes, "INTERACTIONS", Interactions())
     settings = SpeedSettings(
         out=tmp_path,
         box=box,

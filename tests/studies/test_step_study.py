@@ -8,13 +8,12 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from openmm_sier.cli.ensembles import read_plan
 from openmm_sier.cli.plan import Options, RunError, new_plan
 from openmm_sier.cli.properties import ROWS, Run, estimated
 from studies import records, step_study
 from studies.records import Record
 from studies.step_study import MEASURED, StepSettings
-from tests.support.commands import SYSTEMS, log, run, write_lattice
+from tests.support.commands import log, run, write_lattice
 from tests.support.reports import Told
 
 SHORT = ["--platform", "Reference", "--equilibrate", "0.01", "--every", "0.012", "--report-every", "0.012"]
@@ -73,19 +72,6 @@ def test_errors_are_shared_by_rows_of_one_box_and_method():
     assert list(found["density_error"]) == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
     # An error that no row has stays unknown.
     assert found["energy_error"].isna().all()
-
-
-def test_the_shipped_plan_has_equal_steps_per_force():
-    members = read_plan(SYSTEMS / "step-study.toml")
-    assert len(members) == 66
-    assert len({member.name for member in members}) == 66
-    steps = {}
-    for member in members:
-        given = dict(zip(member.arguments[2::2], member.arguments[3::2], strict=True))
-        forces = 3 if given["--scheme"] == "sier4g" else 1
-        steps.setdefault((given["--scheme"], given["--ensemble"]), set()).add(float(given["--dt"]) / forces)
-    assert steps.pop(("sier4g", "hmc")) == {2, 3}
-    assert set(map(tuple, map(sorted, steps.values()))) == {(0.5, 1, 2, 3, 4)}
 
 
 def test_momenta_that_are_drawn_anew_tell_no_diffusion():

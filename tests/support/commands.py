@@ -38,13 +38,6 @@ def load_program(path):
 make = load_program("systems/make.py")
 
 
-def notes_of(plan, checkpoint):
-    """The notes in a checkpoint of a run that has not begun."""
-    empty = {"size": 0, "count": 0, "fingerprint": "none"}
-    numbers = {"step": 0, "potential_energy": 0.0}
-    return {"run": "identity", "plan": plan.noted(checkpoint), **numbers, "trajectory": empty, "log": empty}
-
-
 def frames(path, box):
     return mdtraj.load(str(path)) if path.suffix == ".h5" else mdtraj.load(str(path), top=str(box))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 
-from openmm_sier.measure.report import Table
+from studies.report import Table
 
 
 class Told:

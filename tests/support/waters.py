@@ -8,8 +8,6 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-PICOSECOND = unit.picosecond
-
 
 def platform(name="Reference"):
     return openmm.Platform.getPlatformByName(name)

@@ -100,15 +100,6 @@ def test_water_models_of_openmm(field, model, sites):
     assert np.abs(bodies.place(q, A, x.copy()) - x)[massive].max() < 1e-8
 
 
-def test_two_atoms_are_a_line():
-    bodies = RigidBodies.from_system(system_of(((14.0, 16.0), {(0, 1): 0.115})))
-    (species,) = bodies.species
-    reduced = 14.0 * 16.0 / 30.0
-    assert species.moments[0] == 0
-    assert species.moments[1:] == pytest.approx([reduced * 0.115**2] * 2, rel=1e-14)
-    assert bodies.dof == 5
-
-
 # The second to the digits of a force field: lengths rounded to 1e-6 nm that can be no triangle are a line.
 @pytest.mark.parametrize(("bond", "ends"), [(0.116, 0.232), (0.115997, 0.231995)])
 def test_three_atoms_in_a_row_are_a_line(bond, ends):
@@ -189,32 +180,6 @@ def test_order_of_atoms_and_constraints_does_not_matter():
     reference = RigidBodies.from_system(system_of(WATER)).species[0].moments
     for species in bodies.species:
         assert np.allclose(species.moments, reference, rtol=1e-13)
-
-
-def test_a_larger_rigid_molecule(rng):
-    """Twelve atoms held by all of their 66 distances."""
-    x = rng.normal(scale=0.2, size=(12, 3))
-    apart = np.linalg.norm(x[:, None] - x[None], axis=2)
-    pairs = {(i, j): apart[i, j] for i in range(12) for j in range(i)}
-    system = system_of((rng.uniform(1, 30, 12), pairs))
-    bodies = RigidBodies.from_system(system, positions=x)
-    q, A = bodies.fit(x)
-    assert np.abs(bodies.place(q, A, np.zeros((12, 3))) - x).max() < 1e-13
-
-
-def test_either_hand_of_a_molecule(rng):
-    """Distances do not tell a molecule from its mirror image, positions do."""
-    x = rng.normal(scale=0.1, size=(4, 3))
-    apart = np.linalg.norm(x[:, None] - x[None], axis=2)
-    molecule = ((12.0, 1.0, 35.0, 80.0), {(i, j): apart[i, j] for i in range(4) for j in range(i)})
-    system = system_of(molecule, molecule, molecule)
-    both = np.concatenate([x, x * [1, 1, -1] + 1, x - 1])
-    bodies = RigidBodies.from_system(system, positions=both * unit.nanometer)
-    q, A = bodies.fit(both)
-    assert np.linalg.det(A.transpose(2, 0, 1)) == pytest.approx(1)
-    assert np.abs(bodies.place(q, A, np.zeros((12, 3))) - both).max() < 1e-13
-    with pytest.raises(RigidityError, match="give positions"):
-        RigidBodies.from_system(system)
 
 
 def test_an_empty_system():
@@ -330,20 +295,6 @@ def test_conformations_are_species_of_their_own(rng):
         )
     found = {tuple(sorted(species.atoms[:, 0] // 6)) for species in bodies.species}
     assert found == {tuple(np.flatnonzero(kinds == kind)) for kind in (0, 1)}
-
-
-def test_the_shared_geometry_is_the_mean_and_not_the_first(rng):
-    """Atoms that scatter by 0.003 nm: the mean of 50 is sqrt(50) times nearer to the truth than any one of them."""
-    exact = methanols.positions_of(50, digit=None)
-    positions = exact + rng.uniform(-0.003, 0.003, exact.shape)
-    with pytest.warns(UserWarning, match="50 bodies"):
-        bodies = RigidBodies.from_system(
-            methanols.system_of(50), rigid=np.arange(300).reshape(50, 6), positions=positions
-        )
-    (species,) = bodies.species
-    exact = np.linalg.norm(methanols.GEOMETRY[:, None] - methanols.GEOMETRY[None], axis=2)
-    # A uniform scatter of 0.003 has a standard deviation of 0.0017; sqrt(2) times that in a length, over sqrt(50).
-    assert np.abs(lengths_in(species) - exact).max() < 4 * 2.4e-4
 
 
 # --- heavy atoms with hydrogens ---------------------------------------------------------------------------------------

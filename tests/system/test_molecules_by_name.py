@@ -14,13 +14,6 @@ from tests.support.restarts import assert_restart_is_the_same
 from tests.support.solutes import disulfide, ion, spc, system_of, water
 from tests.support.waters import context_at, phase_point
 
-MOLECULES = {
-    "flexible SPC": lambda: system_of([spc(), spc(), spc()]),
-    "disulfide, no constraints": lambda: system_of([disulfide(), water()]),
-    "disulfide, a bond": lambda: system_of([disulfide().with_hydrogens_held(), water()]),
-    "disulfide, a constraint": lambda: system_of([disulfide().with_bonds_held(), water()]),
-}
-
 CONSTRAINTS = {"AllBonds": app.AllBonds, "HAngles": app.HAngles, "HBonds": app.HBonds, "None": None}
 
 
@@ -66,11 +59,6 @@ def check(system, positions, h, bodies=None):
     context = started(system, langevin(), positions)
     context.getIntegrator().step(3)
     assert_restart_is_the_same(system, context, langevin(), 4)
-
-
-@pytest.mark.parametrize("name", MOLECULES)
-def test_molecule(name):
-    check(*MOLECULES[name](), h=0.001)
 
 
 @pytest.mark.parametrize("constraints", CONSTRAINTS)

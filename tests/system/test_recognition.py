@@ -167,14 +167,3 @@ def test_points_may_all_be_at_the_origin(n, name):
     integrator.step(2)
     # Two steps at an acceleration of 1/20.
     assert np.allclose(phase_point(context)[0], [0.5 / 20 * 0.002**2, 0, 0], rtol=1e-6, atol=0)
-
-
-def test_molecules_at_the_origin_are_no_molecules():
-    _, positions, system = cluster_system(3)
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, (0 * positions, 0 * positions))
-    with pytest.raises(RigidityError, match="does not have the shape of its rigid body"):
-        integrator.step(1)
-    context.reinitialize()
-    with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):
-        integrator.step(1)

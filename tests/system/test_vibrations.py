@@ -126,21 +126,11 @@ def test_bonds_that_do_not_act_do_not_count():
 
 
 @pytest.mark.parametrize("masses", [(1.0, 16.0), (1.0, 0.0), (12.0, 12.0)])
-def test_the_period_is_that_of_the_motion(masses):
-    """The limit is the one at which the bond really becomes unstable: near it energies are wrong by far."""
+def test_the_period_is_that_of_the_reduced_mass(masses):
+    """Atoms without mass stay where they are, and do not count."""
     system = diatomic(masses=masses)
     inverse = sum(1 / mass for mass in masses if mass)
     period = 2 * math.pi / math.sqrt(1e5 * inverse)
-    context = openmm.Context(system, openmm.VerletIntegrator(period / 5000), platform())
-    context.setPositions(np.array([[0, 0, 0], [0.11, 0, 0]]))
-    lengths = []
-    for _ in range(5000):
-        context.getIntegrator().step(1)
-        x = context.getState(positions=True).getPositions(asNumpy=True)._value
-        lengths.append(np.linalg.norm(x[1] - x[0]))
-    # One period later the bond has its first length, to the square of the step.
-    assert lengths[-1] == pytest.approx(0.11, abs=1e-5)
-    assert min(lengths) == pytest.approx(0.09, abs=1e-5)
     stable, _ = limits(SIER2, period)
     openmm.Context(system, SIER2Integrator(0.999 * stable), platform())
     with pytest.raises(openmm.OpenMMException, match=f"period of {1000 * period:.3g} fs"):
