@@ -22,10 +22,10 @@ import pandas as pd
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines.native.installation import OWN
 from openmm_sier.engines.native.program import CONSTRAIN_V, CONSTRAIN_X, Program, Statement, write
-from openmm_sier.measure.report import SILENT, Report
 from studies import records
 from studies.command import Settings, chosen, execute
 from studies.records import Record
+from studies.report import SILENT, Report
 
 #: The force that a statement uses; the number is that of a group, and is missing for the sum of all groups.
 FORCE = re.compile(r"\bf(\d*)/m")
