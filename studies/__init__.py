@@ -24,6 +24,7 @@ STUDIES = {
     "studies.native.accuracy": "",
     "studies.native.ensembles": "",
     "studies.native.cost": "",
+    "studies.native.program": "seconds",
     "studies.checks.soak": "",
     "studies.checks.kill_loop": "",
     "studies.checks.kill_ensemble": "4 min with --time 0.2",

@@ -22,10 +22,10 @@ from openmm_sier.engines.variables import PREFIX
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
 
-#: Per-atom variables of the program. They hold the displacement to be undone, the velocities to return to, a temporary
-#: value, and the heat that the bath, and removers of the motion of the centre of mass, gave to each degree of freedom.
-MOVED, V0, KEPT, WORK = (PREFIX + name for name in ("moved", "v0", "kept", "work"))
-VECTORS = (MOVED, V0, KEPT, WORK)
+#: Per-atom variables of the program. They hold positions or a displacement to be undone, velocities to return to, and
+#: the heat that the bath, and removers of the motion of the centre of mass, gave to each degree of freedom.
+KEPT, V0, WORK = (PREFIX + name for name in ("kept", "v0", "work"))
+VECTORS = (KEPT, V0, WORK)
 
 #: Global variables for the bath's friction (1/ps) and thermal energy (kJ/mol).
 FRICTION, THERMAL = (PREFIX + name for name in ("friction", "kT"))
@@ -178,6 +178,10 @@ def write(
     forces, and each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs
     follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md).
 
+    Velocities are constrained where they are read, at the end of the step and before a bath, and not after every stage:
+    what they have along the constraints changes no position that is constrained next, since the constraint forces take
+    it up. Only forces at displaced positions are constrained where they act.
+
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
         substeps: without fast groups, RATTLE steps in each drift: 3 and 5 make it fourth order (`COMPOSITIONS`), other
@@ -191,17 +195,18 @@ def write(
     """
     fast = [f"f{group}" for group in sorted(fast_groups)]
     number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
-    within = _lines(
-        WITHIN_DRIFTS, "e", [("+", name) for name in fast], lambda part: _drift(part, INNER_SUBSTEPS, "d/e")
-    )
 
     def drift(fraction: float) -> Line:
         if not fast:
             return _drift(fraction, number)
+        within = _lines(WITHIN_DRIFTS, "e", [("+", name) for name in fast], _inner_drift)
         return Line(f"inner steps of {WITHIN_DRIFTS.name}", (), (fraction / number,) * number, "e/h", tuple(within))
 
     lines = [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))] if updates_context else []
-    parts = _divided(lines + _lines(scheme, "h", [("+", "f"), *(("-", name) for name in fast)], drift))
+    lines += _lines(scheme, "h", [("+", "f"), *(("-", name) for name in fast)], drift)
+    if scheme.stages[-1].operator != BATH:
+        lines.append(Line("end", (Statement(CONSTRAIN_V),)))
+    parts = _divided(lines)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     return Program(scheme.name, parts)
@@ -228,7 +233,7 @@ def _lines(scheme: Scheme, h: str, force: Force, drift: Callable[[float], Line])
         if stage.operator == DRIFT:
             lines.append(drift(stage.fraction))
         elif stage.operator == KICK:
-            lines.append(Line("kick", (*_kicked("v", f"{time}*", force), Statement(CONSTRAIN_V))))
+            lines.append(Line("kick", tuple(_summed("v", "v", f"{time}*", force))))
         elif stage.operator == GRADIENT_KICK:
             lines += _gradient_kick(time, f"{stage.shift!r}*{h}*{h}", force)
         elif stage.operator == BATH:
@@ -241,53 +246,56 @@ def _lines(scheme: Scheme, h: str, force: Force, drift: Callable[[float], Line])
 def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
     """Free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
 
-    Constraints move the positions. The velocities are corrected for this displacement, and then constrained.
+    Constraints move the positions, and the velocities are corrected for this displacement. It is the difference to
+    where the atoms would be without, so that rounded positions do not change the velocities of free atoms.
     """
     weights = COMPOSITIONS.get(substeps, (1 / substeps,) * substeps)
     statements = (
-        Statement("x", "x + d*v"),
-        Statement(KEPT, "x"),
+        Statement(KEPT, "x + d*v"),
+        Statement("x", KEPT),
         Statement(CONSTRAIN_X),
         Statement("v", f"v + (x - {KEPT})/d"),
-        Statement(CONSTRAIN_V),
     )
     return Line("drift", statements, tuple(fraction * weight for weight in weights), unit)
 
 
-def _kicked(start: str, time: str, force: Force) -> list[Statement]:
-    """`v = start + time*f/m`, one statement for each group: OpenMM allows only one in an expression."""
+def _inner_drift(fraction: float) -> Line:
+    return _drift(fraction, INNER_SUBSTEPS, "d/e")
+
+
+def _summed(target: str, start: str, time: str, force: Force) -> list[Statement]:
+    """`target = start + time*f/m`, one statement for each group: OpenMM allows only one in an expression."""
     statements = []
     for sign, name in force:
         expression = f"{start} {sign} {time}{name}/m" if start else f"{sign.strip('+')}{time}{name}/m"
-        statements.append(Statement("v", expression))
-        start = "v"
+        statements.append(Statement(target, expression))
+        start = target
     return statements
 
 
 def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
-    """A kick by the forces at positions displaced by the constrained accelerations.
+    """A kick by the forces at positions displaced by the accelerations, under the constraints.
 
     OpenMM's constraints act along the directions of the last positions that satisfied them. So positions are
     constrained again after they are moved back, which changes nothing but those directions. The displacement is kept
     rather than the positions, since GPU platforms may carry a molecule to the other side of the box between two native
     steps.
     """
-    acceleration = (*_kicked("", "", force), Statement(CONSTRAIN_V))
+    *others, (sign, name) = force
+    acceleration = f"({V0} {sign} {name}/m)" if others else f"{name}/m"
     displace = (
-        Statement(MOVED, "x"),
-        Statement(V0, "v"),
-        *acceleration,
-        Statement("x", f"x + {shift}*v"),
+        *_summed(V0, "", "", others),
+        Statement(KEPT, "x"),
+        Statement("x", f"x + {shift}*{acceleration}"),
         Statement(CONSTRAIN_X),
-        Statement(MOVED, f"x - {MOVED}"),
+        Statement(KEPT, f"x - {KEPT}"),
     )
     kick = (
-        *acceleration,
-        Statement(KEPT, "v"),
-        Statement("x", f"x - {MOVED}"),
-        Statement(CONSTRAIN_X),
-        Statement("v", KEPT),
+        Statement(V0, "v"),
+        *_summed("v", "", "", force),
         Statement(CONSTRAIN_V),
+        Statement("x", f"x - {KEPT}"),
+        Statement(CONSTRAIN_X),
         Statement("v", f"{V0} + {time}*v"),
     )
     return [Line("displace", displace), Line("kick from there", kick)]
@@ -297,4 +305,4 @@ def _bath(time: str) -> Line:
     """The exact Ornstein-Uhlenbeck process of the constrained velocities: constraining projects the noise too."""
     spread = f"sqrt((1 - exp(-2*{FRICTION}*{time}))*{THERMAL}/m)"
     drawn = Statement("v", f"exp(-{FRICTION}*{time})*v + {spread}*gaussian")
-    return Line("bath", (Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))
+    return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))
