@@ -61,6 +61,11 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
         Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 
 
+def show_cursor() -> None:
+    """Show the cursor of a terminal, which a progress bar hides: for programs that end within one."""
+    Console(stderr=True).show_cursor()
+
+
 class ProgressBar(AbstractContextManager[Advance]):
     """A progress bar on standard error, or occasional lines where that is not a terminal.
 

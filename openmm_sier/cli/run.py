@@ -12,7 +12,7 @@ from openmm import unit
 
 from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.beginning import Simulated, check_platform, read_start
-from openmm_sier.cli.console import ProgressBar, clock, note, table
+from openmm_sier.cli.console import ProgressBar, clock, note, show_cursor, table
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import OutputFiles, Outputs, run_identity
@@ -45,14 +45,14 @@ def run(**given: Any) -> None:
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     options = Options(**given)
-    with FileLocks() as locks, StopRequests(locks.remove) as requests:
-        try:
+    with FileLocks() as locks:
+
+        def leave_nothing() -> None:
+            locks.remove()
+            show_cursor()
+
+        with StopRequests(leave_nothing) as requests:
             _run(options, requests, locks)
-        except BaseException:
-            if (signum := requests.interrupted) is None:
-                raise
-            message = f"stopped by {signal_name(signum)} before the first step; nothing was written"
-            raise Stopped(signum, message) from None
 
 
 def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import socket
 import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 #: The signals handled. One that the parent process ignores stays ignored, which `nohup` and background jobs rely on.
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -21,9 +20,6 @@ SIGNALLED = 128
 
 #: Signals within this time in s count as one. `timeout` sends SIGTERM twice at once, a closing terminal SIGHUP.
 SAME = 0.5
-
-#: Seconds that OpenMM may take to return, for example from a minimization, before a program with nothing to save ends.
-PATIENCE = 2.0
 
 
 class Stopped(KeyboardInterrupt):
@@ -41,9 +37,12 @@ class Stopped(KeyboardInterrupt):
 class StopRequests:
     """Signals that arrive inside this context manager.
 
-    Until `defer` is called, the first signal raises `Stopped` at once. After that it is only noted in `received`, so
-    that the step can be completed and the files written. A second signal ends the process at once, even from within
-    OpenMM.
+    Until `defer` is called, the first signal ends the process at once, from within OpenMM too. After that it is only
+    noted in `received`, so that the step can be completed and the files written, and a second signal ends the process
+    at once.
+
+    Nothing is raised where a signal arrives: from within OpenMM's wrappers that would come as a SystemError, or not at
+    all.
 
     Attributes:
         received: number of the first signal; None before it.
@@ -54,26 +53,15 @@ class StopRequests:
         self.received: int | None = None
         self._at_once = at_once
         self._deferred = False
+        self._deciding = threading.Lock()
         self._previous: dict[int, Any] = {}
         self._leaving = False
 
     def defer(self) -> None:
-        """From now on note the first signal instead of raising.
-
-        Raises:
-            Stopped: a signal has arrived already.
-        """
-        if self.received is not None:
-            raise Stopped(self.received)
-        self._deferred = True
-
-    @property
-    def interrupted(self) -> int | None:
-        """Number of a signal that was raised; None before it, and if it was only noted.
-
-        `Stopped` need not be what arrives: from within OpenMM's wrappers it comes as a SystemError, or not at all.
-        """
-        return None if self._deferred else self.received
+        """From now on note the first signal instead of ending the process."""
+        # Not while the watcher is ending it: whoever gets past this changes files.
+        with self._deciding:
+            self._deferred = True
 
     def __enter__(self) -> StopRequests:
         # Python handles signals in the main thread only.
@@ -108,34 +96,27 @@ class StopRequests:
     def _handle(self, signum: int, _frame: object) -> None:
         if self.received is None:
             self.received = signum
-            if not self._deferred:
-                raise Stopped(signum)
 
     def _watch(self) -> None:
-        """End the process if the main thread does not; runs in a thread of its own."""
+        """End the process where it is not to go on; runs in a thread of its own."""
         first = None
-        while True:
-            waits = first is not None and not self._deferred
-            ready, _, _ = select.select([self._reader], [], [], PATIENCE if waits else None)
-            if not ready:
-                self._exit_now(first, "stopped before the first step; nothing was written")
-            data = self._reader.recv(64)
-            if not data or self._leaving:
-                return
-            for signum in data:
-                if signum not in self._previous:
-                    continue
+        while (data := self._reader.recv(64)) and not self._leaving:
+            for signum in filter(self._previous.__contains__, data):
                 if first is None:
+                    with self._deciding:
+                        if not self._deferred:
+                            name = signal_name(signum)
+                            self._exit_now(signum, f"stopped by {name} before the first step; nothing was written")
                     first, since = signum, time.monotonic()
                 elif time.monotonic() - since > SAME:
-                    self._exit_now(signum, "ended at once by a second signal; go on from the last checkpoint")
+                    message = f"{signal_name(signum)}: ended at once by a second signal; go on from the last checkpoint"
+                    self._exit_now(signum, message)
 
-    def _exit_now(self, signum: int | None, message: str) -> None:
-        number = signum or 0
+    def _exit_now(self, signum: int, message: str) -> NoReturn:
         with contextlib.suppress(Exception):
             self._at_once()
-            os.write(sys.stderr.fileno(), f"openmm-sier: {signal_name(number)}: {message}\n".encode())
-        os._exit(SIGNALLED + number)
+            os.write(sys.stderr.fileno(), f"openmm-sier: {message}\n".encode())
+        os._exit(SIGNALLED + signum)
 
 
 def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:

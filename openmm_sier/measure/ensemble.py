@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, ThreadPoolExecutor, wait
 from pathlib import Path
 from time import monotonic
 from typing import NamedTuple
@@ -28,8 +28,7 @@ WORKER = "openmm_sier.cli.member"
 #: arguments with which it has been completed, those that identify it, and the lock of the process that works on it.
 OUTPUT, LOG, COMPLETE, NOTES, LOCK = "output.txt", "run.csv", "complete.json", "member.json", "lock"
 
-#: A member is given up when its process has been killed this often without progress in between, or when more workers
-#: than this have been lost with it.
+#: A member is given up when its process has been killed this often without progress in between.
 MOST_KILLS = 5
 
 #: Seconds between two checks of the progress of members.
@@ -93,7 +92,8 @@ def ensemble(
     Args:
         members: with different names.
         directory: holds a directory for each member; workers must see it under this path.
-        executor: takes the members; None runs `processes` processes on this machine.
+        executor: takes the members, and again those whose worker was lost; None runs `processes` processes on this
+            machine.
         processes: number at a time, without an executor; None: one for each core that this process may use.
         threads: of OpenMM in each process; None: these cores divided by the processes, at least one. With an executor
             None leaves them to each worker, which takes its OPENMM_CPU_THREADS, or one: it does not know what else is
@@ -144,32 +144,17 @@ def _sorted(members: Sequence[Member], found: dict[str, Outcome]) -> list[Outcom
 def _carry_out(
     executor: Executor, members: Sequence[Member], place: Path, threads: int | None, report: Report
 ) -> dict[str, Outcome]:
-    """Submit all members, and resubmit those whose worker was lost."""
+    """Submit all members. The executor itself replaces workers that are lost, as dask does."""
     found = {m.name: Outcome(m.name, "", 0, 0.0) for m in members if is_complete(m, place)}
-    lost = dict.fromkeys((member.name for member in members), 0)
     with report.progress(f"{len(members)} members", len(members)) as advance:
-        running = {_submit(executor, m, place, threads): m for m in members if m.name not in found}
+        running = {executor.submit(carry_out, m, str(place), threads): m for m in members if m.name not in found}
         while running:
-            ended = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED).done
-            for future in ended:
-                member = running.pop(future)
-                error = future.exception()
-                if error is None:
-                    found[member.name] = future.result()._replace(restarts=future.result().restarts + lost[member.name])
-                    continue
-                # The worker or its machine died: if the executor is still alive, it starts the member again.
-                lost[member.name] += 1
-                if lost[member.name] <= MOST_KILLS:
-                    running[_submit(executor, member, place, threads)] = member
-                else:
-                    message = f"its worker was lost {lost[member.name]} times, the last time by {error!r}"
-                    found[member.name] = Outcome(member.name, message, lost[member.name], 0.0)
+            for future in wait(running, timeout=LOOK, return_when=FIRST_COMPLETED).done:
+                name, error = running.pop(future).name, future.exception()
+                lost = f"its worker was lost: {' '.join(repr(error).split())}"
+                found[name] = Outcome(name, lost, 0, 0.0) if error else future.result()
             _show(advance, members, found, place)
     return found
-
-
-def _submit(executor: Executor, member: Member, place: Path, threads: int | None) -> Future[Outcome]:
-    return executor.submit(carry_out, member, str(place), threads)
 
 
 def _show(advance: Advance, members: Sequence[Member], found: dict[str, Outcome], place: Path) -> None:

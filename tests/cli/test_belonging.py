@@ -65,6 +65,21 @@ def test_files_of_another_length_are_refused_too(one, two_runs, capsys):
     assert "box.dcd has 300 bytes, fewer than" in complaint(capsys, *AGAIN, "--steps", "20")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["--out", "--bodies"])
+def test_finished_hdf5_file_of_an_earlier_end_is_refused(box, capsys, option):
+    """Of the same run, whose checkpoint is further."""
+    command = ["run", box, *SMALL, option, "made.h5", "--overwrite"]
+    run(*command, "--steps", "10")
+    shutil.copyfile("made.h5", "short.h5")
+    run(*command, "--steps", "20")
+    shutil.copyfile("short.h5", "made.h5")
+    capsys.readouterr()
+    again = ["--restart", "made.chk" if option == "--out" else "box.chk", "--platform", "Reference"]
+    message = complaint(capsys, "run", box, *again, "--steps", "40")
+    assert "made.h5 has 2 frames, fewer than the 4 that it had at the checkpoint" in message
+
+
 @pytest.mark.parametrize(
     ("old", "new"), [(b"\n", b"\r\n"), (b"Step,", b"step,"), (b"\n10,", b"\n11,")], ids=["line ends", "heading", "row"]
 )

@@ -1,20 +1,22 @@
 """Runs that signals end: the files are complete, the exit code is the signal's, and a restart goes on."""
 
+import contextlib
 import os
 import pty
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import numpy as np
-import openmm
 import pytest
 
-from openmm_sier.cli import beginning, info, main
+from openmm_sier.cli import info, main
 from openmm_sier.cli.files import checkpoints, outputs, records
+from openmm_sier.cli.stopping import StopRequests
 from tests.support.commands import SMALL, datasets, frames, log, wait_for
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
@@ -131,30 +133,31 @@ def test_ignored_signals_stay_ignored(box, monkeypatch):
         signal.signal(number, previous)
 
 
-def test_signal_before_the_first_step_ends_at_once(box, signum, monkeypatch, capsys):
-    def prepare(*_):
-        os.kill(os.getpid(), signum)
-        time.sleep(LIMIT)
-
-    monkeypatch.setattr(beginning, "prepare", prepare)
-    began = time.monotonic()
-    assert main.main(["run", str(box), *SMALL]) == 128 + signum
-    assert time.monotonic() - began < LIMIT / 2
-    name = signal.Signals(signum).name
-    assert capsys.readouterr().err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"
-    assert not list(Path().iterdir())
-
-
 @pytest.mark.slow
-def test_signal_in_a_minimization_that_takes_long(box):
-    """OpenMM returns to Python when it is done; the program does not wait for that."""
-    process = started(box, patch=f"{BUSY}\nbeginning.prepare, stopping.PATIENCE = busy, 0.1")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_signal_before_the_first_step_ends_at_once(box, name):
+    """Also in a minimization that takes long, from which OpenMM returns to Python only when it is done."""
+    process = started(box, patch=f"{BUSY}\nbeginning.prepare = busy")
     wait_for(Path("busy").exists, process)
-    process.send_signal(signal.SIGTERM)
+    process.send_signal(getattr(signal, name))
     code, err = ended(process)
-    assert code == 143
-    assert err == "openmm-sier: SIGTERM: stopped before the first step; nothing was written\n"
+    assert code == 128 + getattr(signal, name)
+    assert err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"
     assert [path.name for path in Path().iterdir()] == ["busy"]
+
+
+def test_no_process_is_ended_once_files_are_changed(signum):
+    """`defer` waits while another thread is ending the process, and a signal after it is only noted."""
+    with StopRequests(lambda: pytest.fail("it was ended")) as requests:
+        requests._deciding.acquire()
+        deferring = threading.Thread(target=requests.defer)
+        deferring.start()
+        deferring.join(0.1)
+        assert deferring.is_alive()
+        requests._deciding.release()
+        deferring.join(LIMIT)
+        os.kill(os.getpid(), signum)
+        assert requests.received == signum
 
 
 @pytest.mark.slow
@@ -187,6 +190,30 @@ def test_signal_that_is_sent_twice_at_once_is_one(box):
     more = ["run", str(box), "--restart", "cut.chk", "--steps", str(step + 10), "--platform", "Reference"]
     assert main.main(more) == 0
     np.testing.assert_array_equal(log("cut.csv")["Step"], np.arange(0, step + 11, 10))
+
+
+@pytest.mark.slow
+def test_cursor_that_a_progress_bar_hides_is_shown_again(box):
+    child, terminal = pty.fork()
+    if child == 0:
+        patch = f"{BUSY}\nfrom openmm_sier.cli.console import ProgressBar\n"
+        patch += "def prepare(*_):\n    with ProgressBar('equilibrates'):\n        busy()\nbeginning.prepare = prepare"
+        code = COMMAND.format(patch=patch)
+        os.environ["TERM"] = "xterm"
+        os.execv(sys.executable, [sys.executable, "-c", code, "run", str(box), *SMALL])
+    ended_at = time.monotonic() + LIMIT
+    while not Path("busy").exists():
+        assert time.monotonic() < ended_at
+        time.sleep(0.02)
+    os.kill(child, signal.SIGTERM)
+    said = b""
+    # The system answers the reader of a terminal whose process has ended by an error.
+    with contextlib.suppress(OSError):
+        while some := os.read(terminal, 1000):
+            said += some
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 143
+    assert 0 < said.rindex(b"\x1b[?25l") < said.rindex(b"\x1b[?25h")
+    assert said.rstrip().endswith(b"before the first step; nothing was written")
 
 
 @pytest.mark.slow
@@ -229,24 +256,6 @@ def test_stopped_writing_of_a_frame_is_completed(box, monkeypatch):
 # --- what OpenMM's wrappers make of a signal ---
 
 
-@pytest.mark.parametrize("made", [SystemError, TypeError, openmm.OpenMMException])
-def test_signal_that_arrives_as_another_error(box, signum, monkeypatch, capsys, made):
-    """Handlers also run within calls of the wrappers, which take what they raise for a failure of their own."""
-
-    def prepare(*_):
-        try:
-            os.kill(os.getpid(), signum)
-            time.sleep(LIMIT)
-        except BaseException as error:
-            raise made("<built-in function Context_getState> returned a result with an exception set") from error
-
-    monkeypatch.setattr(beginning, "prepare", prepare)
-    assert main.main(["run", str(box), *SMALL]) == 128 + signum
-    name = signal.Signals(signum).name
-    assert capsys.readouterr().err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"
-    assert not list(Path().iterdir())
-
-
 def test_error_after_a_signal_that_was_only_noted_is_an_error(box, signum, monkeypatch, capsys):
     def fail(*_):
         os.kill(os.getpid(), signum)
@@ -271,30 +280,3 @@ def test_ctrl_c_within_openmm_ends_every_command(box, monkeypatch, capsys):
     monkeypatch.setattr(info, "info", broken)
     assert main.main(["info", str(box)]) == 1
     assert "broken" in capsys.readouterr().err
-
-
-#: Python calls the handler of a signal before it calls whatever a wrapper is given, here the report of a minimization.
-WITHIN = """
-import openmm
-def within(context, positions, *_):
-    context.setPositions(positions)
-    class Reporter(openmm.MinimizationReporter):
-        def report(self, *_):
-            open("busy", "w").close()
-            while True:
-                pass
-            return False
-    openmm.LocalEnergyMinimizer.minimize(context, 0, 0, Reporter())
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_signal_within_a_minimization(box, name):
-    """The interrupt really passes through OpenMM's own code."""
-    process = started(box, patch=f"{WITHIN}\nbeginning.prepare, stopping.PATIENCE = within, 60")
-    wait_for(Path("busy").exists, process)
-    process.send_signal(getattr(signal, name))
-    code, err = ended(process)
-    assert code == 128 + getattr(signal, name)
-    assert err == f"openmm-sier: stopped by {name} before the first step; nothing was written\n"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,45 +72,12 @@ class Noted:
     Attributes:
         size: bytes written.
         count: records among them, a header not counted.
-        fingerprint: of these bytes, see `fingerprint`.
+        fingerprint: of these bytes, see `GrowingFile.fingerprint`.
     """
 
     size: int
     count: int
     fingerprint: str
-
-    def check(self, path: Path, size: int, found: Callable[[], str]) -> None:
-        """Refuse a file of other content.
-
-        Args:
-            path: of the file.
-            size: its bytes.
-            found: gives the fingerprint of as many bytes as are noted.
-
-        Raises:
-            RecordError: it has fewer bytes than noted, or other ones.
-        """
-        if size < self.size:
-            raise RecordError(f"{path} has {size} bytes, fewer than the {self.size} that it had at the checkpoint")
-        if found() != self.fingerprint:
-            raise RecordError(
-                f"{path} is not the file that the checkpoint belongs to, or was edited: its first {self.size} bytes "
-                "are not those of the checkpoint"
-            )
-
-
-def fingerprint(read: Callable[[int, int], bytes], first: int, size: int) -> str:
-    """A digest of the first and the last bytes of a file, which takes no longer for a long one.
-
-    Runs that differ in anything differ there: in the title of the trajectory, and in the last row of the log.
-
-    Args:
-        read: gives the bytes from one offset up to another.
-        first: the bytes before this one are left out.
-        size: the bytes from this one on are left out.
-    """
-    head, tail = read(first, min(first + WINDOW, size)), read(max(first, size - WINDOW), size)
-    return hashlib.blake2b(head + tail, digest_size=16).hexdigest()
 
 
 class GrowingFile:
@@ -152,14 +119,19 @@ class GrowingFile:
             run: identity of the run by the checkpoint.
 
         Raises:
-            RecordError: the output is missing, or is of another run.
+            RecordError: the output is missing, has fewer bytes than noted, or other ones.
         """
         if not noted.size:
             return
         if not path.exists():
             raise RecordError(f"{path} is missing; a restart continues the file that its checkpoint belongs to")
-        with naming(path):
-            noted.check(path, path.stat().st_size, lambda: cls._fingerprint(path, noted.size))
+        if (size := path.stat().st_size) < noted.size:
+            raise RecordError(f"{path} has {size} bytes, fewer than the {noted.size} that it had at the checkpoint")
+        if cls.fingerprint(path, noted.size) != noted.fingerprint:
+            raise RecordError(
+                f"{path} is not the file that the checkpoint belongs to, or was edited: its first {noted.size} bytes "
+                "are not those of the checkpoint"
+            )
 
     @staticmethod
     def companions(path: Path) -> list[Path]:
@@ -206,8 +178,7 @@ class GrowingFile:
 
     def noted(self) -> Noted:
         """What a checkpoint notes of this file."""
-        with naming(self.path):
-            return Noted(self.size, self.count, self._fingerprint(self.path, self.size))
+        return Noted(self.size, self.count, self.fingerprint(self.path, self.size))
 
     def close(self) -> None:
         self._file.close()
@@ -217,14 +188,24 @@ class GrowingFile:
         self.close()
 
     @classmethod
-    def _fingerprint(cls, path: Path, size: int) -> str:
-        with open(path, "rb") as file:
+    def fingerprint(cls, path: Path, size: int) -> str:
+        """A digest of the first and the last bytes of a file, which takes no longer for a long one.
 
-            def read(first: int, last: int) -> bytes:
+        Runs that differ in anything differ there: in the title of the trajectory, and in the last row of the log.
+
+        Args:
+            path: of the file.
+            size: the bytes from this one on are left out, as are those that change while the file grows.
+
+        Raises:
+            OSError: it cannot be read.
+        """
+        digest = hashlib.blake2b(digest_size=16)
+        with naming(path), open(path, "rb") as file:
+            for first, last in ((cls.CHANGING, cls.CHANGING + WINDOW), (max(cls.CHANGING, size - WINDOW), size)):
                 file.seek(first)
-                return file.read(max(0, last - first))
-
-            return fingerprint(read, cls.CHANGING, size)
+                digest.update(file.read(max(0, min(last, size) - first)))
+        return digest.hexdigest()
 
 
 class MadeAtTheEnd(GrowingFile):
@@ -257,15 +238,23 @@ class MadeAtTheEnd(GrowingFile):
 
     @classmethod
     def check(cls, path: Path, noted: Noted, run: str) -> None:
-        if path.exists() and not cls.growing(path).exists():
-            cls.check_finished(path, noted, run)
-        else:
+        if not path.exists() or cls.growing(path).exists():
             super().check(cls.growing(path), noted, run)
+            return
+        found, count = cls.read_finished(path)
+        if found != title(run):
+            raise RecordError(f"{path} is not the file that the checkpoint belongs to: its title is {found}")
+        if count < noted.count:
+            raise RecordError(f"{path} has {count} frames, fewer than the {noted.count} that it had at the checkpoint")
 
     @classmethod
     @abstractmethod
-    def check_finished(cls, path: Path, noted: Noted, run: str) -> None:
-        """As `check`, for an output that has been made."""
+    def read_finished(cls, path: Path) -> tuple[str, int]:
+        """Title and number of frames of an output that has been made.
+
+        Raises:
+            RecordError: it is no such file.
+        """
 
     @abstractmethod
     def _make(self, path: Path) -> None:

@@ -107,16 +107,14 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
         self.target = path
 
     @classmethod
-    def check_finished(cls, path: Path, noted: Noted, run: str) -> None:
+    def read_finished(cls, path: Path) -> tuple[str, int]:
         import tables
 
         try:
             with tables.open_file(path) as file:
-                found = getattr(file.root._v_attrs, "title", None)
-        except (OSError, RuntimeError) as error:
+                return str(getattr(file.root._v_attrs, "title", None)), len(file.root.coordinates)
+        except (OSError, RuntimeError, tables.NoSuchNodeError) as error:
             raise RecordError(f"{path} is no HDF5 file of a trajectory") from error
-        if found != title(run):
-            raise RecordError(f"{path} is not the file that the checkpoint belongs to: its title is {found}")
 
     def _make(self, path: Path) -> None:
         import mdtraj
