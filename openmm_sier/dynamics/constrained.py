@@ -29,7 +29,7 @@ total angular momentum is exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
@@ -40,7 +40,7 @@ from openmm_sier.dynamics import backend, operators
 from openmm_sier.dynamics.backend.formulas import cross
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
-from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP, Composition
+from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.operators import AFTER_STEP, CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
@@ -51,7 +51,7 @@ def constrained_operators(
     forces: CachedForces,
     constraints: Constraints,
     rotation: Rotation = exact,
-    composition: Composition = SUZUKI,
+    composition: Sequence[float] = SUZUKI,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
     """The operators of all schemes without a heat bath, for bodies some of which are constrained to each other.
@@ -61,7 +61,7 @@ def constrained_operators(
         forces: forces and torques on them.
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
-        composition: of the geodesic.
+        composition: fractions of a drift that its RATTLE steps take, see `constraints.geodesic`.
         groups: of `DisplacedKick`; None: one for each connected component of the constraints.
     """
     return {
@@ -168,15 +168,14 @@ class DisplacedKick:
 # --- drifts ---
 
 
-def constrained_drift(drift: Operator, constraints: Constraints, composition: Composition = SUZUKI) -> Operator:
+def constrained_drift(drift: Operator, constraints: Constraints, composition: Sequence[float] = SUZUKI) -> Operator:
     """The drift of all bodies, of which constrained ones follow geodesics.
 
     The operator raises ConstraintError where momenta are far too large for the time.
     """
-    fractions = np.array(composition.fractions)
 
     def apply(state: BodyState, h: float) -> BodyState:
-        q, p = constraints.drift(state.q, state.p, h, fractions)
+        q, p = constraints.drift(state.q, state.p, h, composition)
         free = drift(state, h)
         return BodyState(q, p, free.A, free.L, free.heat, free.draws)
 
@@ -186,7 +185,7 @@ def constrained_drift(drift: Operator, constraints: Constraints, composition: Co
 def point_operators(
     constraints: Constraints,
     forces: CachedForces,
-    composition: Composition = TRIPLE_JUMP,
+    composition: Sequence[float] = TRIPLE_JUMP,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
     """The operators of all schemes without a heat bath, for points some of which are constrained to each other.
@@ -196,7 +195,7 @@ def point_operators(
     Args:
         constraints: in the numbering of the points, with the masses of all of them.
         forces: on the points, of which only the first array is used.
-        composition: of the geodesic.
+        composition: as above, of `constrained_operators`.
         groups: of `DisplacedKick`; None: one for each connected component of the constraints.
     """
     displaced_kick = DisplacedKick(constraints, groups)

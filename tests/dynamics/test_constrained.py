@@ -19,12 +19,11 @@ from openmm_sier.dynamics.constrained import (
     nested_drift,
     point_operators,
 )
-from openmm_sier.dynamics.constraints.geodesic import KAHAN_LI, RATTLE
 from openmm_sier.dynamics.operators import CachedForces, drift, stepper
 from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, SIER4G, SIER4P
 from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from tests.support.flexible import Points, cage, chains, ring, rotor
+from tests.support.flexible import KAHAN_LI, Points, cage, chains, ring, rotor
 
 SYSTEMS = {"XH3": lambda: rotor(3), "XH2": lambda: rotor(2), "ring": ring, "cage": cage, "chains": chains}
 TIME = 0.024
@@ -80,7 +79,7 @@ def test_every_scheme_keeps_its_order(name, scheme):
 def test_plain_rattle_limits_every_scheme_to_second_order():
     """The reason for the compositions."""
     system, start, exact = solved("XH3")
-    operators = point_operators(system.constraints(), of_positions(system.forces), RATTLE)
+    operators = point_operators(system.constraints(), of_positions(system.forces), (1.0,))
     errors = [distance(run(operators, SIER4, start, TIME / n, n), exact) for n in (12, 24)]
     assert slope(errors) == pytest.approx(2.0, abs=0.1)
 
