@@ -118,7 +118,7 @@ def test_kicks_of_constrained_groups_agree(rng):
     q = constraints.displaced(state.q, state.p, 0.01)
     F = 1000 * rng.normal(size=q.shape)
     plain, fast = both(lambda: DisplacedKick(constraints, None)(state, q, F, 0.01)[0])
-    turned = plain - constraints.project(state.q, state.p + 0.01 * constraints.project(q, F))
+    turned = constraints.project(state.q, plain - state.p - 0.01 * constraints.project(q, F))
     assert np.abs(turned).max() > 1e-3 * np.abs(plain).max()
     # Rounding times the condition of the cage.
     assert np.abs(plain - fast).max() < 100 * ROUNDING * np.abs(plain).max()
