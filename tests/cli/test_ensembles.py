@@ -1,6 +1,5 @@
 """Plans of ensembles, and the command that carries them out."""
 
-import contextlib
 import json
 import os
 import signal
@@ -15,7 +14,7 @@ import pytest
 from openmm_sier.cli.ensembles import PlanError, read_plan
 from openmm_sier.cli.main import main
 from openmm_sier.cli.member import _write, execute
-from openmm_sier.measure.ensemble import COMPLETE, NOTES, WORKER, Member, ensemble, fraction_done, is_complete
+from openmm_sier.measure.ensemble import _RUNNING, COMPLETE, NOTES, WORKER, Member, ensemble, fraction_done, is_complete
 from openmm_sier_command.options import OptionError
 from tests.support.commands import complaint, contents, wait_for, write_lattice
 
@@ -80,19 +79,15 @@ def test_single_values_in_a_table_are_options_of_its_members(plan):
         ("seed = [1, 2]", "seed = [1, 1]", "more than one member is called box-sier2-dt4-seed1: names have the values"),
         ("dt = [4]", "dt = [-4]", "dt: expected a number from 0.001 to 1000 fs, got -4"),
         ("dt = [4]", "speed = [4]", "there is no option speed"),
-        ("dt = [4]", "temp = [4]", "there is no option temp"),
         ("dt = [4]", "steps = [4]", "steps and time exclude each other"),
-        ("dt = [4]", "friction = [1]\nensemble = ['nve']", "ensemble is in"),
         ("dt = [4]", "pressure = [1]", "--pressure needs --ensemble npt or hmc"),
         ("dt = [4]", "report = ['../a.csv']", "report: outputs lie in the directory of each member"),
-        ("dt = [4]", "report = ['/tmp/a.csv']", "report: outputs lie in the directory of each member"),
         ("dt = [4]", "bodies = ['there/a.h5']", "bodies: outputs lie in the directory of each member"),
         ("dt = [4]", "report = ['member.json']", "report: member.json is a file of the ensemble itself"),
         ("dt = [4]", "rigid = [['A', 3]]", "rigid: expected a name, got 3"),
         ('box = ["box.pdb"]', "", "box is missing"),
         ("time = 0.4", "time = ", "is no TOML file"),
         ("box.pdb", "bx.pdb", r"box bx\.pdb is neither a file beside the plan nor one of the project's own boxes"),
-        ("box.pdb", "/box.pdb", r"box /box\.pdb is neither"),
         # A file, but of the directory in which the command is called.
         ("box.pdb", "here/box.pdb", r"box here/box\.pdb is neither"),
     ],
@@ -231,24 +226,16 @@ def test_kills_leave_no_trace(plan, tmp_path, monkeypatch):
     assert carry_out(first, tmp_path / "quiet", monkeypatch) == 0
     place = tmp_path / "killed" / first.name
 
-    def kill(condition):
-        """Kill the process of the member once something is true."""
-        end = time.monotonic() + 300
-        while time.monotonic() < end:
-            running = subprocess.run(["pgrep", "-f", WORKER], capture_output=True, text=True).stdout.split()
-            for pid in map(int, running):
-                with contextlib.suppress(OSError):
-                    if Path(os.readlink(f"/proc/{pid}/cwd")) == place and condition():
-                        os.kill(pid, signal.SIGKILL)
-                        return
-            time.sleep(0.01)
-
-    def kill_twice():
+    def kill():
         # Before the first checkpoint, and with half of the run done.
-        kill(lambda: True)
-        kill(lambda: fraction_done(first, place.parent) >= 0.5)
+        for part in (0, 0.5):
+            while not _RUNNING or fraction_done(first, place.parent) < part:
+                time.sleep(0.01)
+            for child in tuple(_RUNNING):
+                child.kill()
+                child.wait()
 
-    thread = threading.Thread(target=kill_twice)
+    thread = threading.Thread(target=kill, daemon=True)
     thread.start()
     (outcome,) = ensemble([first], tmp_path / "killed")
     thread.join()

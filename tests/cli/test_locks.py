@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.cli import main
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError
-from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run, wait_for
+from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 
 #: Seconds after which a test fails rather than wait.
 LIMIT = 120
@@ -66,14 +65,6 @@ def test_second_holder_is_refused_and_told_of_the_first(holder):
     assert names() == [".a.csv.lock", ".a.dcd.lock"]
     with FileLocks() as mine, pytest.raises(RunError, match=f"process {first.pid} on"):
         mine.hold([Path("a.csv")])
-
-
-@pytest.mark.slow
-def test_locks_leave_nothing_behind(holder):
-    first = holder("a.dcd")
-    first.communicate("", timeout=LIMIT)
-    assert first.returncode == 0
-    assert not names()
 
 
 def test_lock_of_a_killed_process_is_free(holder):
@@ -171,18 +162,6 @@ def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
     assert "no checkpoint" in complaint(capsys, *again)
     holder("box.chk")
     assert "box.chk is being written by" in complaint(capsys, *again)
-
-
-@pytest.mark.slow
-def test_killed_run_does_not_keep_its_files(box):
-    command = [sys.executable, "-m", "openmm_sier.cli", "run", str(box), *SMALL, "--time", "1000"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    wait_for(Path("box.chk").exists, process)
-    process.send_signal(signal.SIGKILL)
-    process.wait(LIMIT)
-    assert Path(".box.chk.lock").exists()
-    assert main.main(["run", str(box), *SMALL, "--steps", "5", "--overwrite"]) == 0
-    assert names() == ["box.chk", "box.csv", "box.dcd"]
 
 
 @pytest.mark.slow

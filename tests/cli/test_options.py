@@ -84,11 +84,6 @@ def test_values_out_of_range(capsys, option, value, expected):
     assert expected in message
 
 
-def test_intervals_that_no_file_can_note(copied, capsys):
-    message = complaint(capsys, "run", "box.pdb", "--every", "1e8", "--dt", "0.01", "--out", "new.dcd")
-    assert "--every 1e+08 is more than 2147483647 steps" in message
-
-
 def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
     assert new_plan(Options(Path("box.pdb"))).constraints == "hbonds"
     assert new_plan(Options(Path("box.pdb"), constraints="none")).constraints == "none"

@@ -265,36 +265,6 @@ def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
     assert frames(Path("box.dcd"), box).n_frames == 8
 
 
-def test_record_that_a_full_disk_takes_a_part_of(tmp_path):
-    """The system writes what fits and says so by a number; only the next attempt is an error."""
-
-    class Disk:
-        room = 10
-
-        def __init__(self, file):
-            self.file = file
-
-        def write(self, record):
-            if not self.room:
-                raise OSError(28, "No space left on device")
-            written = self.file.write(record[: self.room])
-            self.room -= written
-            return written
-
-        def __getattr__(self, name):
-            return getattr(self.file, name)
-
-    growing = records.GrowingFile(tmp_path / "growing")
-    growing._file = Disk(growing._file)
-    growing.append(b"123456")
-    with pytest.raises(OSError, match=r"No space left on device: '.*growing'"):
-        growing.append(b"abcdef")
-    assert (growing.size, growing.count) == (6, 1)
-    growing._file.room = 100
-    growing.append(b"ABCDEF")
-    assert growing.path.read_bytes() == b"123456ABCDEF"
-
-
 def test_interrupted_writes_are_completed(tmp_path):
     """A part that is taken without an error, as a signal makes of a write to some file systems."""
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import info, main
-from openmm_sier.cli.files import checkpoints, outputs, records
+from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.stopping import StopRequests
-from tests.support.commands import SMALL, datasets, frames, log, wait_for
+from tests.support.commands import SMALL, frames, log, wait_for
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
 LIMIT = 120
@@ -101,24 +101,6 @@ def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsy
     assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.dcd", "cut.h5.frames"]
     # The handlers are those of before.
     assert signal.getsignal(signum).__module__ == __name__
-
-
-@pytest.mark.slow
-def test_run_that_was_stopped_goes_on_bit_for_bit(box, monkeypatch):
-    """Trajectory, log and body states of a run that SIGTERM ended, against those of one that was let alone."""
-    options = ["run", str(box), *SMALL, "--time", "0.2"]
-    assert main.main([*options, "--out", "whole.dcd", "--bodies", "whole.h5"]) == 0
-    previous = signal.signal(signal.SIGTERM, lambda *_: pytest.fail("SIGTERM was not handled"))
-    with monkeypatch.context() as patch:
-        signal_after_rows(patch, signal.SIGTERM, 3)
-        assert main.main([*options, "--out", "cut.dcd", "--bodies", "cut.h5"]) == 143
-    signal.signal(signal.SIGTERM, previous)
-    assert main.main([*options, "--restart", "cut.chk"]) == 0
-    assert Path("cut.csv").read_bytes() == Path("whole.csv").read_bytes()
-    np.testing.assert_array_equal(frames(Path("cut.dcd"), box).xyz, frames(Path("whole.dcd"), box).xyz)
-    ours, theirs = datasets("cut.h5"), datasets("whole.h5")
-    assert len(theirs["step"]) == 10
-    np.testing.assert_equal(ours, theirs)
 
 
 @pytest.mark.slow
@@ -237,33 +219,7 @@ def test_closed_terminal(box):
     assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] >= log("cut.csv")["Step"][-1]
 
 
-def test_stopped_writing_of_a_frame_is_completed(box, monkeypatch):
-    """A signal that comes while a file is being written does not cut it."""
-    previous = signal.signal(signal.SIGTERM, lambda *_: pytest.fail("SIGTERM was not handled"))
-    write = outputs.Outputs._write_frame
-
-    def signalled_write(self, context):
-        os.kill(os.getpid(), signal.SIGTERM)
-        write(self, context)
-
-    monkeypatch.setattr(outputs.Outputs, "_write_frame", signalled_write)
-    assert main.main(["run", str(box), *SMALL, "--time", "0.4"]) == 143
-    signal.signal(signal.SIGTERM, previous)
-    assert frames(Path("box.dcd"), box).n_frames == 1
-    assert checkpoints.read_checkpoint(Path("box.chk"))[1]["step"] == 5
-
-
 # --- what OpenMM's wrappers make of a signal ---
-
-
-def test_error_after_a_signal_that_was_only_noted_is_an_error(box, signum, monkeypatch, capsys):
-    def fail(*_):
-        os.kill(os.getpid(), signum)
-        raise SystemError("not of the signal")
-
-    monkeypatch.setattr(outputs.Outputs, "_write_frame", fail)
-    assert main.main(["run", str(box), *SMALL, "--time", "0.1"]) == 1
-    assert "not of the signal" in capsys.readouterr().err
 
 
 def test_ctrl_c_within_openmm_ends_every_command(box, monkeypatch, capsys):
