@@ -20,7 +20,7 @@ EXIT_CODES = """exit codes:
   0    done
   1    an error, in one line on standard error
   2    wrong arguments
-  3    energy or temperature ran away, for example because the step is too long. The last good checkpoint is kept
+  3    the temperature ran away, for example because the step is too long. The last checkpoint is kept
   4    the run that --restart should continue is already complete
   129, 130, 143
        ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,

@@ -44,7 +44,7 @@ def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | Non
     """
     if checkpoint is None:
         return None, None
-    state, notes = checkpoints.read_checkpoint(checkpoint, files=False)
+    state, notes = checkpoints.read_checkpoint(checkpoint)
     return state, noted_plan(checkpoint, notes["plan"])
 
 

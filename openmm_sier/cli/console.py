@@ -61,11 +61,6 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
         Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 
 
-def show_cursor() -> None:
-    """Show the cursor of a terminal, which a progress bar hides: for programs that end within one."""
-    Console(stderr=True).show_cursor()
-
-
 class ProgressBar(AbstractContextManager[Advance]):
     """A progress bar on standard error, or occasional lines where that is not a terminal.
 
@@ -92,6 +87,8 @@ class ProgressBar(AbstractContextManager[Advance]):
     def __enter__(self) -> Advance:
         with suppress(OSError):
             self._bar.start()
+            # Whatever ends the process then leaves a terminal as it was.
+            self._bar.console.show_cursor()
         return self._advance
 
     def __exit__(self, *_: object) -> None:

@@ -12,7 +12,7 @@ from openmm import unit
 
 from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.beginning import Simulated, check_platform, read_start
-from openmm_sier.cli.console import ProgressBar, clock, note, show_cursor, table
+from openmm_sier.cli.console import ProgressBar, clock, note, table
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import OutputFiles, Outputs, run_identity
@@ -45,14 +45,8 @@ def run(**given: Any) -> None:
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     options = Options(**given)
-    with FileLocks() as locks:
-
-        def leave_nothing() -> None:
-            locks.remove()
-            show_cursor()
-
-        with StopRequests(leave_nothing) as requests:
-            _run(options, requests, locks)
+    with FileLocks() as locks, StopRequests() as requests:
+        _run(options, requests, locks)
 
 
 def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
@@ -70,8 +64,9 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
         checkpoint = plan.out.with_suffix(".chk")
     files = OutputFiles(plan, checkpoint)
     files.check(_inputs(options))
-    locks.hold(files.everything.values())
-    files.check_existing("continue" if options.restart else "replace" if options.overwrite else "refuse")
+    locks.hold(files.everything)
+    if not (options.restart or options.overwrite):
+        files.refuse_existing()
     noted = files.noted(notes) if options.restart else {}
     simulated = Simulated.read(options, plan)
     files.check(_inputs(options, simulated.box))
@@ -88,9 +83,8 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
     columns = conservation.columns(context.getIntegrator())
     outputs = Outputs(files, plan, simulated.box, simulated.bodies, notes["run"], columns, noted, notes.get("step"))
-    dof = degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum)
-    guard = runaway.Guard(plan, dof, read_log(outputs.log.path) if outputs.log.count else None)
-    cost = _advance(context, plan, outputs, guard, requests)
+    bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
+    cost = _advance(context, plan, outputs, bounds, requests)
     outputs.finish()
     _report(plan, outputs, cost)
     note(f"wrote {files}")
@@ -152,7 +146,7 @@ def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) 
 
 
 def _advance(
-    context: openmm.Context, plan: Plan, outputs: Outputs, guard: runaway.Guard, requests: StopRequests
+    context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds, requests: StopRequests
 ) -> summary.Cost:
     """Run from the Context's step to the last one of the plan, or to a signal, writing what is due."""
     integrator = context.getIntegrator()
@@ -162,7 +156,7 @@ def _advance(
     progress = ProgressBar(plan.method.name, plan.steps, plan.step_time, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if not outputs.log.count:
-            _write(["log", "checkpoint"], context, plan, outputs, guard)
+            _write(["log", "checkpoint"], context, plan, outputs, bounds)
         while step < plan.steps and requests.received is None:
             chunk = min(outputs.next_due(step), plan.steps, step + longest) - step
             start, before = clock(), watch.seconds
@@ -172,10 +166,10 @@ def _advance(
             seconds += spent
             force_seconds += watch.seconds - before
             step += chunk
-            _write(outputs.due(step), context, plan, outputs, guard)
+            _write(outputs.due(step), context, plan, outputs, bounds)
             show(step)
         if outputs.saved_step != step:
-            _write(["checkpoint"], context, plan, outputs, guard)
+            _write(["checkpoint"], context, plan, outputs, bounds)
     if step < plan.steps and requests.received is not None:
         by, where = signal_name(requests.received), _length(plan, step)
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
@@ -200,14 +194,12 @@ def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) 
         raise RunError(f"{error.filename}: {error.strerror}, at step {where}. {kept}") from error
 
 
-def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, guard: runaway.Guard) -> None:
+def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds) -> None:
     """Check the bounds, then write the files that are due."""
+    runaway.check(context, bounds)
     values = {}
     if "log" in due or "checkpoint" in due:
         values = dict(zip(outputs.log.columns, conservation.row(context), strict=True))
-        guard.look(values)
-    else:
-        guard.look_at_temperatures(*context.getIntegrator().computeTemperatures()[1:])
     outputs.write(due, context, values)
     if "checkpoint" in due and isinstance(context.getIntegrator(), stock.StockIntegrator):
         stock.go_on_as_a_restart(context, plan.seed)
@@ -216,4 +208,4 @@ def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs
 def _kept(outputs: Outputs, use: str) -> str:
     if outputs.saved_step is None:
         return "There is no checkpoint yet"
-    return f"The last good checkpoint is {outputs.checkpoint}, of step {outputs.saved_step}; {use}"
+    return f"The last checkpoint is {outputs.checkpoint}, of step {outputs.saved_step}; {use}"

@@ -282,8 +282,8 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
 
 
 def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys, monkeypatch):
-    monkeypatch.setattr(checkpoints, "FORMAT", 3)
-    assert "in format 2" in complaint(capsys, "run", box, "--restart", whole_run / "whole.chk", "--time", "1")
+    monkeypatch.setattr(checkpoints, "FORMAT", 4)
+    assert "in format 3" in complaint(capsys, "run", box, "--restart", whole_run / "whole.chk", "--time", "1")
 
 
 def test_continuation_with_another_force_field_is_refused(whole_run, box, capsys):

@@ -59,4 +59,4 @@ def write_rows(path, columns):
     file = records.Log(path, tuple(columns))
     for row in np.transpose(list(columns.values())):
         file.write(row)
-    file.close()
+    file.finish()

@@ -20,9 +20,6 @@ from openmm_sier.observe.body_states import (
 
 SUFFIX = ".h5"
 
-#: Bytes of the title of the plain file.
-HEADER = 80
-
 #: Bytes converted at a time.
 CHUNK_BYTES = 2**24
 
@@ -30,8 +27,8 @@ CHUNK_BYTES = 2**24
 class BodyStates(records.MadeAtTheEnd):
     """An HDF5 file in the layout of `openmm_sier.observe.body_states`, whose centres follow continuous paths.
 
-    It is made of a plain file, a title and frames. Both hold every bit of the numbers, so a finished file can be turned
-    back into a plain one and continued.
+    It is made of a file of frames alone. Both hold every bit of the numbers, so a finished file can be turned back into
+    frames and continued.
     """
 
     GROWING = ".frames"
@@ -56,23 +53,22 @@ class BodyStates(records.MadeAtTheEnd):
         if noted and not self.unfinished(path):
             self._take_apart()
         super().__init__(self.growing(path), noted)
-        if not self.size:
-            self.append(_header(self._title), counts=False)
 
     @classmethod
-    def read_finished(cls, path: Path) -> tuple[str, int]:
-        h5py = import_h5py()
-        with records.naming(path), h5py.File(path, "r") as file:
-            if "step" not in file or "q" not in file:
-                raise records.RecordError(f"{path} has no body states")
-            return str(file.attrs.get("title")), len(file["step"])
+    def check(cls, path: Path, noted: records.Noted, run: str) -> None:
+        if cls.unfinished(path):
+            super().check(cls.growing(path), noted, run)
+            return
+        with records.naming(path), import_h5py().File(path, "r") as file:
+            if file.attrs.get("title") != records.title(run) or len(file["step"]) < noted.count:
+                raise records.RecordError(f"{path} is not the file that the checkpoint belongs to")
 
     def write(self, context: openmm.Context) -> None:
         """Append the bodies of a Context at its last completed step."""
         self.append(body_frame(context, context.getState()).tobytes())
 
     def _make(self, path: Path) -> None:
-        frames = np.memmap(self.path, self._frame, "r", HEADER) if self.count else np.zeros(0, self._frame)
+        frames = np.memmap(self.path, self._frame, "r") if self.count else np.zeros(0, self._frame)
         file = BodyStateFile(path, self._bodies, self._periodic, title=self._title)
         try:
             for first in range(0, self.count, self._chunk):
@@ -81,36 +77,23 @@ class BodyStates(records.MadeAtTheEnd):
             file.close()
 
     def _take_apart(self) -> None:
-        import h5py
-
-        frames = self.growing(self.target)
         with (
-            h5py.File(self.target, "r") as file,
-            records.replacing(frames) as made,
+            import_h5py().File(self.target, "r") as file,
+            records.replacing(self.growing(self.target)) as made,
             open(made, "wb") as out,
         ):
             check_same(file, self.target, self._bodies, self._periodic)
-            out.write(_header(self._title))
             for first in range(0, len(file["step"]), self._chunk):
                 out.write(read_frames(file, first, first + self._chunk).tobytes())
 
-    @classmethod
-    def companions(cls, path: Path) -> list[Path]:
-        return [*super().companions(path), records.temporary(cls.growing(path))]
 
-    @staticmethod
-    def check_possible(path: Path) -> None:
-        """Check that such a file can be written: its name, and the packages that it needs.
+def check_possible(path: Path) -> None:
+    """Check that body states can be written: the name of their file, and the packages that it needs.
 
-        Raises:
-            RecordError: the name does not end in .h5.
-            ModuleNotFoundError: h5py is missing.
-        """
-        if path.suffix != SUFFIX:
-            raise records.RecordError(f"body states go to a file that ends in {SUFFIX}, got {path.name}")
-        import_h5py()
-
-
-def _header(title: str) -> bytes:
-    """The beginning of the plain file."""
-    return title.encode().ljust(HEADER, b"\0")
+    Raises:
+        RecordError: the name does not end in .h5.
+        ModuleNotFoundError: h5py is missing.
+    """
+    if path.suffix != SUFFIX:
+        raise records.RecordError(f"body states go to a file that ends in {SUFFIX}, got {path.name}")
+    import_h5py()

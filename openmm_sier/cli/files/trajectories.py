@@ -14,10 +14,7 @@ import numpy as np
 from openmm import app
 from openmm.unit import Quantity
 
-from openmm_sier.cli.files.records import GrowingFile, MadeAtTheEnd, Noted, RecordError, title
-
-#: The largest step number that XTC files hold. In longer runs they count frames instead, so that times stay right.
-LARGEST_STEP = 2**31 - 1
+from openmm_sier.cli.files.records import CHANGING, GrowingFile, MadeAtTheEnd, Noted, RecordError, title
 
 #: Bytes of OpenMM's header of a DCD file, and its second title. OpenMM puts the time there, for which we put the
 #: identity of the run, so that the same run gives the same bytes.
@@ -46,8 +43,6 @@ class DCDTrajectory(Trajectory):
     after each of them.
     """
 
-    CHANGING = 48
-
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._memory = io.BytesIO()
@@ -58,22 +53,16 @@ class DCDTrajectory(Trajectory):
         # A file that is appended to has its number of frames from the header.
         self._dcd = app.DCDFile(self._memory, self._topology, self._dt, self._interval, self._interval, append=True)
         if self.size:
-            self.replace_beginning(self._memory.getvalue()[: self.CHANGING])
+            self.replace_beginning(self._memory.getvalue()[:CHANGING])
         else:
             self.append(self._memory.getvalue(), counts=False)
 
     def write(self, positions: Quantity, box: Quantity) -> None:
-        """Append a frame.
-
-        Args:
-            positions: (n, 3), nm.
-            box: periodic box vectors (a Quantity) or None.
-        """
         self._dcd.writeModel(positions, periodicBoxVectors=box)
         everything = self._memory.getvalue()
         self._memory.truncate(DCD_HEADER)
         self.append(everything[DCD_HEADER:])
-        self.replace_beginning(everything[: self.CHANGING])
+        self.replace_beginning(everything[:CHANGING])
 
 
 class XTCTrajectory(Trajectory):
@@ -82,10 +71,9 @@ class XTCTrajectory(Trajectory):
     def write(self, positions: Quantity, box: Quantity) -> None:
         with tempfile.TemporaryDirectory() as directory:
             frame = Path(directory) / "frame.xtc"
-            step, dt = (self.count + 1) * self._interval, self._dt
-            if step > LARGEST_STEP:
-                step, dt = self.count + 1, self._dt * self._interval
-            app.XTCFile(str(frame), self._topology, dt, step).writeModel(positions, periodicBoxVectors=box)
+            # Steps have 32 bits, which long runs exceed: frames are counted in their place, and times are right.
+            file = app.XTCFile(str(frame), self._topology, self._dt * self._interval, self.count + 1)
+            file.writeModel(positions, periodicBoxVectors=box)
             self.append(frame.read_bytes())
 
 
@@ -107,14 +95,10 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
         self.target = path
 
     @classmethod
-    def read_finished(cls, path: Path) -> tuple[str, int]:
-        import tables
-
-        try:
-            with tables.open_file(path) as file:
-                return str(getattr(file.root._v_attrs, "title", None)), len(file.root.coordinates)
-        except (OSError, RuntimeError, tables.NoSuchNodeError) as error:
-            raise RecordError(f"{path} is no HDF5 file of a trajectory") from error
+    def check(cls, path: Path, noted: Noted, run: str) -> None:
+        # One that is complete is not continued, so nothing of it is cut.
+        if cls.unfinished(path):
+            super().check(cls.growing(path), noted, run)
 
     def _make(self, path: Path) -> None:
         import mdtraj
