@@ -24,7 +24,7 @@ EXIT_CODES = """exit codes:
   4    the run that --restart should continue is already complete
   129, 130, 143
        ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,
-       and --restart goes on. A second signal ends the run at once
+       and --restart goes on
 """
 
 

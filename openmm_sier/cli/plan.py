@@ -31,9 +31,6 @@ DEFAULT_TIME = 10.0
 #: Steps in a trial of hybrid Monte Carlo.
 TRIAL = 10
 
-#: Most steps between two records of a file, a 32-bit number in DCD files.
-LONGEST_INTERVAL = 2**31 - 1
-
 #: Options that name one file each. A checkpoint notes them relative to itself.
 FILES = tuple(name for name in NOTED if OPTIONS[name].kind.file and not OPTIONS[name].kind.each)
 
@@ -187,9 +184,6 @@ def _check(plan: Plan) -> None:
         raise RunError("--ensemble npt needs --pressure")
     if (plan.ensemble == "hmc") != (plan.steps_per_trial is not None):
         raise RunError("--steps-per-trial needs --ensemble hmc, and that needs it")
-    for name in OPTIONS:
-        if name.endswith("every") and plan.interval(getattr(plan, name)) > LONGEST_INTERVAL:
-            raise RunError(f"{OPTIONS[name].flag} {getattr(plan, name):g} is more than {LONGEST_INTERVAL} steps")
 
 
 def _check_given(options: Options, ensemble: str) -> None:

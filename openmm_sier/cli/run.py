@@ -11,11 +11,11 @@ import openmm
 from openmm import unit
 
 from openmm_sier.cli import runaway, summary
-from openmm_sier.cli.beginning import Simulated, check_platform, read_start
+from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import ProgressBar, clock, note, table
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
-from openmm_sier.cli.files.outputs import OutputFiles, Outputs, run_identity
+from openmm_sier.cli.files.outputs import OutputFiles, Outputs
 from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
@@ -50,7 +50,6 @@ def run(**given: Any) -> None:
 
 
 def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
-    check_platform(options.platform)
     notes: dict[str, Any] = {}
     if options.restart:
         if options.restart.is_file():
@@ -62,27 +61,24 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
         state, origin = read_start(options.start)
         plan = new_plan(options, origin)
         checkpoint = plan.out.with_suffix(".chk")
+    simulated = Simulated.read(options, plan)
     files = OutputFiles(plan, checkpoint)
-    files.check(_inputs(options))
+    files.check(_inputs(options, simulated.box))
     locks.hold(files.everything)
     if not (options.restart or options.overwrite):
         files.refuse_existing()
-    noted = files.noted(notes) if options.restart else {}
-    simulated = Simulated.read(options, plan)
-    files.check(_inputs(options, simulated.box))
+    noted = {}
     if options.restart:
         _check_unfinished(plan, options.restart, notes["step"], files.are_finished)
-        context = _restored(simulated, state, notes)
-    else:
-        context = simulated.begin(state, origin)
+        noted = files.noted(notes)
+    context = _restored(simulated, state, notes) if options.restart else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
     if not options.restart:
         files.remove()
-        notes = {"run": run_identity(plan, context)}
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
     columns = conservation.columns(context.getIntegrator())
-    outputs = Outputs(files, plan, simulated.box, simulated.bodies, notes["run"], columns, noted, notes.get("step"))
+    outputs = Outputs(files, plan, simulated.box, simulated.bodies, columns, noted, notes.get("step"))
     bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
     outputs.finish()
@@ -90,12 +86,10 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     note(f"wrote {files}")
 
 
-def _inputs(options: Options, box: Box | None = None) -> list[Path]:
+def _inputs(options: Options, box: Box) -> list[Path]:
     """Files that are read and must not be written. The checkpoint of --restart, which is both, is not among them."""
-    files = [options.box, options.start]
-    if box is not None:
-        files += [Path(locate(file, options.box.parent)) for file in box.choice.files]
-    return [path for path in files if path is not None]
+    fields = [Path(locate(file, options.box.parent)) for file in box.choice.files]
+    return [options.box, *fields, *([options.start] if options.start else [])]
 
 
 def _length(plan: Plan, steps: int) -> str:
@@ -128,7 +122,6 @@ def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) 
     """A Context in the state of a checkpoint, which must belong to this system."""
     box, checkpoint = simulated.options.box, simulated.options.restart
     context = simulated.context(notes["step"])
-    simulated.check_particles(state, checkpoint)
     try:
         context.setState(state)
     except openmm.OpenMMException as error:

@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
-import time
 from typing import Any
-
-from openmm_sier.cli.streams import complain
 
 #: The signals handled. One that the parent process ignores stays ignored, which `nohup` and background jobs rely on.
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-
-#: Added to a signal's number, this is the exit code, as in shells.
-SIGNALLED = 128
-
-#: Signals within this time in s count as one. `timeout` sends SIGTERM twice at once, a closing terminal SIGHUP.
-SAME = 0.5
 
 
 class Stopped(KeyboardInterrupt):
@@ -36,8 +26,7 @@ class StopRequests:
     """Signals that arrive inside this context manager.
 
     Until `defer` is called, a signal ends the process at once, from within OpenMM too. After that the first one is only
-    noted in `received`, so that the step can be completed and the files written. A second one ends the process as soon
-    as OpenMM returns.
+    noted in `received`, so that the step can be completed and the files written. SIGQUIT and SIGKILL do not wait.
 
     Nothing is raised where a signal arrives: from within OpenMM's wrappers that would come as a SystemError, or not at
     all.
@@ -48,7 +37,6 @@ class StopRequests:
 
     def __init__(self) -> None:
         self.received: int | None = None
-        self._since = 0.0
         self._previous: dict[int, Any] = {}
 
     def defer(self) -> None:
@@ -73,11 +61,8 @@ class StopRequests:
             signal.signal(signum, signal.SIG_IGN if is_ending else handler)
 
     def _handle(self, signum: int, _frame: object) -> None:
-        if self.received is None:
-            self.received, self._since = signum, time.monotonic()
-        elif time.monotonic() - self._since > SAME:
-            complain(f"{signal_name(signum)}: ended at once by a second signal; go on from the last checkpoint")
-            os._exit(SIGNALLED + signum)
+        # `timeout` sends a signal twice, a closing terminal SIGHUP.
+        self.received = self.received or signum
 
 
 def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:

@@ -1,16 +1,14 @@
 """Restarts continue only files that their checkpoint belongs to, and nothing is changed where one does not."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import checkpoints, outputs, records, trajectories
+from openmm_sier.cli.files import records
 from openmm_sier.cli.files.body_states import BodyStates
-from openmm_sier.cli.plan import Options, new_plan
 from tests.support.commands import SMALL, complaint, contents, datasets, frames, run, write_lattice
 
 h5py = pytest.importorskip("h5py")
@@ -72,47 +70,6 @@ def test_edited_log_is_refused(one, capsys, old, new):
         capsys, *AGAIN, "--steps", "20"
     )
     assert contents(Path()) == before
-
-
-def test_titles_tell_runs_apart_from_the_beginning(tmp_path, two_runs):
-    """Two runs may have the same first row; their trajectories differ before the first frame."""
-    topology = main_topology(two_runs)
-    noted = {}
-    for name in ("a", "b"):
-        file = trajectories.DCDTrajectory(tmp_path / f"{name}.dcd", topology, 0.001, 5, run=name)
-        noted[name] = file.noted()
-        file.finish()
-    trajectories.DCDTrajectory.check(tmp_path / "a.dcd", noted["a"], "a")
-    with pytest.raises(records.RecordError, match="is not the file"):
-        trajectories.DCDTrajectory.check(tmp_path / "a.dcd", noted["b"], "b")
-
-
-def main_topology(two_runs):
-    from openmm import app
-
-    return app.PDBFile(str(two_runs / "one" / "box.pdb")).topology
-
-
-def test_identity_is_that_of_settings_and_start(two_runs):
-    """It stays the same for a longer run and for other names, so that the same run gives the same bytes."""
-    from openmm_sier import SIER2Integrator
-    from openmm_sier.measure.forcefields import read_box
-    from openmm_sier.measure.starts import make_context
-
-    box = read_box(two_runs / "one" / "box.pdb")
-    context = make_context(box.system, SIER2Integrator(0.001), "Reference")
-    context.setPositions(box.positions)
-    plan = new_plan(Options(Path("box.pdb")))
-    identity = outputs.run_identity(plan, context)
-    assert outputs.run_identity(replace(plan, steps=7, out="other.xtc", report="other.csv"), context) == identity
-    assert outputs.run_identity(replace(plan, seed=7), context) != identity
-    context.setPositions(np.array(box.positions._value) + 1e-9)
-    assert outputs.run_identity(plan, context) != identity
-    notes = [checkpoints.read_checkpoint(two_runs / name / "box.chk")[1] for name in ("one", "two")]
-    assert notes[0]["run"] != notes[1]["run"]
-    title = (two_runs / "one" / "box.dcd").read_bytes()[180:260].rstrip(b"\0").decode()
-    with h5py.File(two_runs / "one" / "states.h5") as file:
-        assert file.attrs["title"] == title == f"openmm-sier run {notes[0]['run']}"
 
 
 # --- what HDF5 files are made of ---

@@ -278,7 +278,7 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
         assert f"{option} " in message
         assert "differs from" in message
     one = SYSTEMS / "tip4p-1.pdb"
-    assert "has 81 particles" in complaint(capsys, "run", one, *platform, "--restart", chk, "--time", "1")
+    assert "whole.chk does not fit" in complaint(capsys, "run", one, *platform, "--restart", chk, "--time", "1")
 
 
 def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys, monkeypatch):

@@ -124,7 +124,6 @@ def test_wrong_options_in_a_checkpoint(copied, capsys, name):
         ({"ensemble": "npt", "pressure": None}, "--pressure"),
         ({"ensemble": "hmc", "steps_per_trial": None}, "--steps-per-trial"),
         ({"scheme": "langevinmiddle"}, "the ensembles nvt, npt, got nve"),
-        ({"every": 1e8, "dt": 0.01}, "--every"),
     ],
 )
 def test_options_in_a_checkpoint_that_contradict_each_other(copied, capsys, plan, expected):

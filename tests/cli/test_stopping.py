@@ -125,20 +125,6 @@ def test_signal_before_the_first_step_ends_at_once(box):
 
 
 @pytest.mark.slow
-def test_second_signal_ends_at_once(box):
-    endless = "import time\noutputs.Outputs._write_frame = lambda *_: [open('busy', 'w'), time.sleep(1000)]"
-    process = started(box, "--time", "1000", patch=f"{endless}\nstopping.SAME = 0.2")
-    wait_for(Path("busy").exists, process)
-    process.send_signal(signal.SIGTERM)
-    time.sleep(0.5)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    code, err = ended(process)
-    assert code == 130
-    assert err == "openmm-sier: SIGINT: ended at once by a second signal; go on from the last checkpoint\n"
-
-
-@pytest.mark.slow
 def test_signal_that_is_sent_twice_at_once_is_one(box):
     """`timeout` sends SIGTERM to the process and to its group; what follows a real one must be in order."""
     process = started(box, "--time", "1000", "--out", "cut.dcd")

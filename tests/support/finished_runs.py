@@ -37,7 +37,6 @@ def write_run(name, values, **options):
     columns["Step"] = plan.interval(plan.report_every) * np.arange(rows)
     write_rows(Path(plan.report), columns)
     notes = {
-        "run": "identity",
         "plan": plan.noted(checkpoint),
         "step": plan.steps,
         "potential_energy": float(columns["Potential Energy (kJ/mole)"][-1]),

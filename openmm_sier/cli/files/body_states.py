@@ -9,19 +9,12 @@ import openmm
 
 from openmm_sier.cli.files import records
 from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.observe.body_states import (
-    BodyStateFile,
-    body_frame,
-    check_same,
-    frame_type,
-    import_h5py,
-    read_frames,
-)
+from openmm_sier.observe.body_states import BodyStateFile, body_frame, frame_type, import_h5py, read_frames
 
 SUFFIX = ".h5"
 
-#: Bytes converted at a time.
-CHUNK_BYTES = 2**24
+#: Frames converted at a time.
+CHUNK = 100
 
 
 class BodyStates(records.MadeAtTheEnd):
@@ -33,58 +26,50 @@ class BodyStates(records.MadeAtTheEnd):
 
     GROWING = ".frames"
 
-    def __init__(
-        self, path: Path, bodies: RigidBodies, periodic: bool, run: str = "", noted: records.Noted | None = None
-    ):
+    def __init__(self, path: Path, bodies: RigidBodies, periodic: bool, noted: records.Noted | None = None):
         """
         Args:
             path: of the HDF5 file.
             bodies: the rigid bodies.
             periodic: whether there is a box.
-            run: identity of the run.
             noted: what to keep of the frames; None begins anew.
-
-        Raises:
-            ValueError: the file to continue has another layout, or holds other bodies.
         """
-        self.target, self._bodies, self._periodic, self._title = path, bodies, periodic, records.title(run)
-        self._frame = frame_type(bodies.n, periodic)
-        self._chunk = max(1, CHUNK_BYTES // self._frame.itemsize)
-        if noted and not self.unfinished(path):
-            self._take_apart()
         super().__init__(self.growing(path), noted)
+        self.target, self._bodies, self._periodic = path, bodies, periodic
 
     @classmethod
-    def check(cls, path: Path, noted: records.Noted, run: str) -> None:
+    def check(cls, path: Path, noted: records.Noted) -> None:
+        growing = cls.growing(path)
         if cls.unfinished(path):
-            super().check(cls.growing(path), noted, run)
+            super().check(growing, noted)
             return
-        with records.naming(path), import_h5py().File(path, "r") as file:
-            if file.attrs.get("title") != records.title(run) or len(file["step"]) < noted.count:
-                raise records.RecordError(f"{path} is not the file that the checkpoint belongs to")
+        _take_apart(path, growing)
+        try:
+            super().check(growing, noted)
+        except records.RecordError as error:
+            growing.unlink()
+            raise records.RecordError(f"{path} is not the file that the checkpoint belongs to") from error
 
     def write(self, context: openmm.Context) -> None:
         """Append the bodies of a Context at its last completed step."""
         self.append(body_frame(context, context.getState()).tobytes())
 
     def _make(self, path: Path) -> None:
-        frames = np.memmap(self.path, self._frame, "r") if self.count else np.zeros(0, self._frame)
-        file = BodyStateFile(path, self._bodies, self._periodic, title=self._title)
+        kind = frame_type(self._bodies.n, self._periodic)
+        frames = np.memmap(self.path, kind, "r") if self.count else np.zeros(0, kind)
+        file = BodyStateFile(path, self._bodies, self._periodic)
         try:
-            for first in range(0, self.count, self._chunk):
-                file.append(frames[first : first + self._chunk])
+            for first in range(0, self.count, CHUNK):
+                file.append(frames[first : first + CHUNK])
         finally:
             file.close()
 
-    def _take_apart(self) -> None:
-        with (
-            import_h5py().File(self.target, "r") as file,
-            records.replacing(self.growing(self.target)) as made,
-            open(made, "wb") as out,
-        ):
-            check_same(file, self.target, self._bodies, self._periodic)
-            for first in range(0, len(file["step"]), self._chunk):
-                out.write(read_frames(file, first, first + self._chunk).tobytes())
+
+def _take_apart(path: Path, frames: Path) -> None:
+    """Make the file of frames anew of which an HDF5 file was made."""
+    with import_h5py().File(path, "r") as file, records.replacing(frames) as made, open(made, "wb") as out:
+        for first in range(0, len(file["step"]), CHUNK):
+            out.write(read_frames(file, first, first + CHUNK).tobytes())
 
 
 def check_possible(path: Path) -> None:

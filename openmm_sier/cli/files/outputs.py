@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
@@ -17,18 +15,18 @@ from openmm import app, unit
 
 from openmm_sier.cli.files import body_states, checkpoints, trajectories
 from openmm_sier.cli.files.records import Log, Noted
-from openmm_sier.cli.plan import FILES, Plan, RunError
+from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure.forcefields import Box
 from openmm_sier.observe import pressure
-from openmm_sier_command.options import CONTINUED
 
 #: Files that grow, by their names in the notes of a checkpoint: the options that name them and set their intervals.
 OUTPUTS = {
     "trajectory": ("out", "every"),
     "log": ("report", "report_every"),
-    "bodies": ("bodies", "bodies_every"),
     "tensors": ("pressure_tensor", "pressure_tensor_every"),
+    # Last, since frames are made of a finished HDF5 file where the others have been found to be right.
+    "bodies": ("bodies", "bodies_every"),
 }
 
 
@@ -113,19 +111,8 @@ class OutputFiles:
         """
         found = {key: Noted(**notes[key]) for key in self.paths}
         for key, path in self.paths.items():
-            self.formats[key].check(path, found[key], notes["run"])
+            self.formats[key].check(path, found[key])
         return found
-
-
-def run_identity(plan: Plan, context: openmm.Context) -> str:
-    """Identity of a run that is to begin: a digest of its settings and of its first phase point.
-
-    It is not drawn at random, so that the same run gives the same bytes again. Runs with one identity are one run, and
-    differ in their length alone.
-    """
-    settings = {name: getattr(plan, name) for name in CONTINUED if name not in FILES}
-    state = openmm.XmlSerializer.serialize(context.getState(positions=True, velocities=True))
-    return hashlib.blake2b((json.dumps(settings, default=str) + state).encode(), digest_size=16).hexdigest()
 
 
 def same_file(one: Path, two: Path) -> bool:
@@ -151,7 +138,6 @@ class Outputs:
         plan: Plan,
         box: Box,
         bodies: RigidBodies,
-        run: str,
         columns: Sequence[str],
         noted: Mapping[str, Noted],
         saved_step: int | None,
@@ -162,19 +148,18 @@ class Outputs:
             plan: of the run.
             box: what is simulated.
             bodies: its rigid bodies.
-            run: its identity.
             columns: of the log.
             noted: what `OutputFiles.noted` gives for a run that is continued; empty for a new one.
             saved_step: of the checkpoint that is continued; None for a new run.
         """
         self.checkpoint, self.saved_step = files.checkpoint, saved_step
-        self._plan, self._listed, self._run = plan, box.listed, run
+        self._plan, self._listed = plan, box.listed
         self._periodic = box.system.usesPeriodicBoundaryConditions()
         self._intervals = {key: plan.interval(getattr(plan, OUTPUTS[key][1])) for key in files.paths}
         layouts: dict[str, Sequence[Any]] = {
-            "trajectory": (_subset(box.topology, box.listed), plan.step_time, self._intervals["trajectory"], run),
+            "trajectory": (_subset(box.topology, box.listed), plan.step_time, self._intervals["trajectory"]),
             "log": (columns,),
-            "bodies": (bodies, self._periodic, run),
+            "bodies": (bodies, self._periodic),
             "tensors": (pressure.COLUMNS,),
         }
         self._files: dict[str, Any] = {
@@ -220,7 +205,6 @@ class Outputs:
     def _write_checkpoint(self, context: openmm.Context, potential: float) -> None:
         step = context.getStepCount()
         notes = {
-            "run": self._run,
             "plan": self._plan.noted(self.checkpoint),
             "step": step,
             "potential_energy": potential,

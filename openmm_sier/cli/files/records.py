@@ -20,7 +20,7 @@ import numpy as np
 from openmm_sier.observe.conservation import csv_line
 
 #: Bytes at the end of what a file held at a checkpoint by which it is known again. Runs that differ in anything differ
-#: there: in the last row of the log, in the last frame, or in the title before the first one.
+#: there, in the last row of the log and in the last frame.
 WINDOW = 2**16
 
 #: Bytes at the beginning that do not count, since they change while a file grows: a DCD file counts its frames there.
@@ -59,11 +59,6 @@ def replacing(path: Path) -> Iterator[Path]:
         except BaseException:
             made.unlink(missing_ok=True)
             raise
-
-
-def title(run: str) -> str:
-    """Title of a file by the identity of its run."""
-    return f"openmm-sier run {run}"
 
 
 @dataclass(frozen=True)
@@ -108,13 +103,12 @@ class GrowingFile:
             self._file.seek(self.size)
 
     @classmethod
-    def check(cls, path: Path, noted: Noted, run: str) -> None:
+    def check(cls, path: Path, noted: Noted) -> None:
         """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
 
         Args:
             path: of the output.
             noted: of it by the checkpoint.
-            run: identity of the run by the checkpoint.
 
         Raises:
             OSError: the output is missing.

@@ -14,22 +14,21 @@ import numpy as np
 from openmm import app
 from openmm.unit import Quantity
 
-from openmm_sier.cli.files.records import CHANGING, GrowingFile, MadeAtTheEnd, Noted, RecordError, title
+from openmm_sier.cli.files.records import CHANGING, GrowingFile, MadeAtTheEnd, Noted, RecordError
 
-#: Bytes of OpenMM's header of a DCD file, and its second title. OpenMM puts the time there, for which we put the
-#: identity of the run, so that the same run gives the same bytes.
-DCD_HEADER, DCD_TITLE = 276, slice(180, 260)
+#: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
+DCD_HEADER, DCD_TIME = 276, slice(180, 260)
 
 
 class Trajectory(GrowingFile):
     """Frames of a file that grows."""
 
     def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
+        self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None = None
     ) -> None:
         """Begin a file with atoms of a topology, steps of dt ps and an interval in steps, or continue it."""
         super().__init__(path, noted)
-        self._topology, self._dt, self._interval, self._title = topology, dt, interval, title(run)
+        self._topology, self._dt, self._interval = topology, dt, interval
 
     @abstractmethod
     def write(self, positions: Quantity, box: Quantity) -> None:
@@ -49,7 +48,7 @@ class DCDTrajectory(Trajectory):
         app.DCDFile(self._memory, self._topology, self._dt, self._interval, self._interval)
         with self._memory.getbuffer() as header:
             header[8:12] = struct.pack("<i", self.count)
-            header[DCD_TITLE] = self._title.encode().ljust(DCD_TITLE.stop - DCD_TITLE.start, b"\0")
+            header[DCD_TIME] = bytes(DCD_TIME.stop - DCD_TIME.start)
         # A file that is appended to has its number of frames from the header.
         self._dcd = app.DCDFile(self._memory, self._topology, self._dt, self._interval, self._interval, append=True)
         if self.size:
@@ -83,7 +82,7 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
     GROWING = ".dcd"
 
     def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
+        self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None = None
     ) -> None:
         """
         Raises:
@@ -91,14 +90,14 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
         """
         if noted and not self.unfinished(path):
             raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
-        super().__init__(self.growing(path), topology, dt, interval, run, noted)
+        super().__init__(self.growing(path), topology, dt, interval, noted)
         self.target = path
 
     @classmethod
-    def check(cls, path: Path, noted: Noted, run: str) -> None:
+    def check(cls, path: Path, noted: Noted) -> None:
         # One that is complete is not continued, so nothing of it is cut.
         if cls.unfinished(path):
-            super().check(cls.growing(path), noted, run)
+            super().check(cls.growing(path), noted)
 
     def _make(self, path: Path) -> None:
         import mdtraj
@@ -112,8 +111,6 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
                 time = (np.arange(done, done + len(chunk)) + 1) * self._interval * self._dt
                 file.write(chunk.xyz, time, cell_lengths=chunk.unitcell_lengths, cell_angles=chunk.unitcell_angles)
                 done += len(chunk)
-            # The first frame brings one of MDTraj's.
-            file.title = self._title
 
 
 FORMATS: dict[str, type[Trajectory]] = {
