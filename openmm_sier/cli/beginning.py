@@ -67,11 +67,8 @@ class Simulated:
         note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
         bodies = rigid_bodies(box, plan.rigid)
         fast = prepare_system(box.system, bodies).fastForceGroups
-        if not box.system.usesPeriodicBoundaryConditions():
-            if plan.moves_volume:
-                raise RunError("constant pressure needs a periodic box, which the PDB file does not have")
-            if plan.pressure_tensor:
-                raise RunError("--pressure-tensor needs a periodic box, which the PDB file does not have")
+        if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
+            raise RunError("--pressure-tensor needs a periodic box, which the PDB file does not have")
         return cls(options, plan, box, bodies, fast)
 
     def context(self, step: int = 0) -> openmm.Context:

@@ -89,11 +89,8 @@ def _tell(outcomes: list[Outcome] | tuple[Outcome, ...]) -> None:
 
 
 def _workers(address: str) -> Executor:
-    try:
-        from distributed import Client
-    except ModuleNotFoundError as error:
-        message = "--scheduler needs dask.distributed; install it with: pip install 'openmm-sier[cluster]'"
-        raise ModuleNotFoundError(message) from error
+    from distributed import Client
+
     # The result of a member does not depend on its arguments alone, but also on the files that it already has.
     return Client(address).get_executor(pure=False)
 

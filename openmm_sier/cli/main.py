@@ -69,6 +69,3 @@ FUNCTIONS = {
     "tune": ("tune", "run"),
     "info": ("info", "info"),
 }
-
-if __name__ == "__main__":
-    sys.exit(main())

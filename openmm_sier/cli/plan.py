@@ -17,7 +17,6 @@ from openmm_sier_command.options import (
     OF_THE_SYSTEM,
     OPTIONS,
     USUAL_STEPS,
-    OptionError,
     Options,
     check_table,
 )
@@ -180,10 +179,6 @@ def _check(plan: Plan) -> None:
             f"--rigid {' '.join(plan.rigid)} needs a scheme of this package: {plan.method.name} holds no molecules "
             "rigid but by constraints"
         )
-    if plan.ensemble == "npt" and plan.pressure is None:
-        raise RunError("--ensemble npt needs --pressure")
-    if (plan.ensemble == "hmc") != (plan.steps_per_trial is not None):
-        raise RunError("--steps-per-trial needs --ensemble hmc, and that needs it")
 
 
 def _check_given(options: Options, ensemble: str) -> None:
@@ -208,20 +203,12 @@ def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan that a checkpoint notes, with paths of files relative to the current directory.
 
     Raises:
-        OptionError, RunError: it is none; the message names the checkpoint and the field.
+        OptionError: it is none; the message names the checkpoint and the field.
     """
-    source = f"{checkpoint}: plan"
-    if missing := set(NOTED).difference(saved):
-        raise OptionError(f"{source}: {min(missing)} is missing")
-    values = check_table(source, saved)
+    values = check_table(f"{checkpoint}: plan", saved)
     here = os.path.dirname(checkpoint)
     beside = {name: Path(os.path.normpath(os.path.join(here, values[name]))) for name in FILES if values.get(name)}
-    plan = Plan(**values | beside)
-    try:
-        _check(plan)
-    except RunError as error:
-        raise RunError(f"{source}: {error}") from None
-    return plan
+    return Plan(**values | beside)
 
 
 def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, object]) -> Plan:

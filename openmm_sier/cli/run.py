@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from signal import Signals
 from typing import Any
 
 import openmm
@@ -18,7 +19,7 @@ from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import OutputFiles, Outputs
 from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
-from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
+from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.engines.temperature import degrees_of_freedom
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box, first_line, locate
@@ -164,7 +165,7 @@ def _advance(
         if outputs.saved_step != step:
             _write(["checkpoint"], context, plan, outputs, bounds)
     if step < plan.steps and requests.received is not None:
-        by, where = signal_name(requests.received), _length(plan, step)
+        by, where = Signals(requests.received).name, _length(plan, step)
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
         raise Stopped(requests.received, message)
     evaluations = integrator.forceEvaluations - evaluations

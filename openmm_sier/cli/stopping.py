@@ -74,8 +74,3 @@ def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
     while isinstance(error, SystemError):
         error = error.__cause__ or error.__context__
     return error if isinstance(error, KeyboardInterrupt) else None
-
-
-def signal_name(signum: int) -> str:
-    """The name of a signal."""
-    return signal.Signals(signum).name

@@ -245,13 +245,3 @@ def test_progress_lines_are_rare(monkeypatch, capsys):
     assert 600 < max(np.diff(at)) + 1 <= 602
     # 20 until 600 s, ln(20)/ln(1.05) = 61 until 12000 s, and 47 in the rest.
     assert len(at) < 130
-
-
-def test_progress_on_a_closed_terminal_stops_nothing(monkeypatch):
-    def fails(*_, **__):
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(console, "LINE_AFTER", 0.0)
-    with console.ProgressBar("run", 10, 0.001) as show:
-        monkeypatch.setattr("sys.stderr.write", fails)
-        show(1)

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import records
-from openmm_sier.cli.files.body_states import BodyStates
-from tests.support.commands import SMALL, complaint, contents, datasets, frames, run, write_lattice
+from tests.support.commands import SMALL, complaint, contents, datasets, run, write_lattice
 
 h5py = pytest.importorskip("h5py")
 
@@ -93,18 +91,3 @@ def test_kill_before_the_removal_of_the_growing_part(box, monkeypatch, option):
     np.testing.assert_equal(datasets("made.h5"), whole)
     assert not Path(name).exists()
     assert main.main([str(argument) for argument in again]) == 4
-
-
-@pytest.mark.slow
-def test_kill_before_body_states_are_made_again(box, monkeypatch, capsys):
-    """A finished file that was continued is not taken for the longer one, of which only the frames are there."""
-    run("run", box, *SMALL, "--steps", "20", "--bodies", "states.h5")
-    again = ["run", box, "--platform", "Reference", "--restart", "box.chk"]
-    with monkeypatch.context() as patch:
-        patch.setattr(BodyStates, "finish", records.GrowingFile.finish)
-        run(*again, "--steps", "40")
-    assert len(datasets("states.h5")["step"]) == 4
-    run(*again)
-    np.testing.assert_array_equal(datasets("states.h5")["step"], np.arange(5, 41, 5))
-    assert not Path("states.h5.frames").exists()
-    assert frames(Path("box.dcd"), box).n_frames == 8

@@ -52,13 +52,6 @@ def test_a_run_in_parts_is_the_same_to_the_bit(box, name):
         assert len(np.unique(whole["Box Volume (nm^3)"])) > 1
 
 
-@pytest.mark.slow
-def test_constant_pressure_changes_the_box(box):
-    run("run", box, *SMALL, "--ensemble", "npt", "--pressure", "-500", "--time", "0.4")
-    volumes = log("box.csv")["Box Volume (nm^3)"]
-    assert len(set(volumes.tolist())) > 1
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -77,11 +70,3 @@ def test_default_scheme_is_that_of_the_integrators(box):
     assert CATALOGUE[plan["scheme"]] == SIERIntegrator(0.001).scheme == SIER4G
     # The README's recommendation.
     assert plan["dt"] == 6.0
-
-
-def test_runs_begun_with_another_default_scheme_are_continued(box):
-    """Until 0.1.0 the default was SIER4 with 4 fs; checkpoints hold scheme and step."""
-    run("run", box, "--scheme", "sier4", "--platform", "Reference", "--equilibrate", "0", "--steps", "2")
-    run("run", box, "--platform", "Reference", "--restart", "box.chk", "--steps", "3")
-    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
-    assert (plan["scheme"], plan["dt"], plan["steps"]) == ("sier4", 4.0, 3)

@@ -1,22 +1,20 @@
 """Plans of ensembles, and the command that carries them out."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
 from openmm_sier.cli.ensembles import PlanError, read_plan
 from openmm_sier.cli.main import main
-from openmm_sier.cli.member import _write, execute
+from openmm_sier.cli.member import execute
 from openmm_sier.measure.ensemble import _RUNNING, COMPLETE, NOTES, WORKER, ensemble, fraction_done, is_complete
 from openmm_sier_command.options import OptionError
-from tests.support.commands import complaint, contents, wait_for, write_lattice
+from tests.support.commands import complaint, wait_for, write_lattice
 
 PLAN = """
 [options]
@@ -134,26 +132,6 @@ def test_members_are_called_what_lies_in_the_directory_of_the_ensemble(plan, box
     assert [member.name for member in read_plan(plan)] == [name]
 
 
-@pytest.mark.slow
-def test_files_beside_a_plan_stay_as_they_are(plan, tmp_path):
-    more = '[options]\nreport = "log.csv"\npressure_tensor = "pressure.csv"\npressure_tensor_every = 0.2'
-    plan.write_text(PLAN.replace("[options]", more).replace("[1, 2]", "[1]"))
-    for name in ("log.csv", "pressure.csv", "sier2", "run.dcd", "run.chk"):
-        (tmp_path / name).write_text("mine\n")
-    before = contents(tmp_path)
-    assert main(["ensemble", str(plan)]) == 0
-    written = {name: content for name, content in contents(tmp_path).items() if name not in before}
-    assert {name: content for name, content in contents(tmp_path).items() if name in before} == before
-    member = "plan/box-sier2-dt4-seed1"
-    assert {f"{member}/{name}" for name in ("log.csv", "pressure.csv", "run.dcd", "run.chk", COMPLETE)} < set(written)
-    # Its outputs beside the plan change nothing either.
-    for name in ("log.csv", "pressure.csv", "run.dcd", "run.chk", NOTES, COMPLETE):
-        (tmp_path / name).write_bytes(written[f"{member}/{name}"])
-    before = contents(tmp_path)
-    assert main(["ensemble", str(plan)]) == 0
-    assert contents(tmp_path) == before
-
-
 @pytest.mark.parametrize("name", [COMPLETE, NOTES])
 def test_a_member_with_a_damaged_note_is_done_again(plan, monkeypatch, name):
     first, _ = read_plan(plan)
@@ -172,18 +150,6 @@ def test_a_member_with_a_damaged_note_is_done_again(plan, monkeypatch, name):
     went_on = ["--restart", "run.chk"] if name == COMPLETE else ["--out", "run.dcd", "--overwrite"]
     assert calls == [[*first.arguments, *went_on]]
     assert is_complete(first, place.parent)
-
-
-def test_notes_of_a_member_are_on_the_disk_before_they_take_their_place(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    events = []
-    fsync, replace = os.fsync, os.replace
-    monkeypatch.setattr(os, "fsync", lambda number: events.append(("fsync", os.fstat(number).st_size)) or fsync(number))
-    monkeypatch.setattr(os, "replace", lambda *names: events.append(names) or replace(*names))
-    _write("note.json", ["run"])
-    (synced, (temporary, place)) = events
-    assert synced == ("fsync", Path("note.json").stat().st_size)
-    assert (Path(temporary).name, Path(place).name) == ("note.json.tmp", "note.json")
 
 
 def outputs(place):

@@ -118,19 +118,6 @@ def test_wrong_options_in_a_checkpoint(copied, capsys, name):
         refuse(capsys, copied, "box.chk", name, "run", "box.pdb", "--platform", "Reference", *command)
 
 
-@pytest.mark.parametrize(
-    ("plan", "expected"),
-    [
-        ({"ensemble": "npt", "pressure": None}, "--pressure"),
-        ({"ensemble": "hmc", "steps_per_trial": None}, "--steps-per-trial"),
-        ({"scheme": "langevinmiddle"}, "the ensembles nvt, npt, got nve"),
-    ],
-)
-def test_options_in_a_checkpoint_that_contradict_each_other(copied, capsys, plan, expected):
-    rewrite_notes("box.chk", lambda notes: notes["plan"].update(plan))
-    refuse(capsys, copied, "box.chk", expected, "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
-
-
 @pytest.mark.parametrize("name", OPTIONS)
 def test_wrong_options_in_a_plan_of_an_ensemble(tmp_path, capsys, name):
     write_lattice(tmp_path / "box.pdb", 8)

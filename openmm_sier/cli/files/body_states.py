@@ -11,8 +11,6 @@ from openmm_sier.cli.files import records
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.observe.body_states import BodyStateFile, body_frame, frame_type, import_h5py, read_frames
 
-SUFFIX = ".h5"
-
 #: Frames converted at a time.
 CHUNK = 100
 
@@ -70,15 +68,3 @@ def _take_apart(path: Path, frames: Path) -> None:
     with import_h5py().File(path, "r") as file, records.replacing(frames) as made, open(made, "wb") as out:
         for first in range(0, len(file["step"]), CHUNK):
             out.write(read_frames(file, first, first + CHUNK).tobytes())
-
-
-def check_possible(path: Path) -> None:
-    """Check that body states can be written: the name of their file, and the packages that it needs.
-
-    Raises:
-        RecordError: the name does not end in .h5.
-        ModuleNotFoundError: h5py is missing.
-    """
-    if path.suffix != SUFFIX:
-        raise records.RecordError(f"body states go to a file that ends in {SUFFIX}, got {path.name}")
-    import_h5py()

@@ -19,6 +19,7 @@ from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.measure.forcefields import Box
 from openmm_sier.observe import pressure
+from openmm_sier.observe.body_states import import_h5py
 
 #: Files that grow, by their names in the notes of a checkpoint: the options that name them and set their intervals.
 OUTPUTS = {
@@ -50,7 +51,7 @@ class OutputFiles:
         self.checkpoint = checkpoint
         self.paths = {key: Path(path) for key, path in named.items() if path}
         if "bodies" in self.paths:
-            body_states.check_possible(self.paths["bodies"])
+            import_h5py()
         self.formats: dict[str, Any] = dict.fromkeys(self.paths, Log)
         self.formats["trajectory"] = trajectories.trajectory_format(self.paths["trajectory"])
         self.formats |= {"bodies": body_states.BodyStates} if "bodies" in self.paths else {}
