@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from openmm_sier_command.options import OF_TUNING, OPTIONS, Option, add_options
 from openmm_sier_command.values import COUNT, SWITCH, file, number, several, whole, word
@@ -134,22 +135,10 @@ class Parser(argparse.ArgumentParser):
         self.exit(MISUSED, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-class _Version(argparse.Action):
-    """Looks up the version only when it is asked for."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from importlib.metadata import version
-
-        print(f"{PROGRAM} {version(PROGRAM)}")
-        parser.exit()
-
-
 def build_parser() -> argparse.ArgumentParser:
     """The parser of `openmm-sier`. What it returns has the name of the command as `command`."""
     parser = Parser(prog=PROGRAM, description="Simulation of rigid molecules with OpenMM, with exact rotation.")
-    parser.add_argument(
-        "--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
-    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {version(PROGRAM)}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
     for name, command in COMMANDS.items():
         added = commands.add_parser(

@@ -51,7 +51,6 @@ def run(**given: Any) -> None:
 
 
 def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
-    notes: dict[str, Any] = {}
     if options.restart:
         if options.restart.is_file():
             # Before it is read, so that nobody replaces it from here on.
@@ -59,27 +58,25 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
         state, notes = checkpoints.read_checkpoint(options.restart)
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
     else:
-        state, origin = read_start(options.start)
+        notes, (state, origin) = None, read_start(options.start)
         plan = new_plan(options, origin)
         checkpoint = plan.out.with_suffix(".chk")
     simulated = Simulated.read(options, plan)
     files = OutputFiles(plan, checkpoint)
     files.check(_inputs(options, simulated.box))
     locks.hold(files.everything)
-    if not (options.restart or options.overwrite):
+    if not (notes or options.overwrite):
         files.refuse_existing()
-    noted = {}
-    if options.restart:
-        _check_unfinished(plan, options.restart, notes["step"], files.are_finished)
-        noted = files.noted(notes)
-    context = _restored(simulated, state, notes) if options.restart else simulated.begin(state, origin)
+    if notes:
+        _check_unfinished(plan, checkpoint, notes["step"], files.are_finished)
+        files.check_noted(notes)
+    context = _restored(simulated, state, notes) if notes else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
-    if not options.restart:
+    if not notes:
         files.remove()
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
-    columns = conservation.columns(context.getIntegrator())
-    outputs = Outputs(files, plan, simulated.box, simulated.bodies, columns, noted, notes.get("step"))
+    outputs = Outputs(files, simulated, context, notes)
     bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
     outputs.finish()

@@ -167,19 +167,6 @@ def test_info_of_named_residues(rings, capsys):
 # --- body states ---
 
 
-@pytest.mark.slow
-def test_body_states_are_written_at_their_interval(box):
-    pytest.importorskip("h5py")
-    run("run", box, *SMALL, "--time", "0.1", "--bodies", "states.h5", "--bodies-every", "0.04")
-    found = datasets("states.h5")
-    np.testing.assert_array_equal(found["step"], [10, 20])
-    np.testing.assert_allclose(found["time"], [0.04, 0.08], rtol=1e-12)
-    kinetic = 0.5 * (found["p"] ** 2).sum(axis=2) @ (1 / found["masses"])
-    translation = log("box.csv")["Translational Temperature (K)"] * 8.31446261815324e-3 * (3 * 27 - 3) / 2
-    # The log leaves out the motion of the centre of mass, of which the mesh of PME makes some 1e-7.
-    np.testing.assert_allclose(kinetic, translation[1:3], rtol=1e-6)
-
-
 def test_body_states_without_a_frame(box):
     pytest.importorskip("h5py")
     run("run", box, *SMALL, "--steps", "1", "--bodies", "states.h5")

@@ -14,7 +14,7 @@ from openmm import app, unit
 
 from openmm_sier import SIER2Integrator
 from openmm_sier.cli import main
-from openmm_sier.cli.files import checkpoints, trajectories
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import NothingLeft
 from openmm_sier.measure import force_clock, forcefields
 from openmm_sier.version import __version__
@@ -100,21 +100,6 @@ def test_one_molecule_without_a_box_tumbles_freely(capsys):
     # Rounding alone: the molecule has no potential energy.
     np.testing.assert_allclose(rows["Total Energy (kJ/mole)"], rows["Total Energy (kJ/mole)"][0], rtol=1e-12)
     assert rows["Total Energy (kJ/mole)"][0] > 0
-
-
-@pytest.mark.parametrize("suffix", [".dcd", ".xtc"])
-def test_frames_after_more_steps_than_the_formats_count(box, suffix):
-    out = Path("long").with_suffix(suffix)
-    pdb = app.PDBFile(str(box))
-    # A frame every 2e9 steps: the second is beyond 32 bits.
-    file = trajectories.trajectory_format(out)(out, pdb.topology, 0.001, 2_000_000_000)
-    for _ in range(3):
-        file.write(pdb.getPositions(asNumpy=True), pdb.topology.getPeriodicBoxVectors())
-    file.finish()
-    read = frames(out, box)
-    assert read.n_frames == 3
-    if suffix == ".xtc":
-        np.testing.assert_allclose(read.time, [2e6, 4e6, 6e6])
 
 
 def test_time_of_forces_and_energies_is_that_of_openmm(box):

@@ -24,7 +24,7 @@ PARTS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PARTS)
-def test_a_run_in_parts_is_the_same_to_the_bit(box, name):
+def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys):
     """Every file of it; what a killed run wrote after its checkpoint is cut off."""
     for out, time in (("whole", "0.12"), ("parts", "0.06")):
         options = [option.format(out) for option in PARTS[name]]
@@ -48,6 +48,10 @@ def test_a_run_in_parts_is_the_same_to_the_bit(box, name):
         assert whole["Step"].tolist() == list(range(9))
         assert whole["Time (ps)"] == pytest.approx(0.016 * whole["Step"], rel=1e-12)
         assert 8 * whole["Acceptance"][-1] in range(9)
+        table = capsys.readouterr().out
+        assert "trials accepted" in table
+        # It is drawn anew.
+        assert "total momentum" not in table
     else:
         assert len(np.unique(whole["Box Volume (nm^3)"])) > 1
 

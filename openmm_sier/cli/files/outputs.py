@@ -13,12 +13,11 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.files import body_states, checkpoints, trajectories
 from openmm_sier.cli.files.records import Log, Noted
 from openmm_sier.cli.plan import Plan, RunError
-from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.measure.forcefields import Box
-from openmm_sier.observe import pressure
+from openmm_sier.observe import conservation, pressure
 from openmm_sier.observe.body_states import import_h5py
 
 #: Files that grow, by their names in the notes of a checkpoint: the options that name them and set their intervals.
@@ -103,17 +102,15 @@ class OutputFiles:
         for path in filter(os.path.lexists, self.everything):
             raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
 
-    def noted(self, notes: Mapping[str, Any]) -> dict[str, Noted]:
-        """What a checkpoint notes of the outputs, by key, if they are those of its run; none is changed.
+    def check_noted(self, notes: Mapping[str, Any]) -> None:
+        """Check that the outputs are those of the run that a checkpoint notes; none is changed.
 
         Raises:
             RecordError: an output is of another run.
             OSError: one is missing.
         """
-        found = {key: Noted(**notes[key]) for key in self.paths}
         for key, path in self.paths.items():
-            self.formats[key].check(path, found[key])
-        return found
+            self.formats[key].check(path, Noted(**notes[key]))
 
 
 def same_file(one: Path, two: Path) -> bool:
@@ -134,37 +131,30 @@ class Outputs:
     """
 
     def __init__(
-        self,
-        files: OutputFiles,
-        plan: Plan,
-        box: Box,
-        bodies: RigidBodies,
-        columns: Sequence[str],
-        noted: Mapping[str, Noted],
-        saved_step: int | None,
+        self, files: OutputFiles, simulated: Simulated, context: openmm.Context, notes: Mapping[str, Any] | None
     ):
         """
         Args:
             files: of the run.
-            plan: of the run.
-            box: what is simulated.
-            bodies: its rigid bodies.
-            columns: of the log.
-            noted: what `OutputFiles.noted` gives for a run that is continued; empty for a new one.
-            saved_step: of the checkpoint that is continued; None for a new run.
+            simulated: what is simulated.
+            context: at the start, or at the checkpoint.
+            notes: of the checkpoint of a run that is continued, for which `OutputFiles.check_noted` has passed; None
+                for a new run.
         """
-        self.checkpoint, self.saved_step = files.checkpoint, saved_step
+        plan, box, bodies = simulated.plan, simulated.box, simulated.bodies
+        self.checkpoint, self.saved_step = files.checkpoint, notes["step"] if notes else None
         self._plan, self._listed = plan, box.listed
         self._periodic = box.system.usesPeriodicBoundaryConditions()
         self._intervals = {key: plan.interval(getattr(plan, OUTPUTS[key][1])) for key in files.paths}
         layouts: dict[str, Sequence[Any]] = {
             "trajectory": (_subset(box.topology, box.listed), plan.step_time, self._intervals["trajectory"]),
-            "log": (columns,),
+            "log": (conservation.columns(context.getIntegrator()),),
             "bodies": (bodies, self._periodic),
             "tensors": (pressure.COLUMNS,),
         }
+        noted = {key: Noted(**notes[key]) if notes else None for key in files.paths}
         self._files: dict[str, Any] = {
-            key: files.formats[key](path, *layouts[key], noted.get(key)) for key, path in files.paths.items()
+            key: files.formats[key](path, *layouts[key], noted[key]) for key, path in files.paths.items()
         }
         self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
         self.log: Log = self._files["log"]
