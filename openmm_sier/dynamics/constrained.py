@@ -1,9 +1,10 @@
 """The operators of a splitting scheme for point bodies with distance constraints, alongside rigid bodies.
 
 The phase space is that of positions on the constraint manifold with momenta tangent to it; `Constraints` has the
-algebra. On it a scheme's operators are what they are in flat space:
+algebra. Within a step, momenta that differ along the bonds alone stand for the same phase point, since a drift takes
+that part away. They are projected once, after the step. A scheme's operators are what they are in flat space:
 
-- kick: the flow of the potential alone. Momenta change by h P(q) F(q), so that they are projected after a plain kick.
+- kick: the flow of the potential alone. Momenta change by h F(q), as those of free points do.
 - drift: the flow of the kinetic energy alone, a geodesic.
 - gradient kick: the flow of the modified potential V - (s/2) |P F|^2, with |f|^2 = f M^-1 f.
 
@@ -28,8 +29,9 @@ total angular momentum is exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,8 +40,8 @@ from openmm_sier.dynamics import backend, operators
 from openmm_sier.dynamics.backend.formulas import cross
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
-from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP, Composition
-from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
+from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
+from openmm_sier.dynamics.operators import AFTER_STEP, CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 
@@ -49,7 +51,7 @@ def constrained_operators(
     forces: CachedForces,
     constraints: Constraints,
     rotation: Rotation = exact,
-    composition: Composition = SUZUKI,
+    composition: Sequence[float] = SUZUKI,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
     """The operators of all schemes without a heat bath, for bodies some of which are constrained to each other.
@@ -59,39 +61,41 @@ def constrained_operators(
         forces: forces and torques on them.
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
-        composition: of the geodesic.
+        composition: fractions of a drift that its RATTLE steps take, see `constraints.geodesic`.
         groups: of `DisplacedKick`; None: one for each connected component of the constraints.
     """
     return {
-        KICK: constrained_kick(operators.kick(forces), constraints),
+        KICK: operators.kick(forces),
         GRADIENT_KICK: constrained_gradient_kick(bodies, forces, constraints, groups),
         DRIFT: constrained_drift(operators.drift(bodies, rotation), constraints, composition),
+        AFTER_STEP: projection(constraints),
     }
 
 
-# --- kicks ---
+def projection(constraints: Constraints) -> Operator:
+    """The same phase point with tangent momenta."""
 
-
-def constrained_kick(kick: Operator, constraints: Constraints) -> Operator:
-    """A kick of bodies after which the momenta of constrained ones are projected."""
-
-    def apply(state: BodyState, h: float) -> BodyState:
-        kicked = kick(state, h)
-        return replace(kicked, p=constraints.project(state.q, kicked.p))
+    def apply(state: BodyState) -> BodyState:
+        p = constraints.project(state.q, state.p)
+        return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
 
     return apply
+
+
+# --- kicks ---
 
 
 def constrained_bath(bath: Operator, constraints: Constraints) -> Operator:
     """An Ornstein-Uhlenbeck process of bodies with projected noise, so that constrained momenta are exactly thermal.
 
     Let P be the projection, and k_B T M the covariance of the noise. The covariance of the projected noise is
-    k_B T P M P^T = k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are tangent already,
-    so that it is enough to project the new ones.
+    k_B T P M P^T = k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are projected too,
+    for the heat is the kinetic energy that the tangent momenta gain.
     """
+    tangent = projection(constraints)
 
     def apply(state: BodyState, h: float) -> BodyState:
-        warmed = bath(state, h)
+        warmed = bath(tangent(state), h)
         p = constraints.project(state.q, warmed.p)
         part = constraints.members
         taken = 0.5 * float(((warmed.p[:, part] ** 2 - p[:, part] ** 2) / constraints.masses[part]).sum())
@@ -158,45 +162,30 @@ class DisplacedKick:
         if len(self._part):
             backend.active().turn_groups(self._edges, self._part, self._masses, state.q, torques, F)
         torques[:, self._grouped] = 0.0
-        return self._constraints.project(state.q, state.p + h * F), torques
+        return state.p + h * F, torques
 
 
 # --- drifts ---
 
 
-def constrained_drift(drift: Operator, constraints: Constraints, composition: Composition = SUZUKI) -> Operator:
+def constrained_drift(drift: Operator, constraints: Constraints, composition: Sequence[float] = SUZUKI) -> Operator:
     """The drift of all bodies, of which constrained ones follow geodesics.
 
     The operator raises ConstraintError where momenta are far too large for the time.
     """
-    fractions = np.array(composition.fractions)
 
     def apply(state: BodyState, h: float) -> BodyState:
-        q, p = constraints.drift(state.q, state.p, h, fractions)
+        q, p = constraints.drift(state.q, state.p, h, composition)
         free = drift(state, h)
         return BodyState(q, p, free.A, free.L, free.heat, free.draws)
 
     return apply
 
 
-class FastForces(CachedForces):
-    """Forces on point bodies that are recomputed only for a new array of positions.
-
-    Args:
-        compute: q -> F, each (3, m).
-    """
-
-    def __init__(self, compute: Callable[[np.ndarray], np.ndarray]):
-        super().__init__(lambda q: (compute(q),))
-
-    def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
-        return self._latest(state.q)
-
-
 def point_operators(
     constraints: Constraints,
-    forces: FastForces,
-    composition: Composition = TRIPLE_JUMP,
+    forces: CachedForces,
+    composition: Sequence[float] = TRIPLE_JUMP,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
     """The operators of all schemes without a heat bath, for points some of which are constrained to each other.
@@ -205,21 +194,20 @@ def point_operators(
 
     Args:
         constraints: in the numbering of the points, with the masses of all of them.
-        forces: on the points.
-        composition: of the geodesic.
+        forces: on the points, of which only the first array is used.
+        composition: as above, of `constrained_operators`.
         groups: of `DisplacedKick`; None: one for each connected component of the constraints.
     """
     displaced_kick = DisplacedKick(constraints, groups)
 
     def kick(state: BodyState, h: float) -> BodyState:
         (F,) = forces(state)
-        p = constraints.project(state.q, state.p + h * F)
-        return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
+        return BodyState(state.q, state.p + h * F, state.A, state.L, state.heat, state.draws)
 
     def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
         (F,) = forces(state)
         q = constraints.displaced(state.q, constraints.project(state.q, F), shift)
-        (F,) = forces.at(q)
+        (F,) = forces.at(q, state.A)
         p, _ = displaced_kick(state, q, F, h)
         return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
 
@@ -227,6 +215,7 @@ def point_operators(
         KICK: kick,
         GRADIENT_KICK: gradient_kick,
         DRIFT: constrained_drift(lambda state, h: state, constraints, composition),
+        AFTER_STEP: projection(constraints),
     }
 
 
@@ -264,7 +253,7 @@ def nested_drift(
         members: columns of the bodies on which fast forces act, (m,); they must include all that are constrained to one
             of them.
         inner: scheme of the inner steps.
-        within: its operators for the members, see `point_operators`.
+        within: its operators for the members, see `point_operators`. None ends the inner steps.
         longest: upper bound of the inner steps, ps. A drift is divided into the least number of equal steps.
 
     Raises:
@@ -272,7 +261,9 @@ def nested_drift(
     """
     if not longest > 0:
         raise ValueError(f"the longest inner step must be positive, got {longest}")
-    operators.stepper(inner, within, longest)  # Fail here, not at the first step, if an operator is missing.
+    during_steps = {name: operator for name, operator in within.items() if name != AFTER_STEP}
+    stepper = cache(partial(operators.stepper, inner, during_steps))
+    stepper(longest)  # Fail here, not at the first step, if an operator is missing.
     members = np.asarray(members)
     nothing = np.empty((3, 3, 0)), np.empty((3, 0))
     kept: list[np.ndarray] = []
@@ -283,13 +274,13 @@ def nested_drift(
         moved = drift(state, h)
         points = BodyState(kept[1], state.p[:, members], *nothing)
         count = inner_steps(h, longest)
-        step = operators.stepper(inner, within, h / count)
+        step = stepper(h / count)
         for _ in range(count):
             points = step(points)
         q, p = moved.q, state.p.copy()
         q[:, members], p[:, members] = points.q, points.p
         kept[:] = q, points.q
-        return replace(moved, q=q, p=p)
+        return BodyState(q, p, moved.A, moved.L, moved.heat, moved.draws)
 
     return apply
 

@@ -8,7 +8,6 @@ the start of the next without any bookkeeping.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from operator import is_
 
 import numpy as np
 
@@ -21,11 +20,17 @@ from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 #: (state, time) -> state; a gradient kick also takes its displacement per acceleration.
 Operator = Callable[..., BodyState]
 
+#: Name of the operator, if there is one, that ends every step, whatever its scheme: a function of the state alone.
+AFTER_STEP = "after step"
+
 #: A function that makes a whole step.
 Stepper = Callable[[BodyState], BodyState]
 
 #: A free-rotation map (A, L, moments, h) -> (A, L), such as `rotation.exact`.
 Rotation = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+
+#: (state, time) -> (q, A, L).
+FreeMotion = Callable[[BodyState, float], tuple[np.ndarray, ...]]
 
 
 class CachedForces:
@@ -45,31 +50,29 @@ class CachedForces:
 
     def invalidate(self) -> None:
         """Compute anew next time: the potential has changed."""
-        self._where: tuple[np.ndarray, ...] = ()
+        self._q: np.ndarray | None = None
+        self._A: np.ndarray | None = None
         self._value: tuple[np.ndarray, ...] = ()
 
     def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
-        return self._latest(state.q, state.A)
-
-    def _latest(self, *where: np.ndarray) -> tuple[np.ndarray, ...]:
-        if len(where) != len(self._where) or not all(map(is_, where, self._where)):
+        if state.q is not self._q or state.A is not self._A:
             self.invalidate()
-            self._value = self.at(*where)
-            self._where = where
+            self._value = self.at(state.q, state.A)
+            self._q, self._A = state.q, state.A
         return self._value
 
-    def at(self, *where: np.ndarray) -> tuple[np.ndarray, ...]:
+    def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, ...]:
         """Forces and torques at other positions and attitudes, which are not kept.
 
         Raises:
             ValueError: their shape is not that of the positions, (3, n).
         """
         self.evaluations += 1
-        found = self._compute(*where)
+        found = self._compute(q, A)
         for vectors in found:
-            if vectors.shape != where[0].shape:
+            if vectors.shape != q.shape:
                 shapes = " and ".join(str(each.shape) for each in found)
-                raise ValueError(f"forces must have the shape {where[0].shape} of the positions, got {shapes}")
+                raise ValueError(f"forces must have the shape {q.shape} of the positions, got {shapes}")
         return found
 
 
@@ -123,36 +126,37 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
     def apply(state: BodyState, h: float) -> BodyState:
         if state.q.shape != (3, bodies.n):
             raise ValueError(f"the state of {bodies.n} bodies has q of shape {(3, bodies.n)}, got {state.q.shape}")
-        return free_motion(state, h)
-
-    return apply
-
-
-def _exact_drift(bodies: RigidBodies) -> Operator:
-    kinds = [
-        (axes_of(kind.moments).turning_rates, part) for kind, part in zip(bodies.species, bodies.parts, strict=True)
-    ]
-
-    def apply(state: BodyState, h: float) -> BodyState:
-        A = backend.active().rotate(kinds, state.A, state.L, h)
-        q = backend.active().advance(state.q, state.p, h, bodies.inverse_masses)
-        return BodyState(q, state.p, A, state.L, state.heat, state.draws)
-
-    return apply
-
-
-def _drift_by(bodies: RigidBodies, rotation: Rotation) -> Operator:
-    def apply(state: BodyState, h: float) -> BodyState:
-        A, L = np.empty_like(state.A), np.empty_like(state.L)
-        for species, part in zip(bodies.species, bodies.parts, strict=True):
-            turned = state.A[:, :, part], state.L[:, part]
-            if species.moments.any():
-                turned = rotation(*turned, species.moments, h)
-            A[:, :, part], L[:, part] = turned
-        q = backend.active().advance(state.q, state.p, h, bodies.inverse_masses)
+        q, A, L = free_motion(state, h)
         return BodyState(q, state.p, A, L, state.heat, state.draws)
 
     return apply
+
+
+def _exact_drift(bodies: RigidBodies) -> FreeMotion:
+    kinds: list[tuple[np.ndarray | None, slice]] = []
+    for kind, part in zip(bodies.species, bodies.parts, strict=True):
+        rates = axes_of(kind.moments).turning_rates
+        if rates is None and kinds and kinds[-1][0] is None:
+            # Points of all masses are moved in one call.
+            part = slice(kinds.pop()[1].start, part.stop)
+        kinds.append((rates, part))
+    inverse_masses = bodies.inverse_masses
+
+    def move(state: BodyState, h: float) -> tuple[np.ndarray, ...]:
+        return *backend.active().drift(kinds, state.q, state.p, state.A, state.L, h, inverse_masses), state.L
+
+    return move
+
+
+def _drift_by(bodies: RigidBodies, rotation: Rotation) -> FreeMotion:
+    def move(state: BodyState, h: float) -> tuple[np.ndarray, ...]:
+        A, L = state.A.copy(), state.L.copy()
+        for species, part in zip(bodies.species, bodies.parts, strict=True):
+            if species.moments.any():
+                A[:, :, part], L[:, part] = rotation(A[:, :, part], L[:, part], species.moments, h)
+        return state.q + (h * bodies.inverse_masses) * state.p, A, L
+
+    return move
 
 
 def stepper(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
@@ -168,7 +172,9 @@ def stepper(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Step
     """
     if missing := [name for name in scheme.operators if name not in operators]:
         raise ValueError(f"nothing executes the operator '{missing[0]}' of the scheme {scheme.name}")
-    calls = [(operators[stage.operator], stage.times(h)) for stage in scheme.stages]
+    calls: list[tuple[Operator, tuple]] = [(operators[stage.operator], stage.times(h)) for stage in scheme.stages]
+    if AFTER_STEP in operators:
+        calls.append((operators[AFTER_STEP], ()))
 
     def step(state: BodyState) -> BodyState:
         for operator, times in calls:

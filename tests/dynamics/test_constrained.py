@@ -12,7 +12,6 @@ from openmm_sier import SIER2, SIER4, BodyState, RigidBodies
 from openmm_sier.dynamics import constrained
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import (
-    FastForces,
     constrained_bath,
     constrained_drift,
     constrained_operators,
@@ -20,12 +19,11 @@ from openmm_sier.dynamics.constrained import (
     nested_drift,
     point_operators,
 )
-from openmm_sier.dynamics.constraints.geodesic import KAHAN_LI, RATTLE
 from openmm_sier.dynamics.operators import CachedForces, drift, stepper
 from openmm_sier.dynamics.schemes import CATALOGUE, DRIFT, GRADIENT_KICK, SIER4G, SIER4P
 from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from tests.support.flexible import Points, cage, chains, ring, rotor
+from tests.support.flexible import KAHAN_LI, Points, cage, chains, ring, rotor
 
 SYSTEMS = {"XH3": lambda: rotor(3), "XH2": lambda: rotor(2), "ring": ring, "cage": cage, "chains": chains}
 TIME = 0.024
@@ -51,8 +49,13 @@ def distance(one, other):
     return max(np.abs(one.q - other.q).max() / 0.1, np.abs(one.p - other.p).max() / 5)
 
 
+def of_positions(compute):
+    """Forces on points, from a function of their positions alone."""
+    return CachedForces(lambda q, A: (compute(q),))
+
+
 def points_of(system, **options):
-    return point_operators(system.constraints(), FastForces(system.forces), KAHAN_LI, **options)
+    return point_operators(system.constraints(), of_positions(system.forces), KAHAN_LI, **options)
 
 
 def slope(errors):
@@ -76,7 +79,7 @@ def test_every_scheme_keeps_its_order(name, scheme):
 def test_plain_rattle_limits_every_scheme_to_second_order():
     """The reason for the compositions."""
     system, start, exact = solved("XH3")
-    operators = point_operators(system.constraints(), FastForces(system.forces), RATTLE)
+    operators = point_operators(system.constraints(), of_positions(system.forces), (1.0,))
     errors = [distance(run(operators, SIER4, start, TIME / n, n), exact) for n in (12, 24)]
     assert slope(errors) == pytest.approx(2.0, abs=0.1)
 
@@ -114,7 +117,7 @@ def test_the_gradient_kick_is_the_force_of_the_modified_potential(name):
 @pytest.mark.parametrize("name", ["XH3", "ring", "chains"])
 def test_time_reversal(name, scheme):
     system, start, _ = solved(name)
-    operators = point_operators(system.constraints(), FastForces(system.forces))
+    operators = point_operators(system.constraints(), of_positions(system.forces))
     there = run(operators, scheme, start, 0.003, 20)
     assert distance(there, start) > 1.0
     back = run(operators, scheme, replace(there, p=-there.p), 0.003, 20)
@@ -257,7 +260,7 @@ def test_projected_noise_is_thermal():
 def nested(system, inner, longest, constraints=None):
     """Outer operators with the slow forces of a system, whose drift has its fast forces."""
     constraints = system.constraints() if constraints is None else constraints
-    fast = FastForces(system.fast_forces)
+    fast = of_positions(system.fast_forces)
     slow = CachedForces(lambda q, A: (system.slow_forces(q), np.zeros_like(q)))
     operators = constrained_operators(system.bodies, slow, constraints, groups=system.molecules)
     within = point_operators(constraints, fast)
@@ -323,7 +326,7 @@ def test_only_members_move_otherwise(rng):
     plain = drift(bodies)(state, 0.003)
     moved = constrained_drift(drift(bodies), constraints)(state, 0.003)
     pushed = nested_drift(
-        drift(bodies), members, SIER4, point_operators(part, FastForces(lambda q: np.ones_like(q))), 0.001
+        drift(bodies), members, SIER4, point_operators(part, of_positions(lambda q: np.ones_like(q))), 0.001
     )(state, 0.003)
     others = np.setdiff1d(np.arange(bodies.n), members)
     for found in (moved, pushed):
@@ -355,11 +358,11 @@ def test_inner_steps():
 
 def test_what_cannot_be_executed_is_refused():
     system = chains()
-    within = point_operators(system.constraints(), FastForces(system.fast_forces))
+    within = point_operators(system.constraints(), of_positions(system.fast_forces))
     with pytest.raises(ValueError, match="longest inner step must be positive, got 0"):
         nested_drift(drift(system.bodies), [0], SIER4, within, 0)
     with pytest.raises(ValueError, match="nothing executes the operator 'bath'"):
         nested_drift(drift(system.bodies), [0], SIER2.with_bath(), within, 0.001)
-    wrong = FastForces(lambda q: q[:, 1:])
+    wrong = of_positions(lambda q: q[:, 1:])
     with pytest.raises(ValueError, match=r"shape \(3, 18\) of the positions, got \(3, 17\)"):
-        wrong.at(system.x)
+        wrong.at(system.x, None)

@@ -17,6 +17,15 @@ CARBON, HYDROGEN = 12.0, 1.0
 #: Directions from the centre of a tetrahedron to its corners.
 CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 
+#: RATTLE steps of sixth order as fractions of a drift (Kahan and Li, Math. Comput. 66, 1089 (1997), 9 stages).
+WING = (0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023)
+KAHAN_LI = (*WING, 1 - 2 * sum(WING), *reversed(WING))
+
+
+def repeated(times, fractions):
+    """Fractions of a drift as those of equal parts of it."""
+    return tuple(fraction / times for fraction in fractions) * times
+
 
 class Points:
     """Points with constraints in a smooth potential.

@@ -186,7 +186,7 @@ def displace(table, q, push, new_q):
 def drift(table, q, p, times, new_q, new_p):
     """Write positions and momenta after RATTLE steps of some times; returns the constraint violated most, or -1.
 
-    Between two steps the momenta are not projected: the multipliers of the next step remove their part along the bonds.
+    Momenta are not projected: the multipliers of the next step remove their part along the bonds.
     """
     x, p = relative(table, q), taken(table.members, p)
     forces, before = np.zeros(len(table.squares)), 0.0
@@ -200,5 +200,5 @@ def drift(table, q, p, times, new_q, new_p):
             forces = multipliers / half
         before = d
     put(table.members, taken(table.first, q) + x, new_q)
-    put(table.members, tangent(table, x, p), new_p)
+    put(table.members, p, new_p)
     return -1

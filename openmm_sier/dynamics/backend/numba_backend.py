@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from openmm_sier.dynamics.backend import numba_loops
 from openmm_sier.dynamics.backend.numba_compile import compiled
-from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend, rotated
+from openmm_sier.dynamics.backend.numpy_backend import Kinds, NumpyBackend, rotated
 from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.backend.threads import shared
 
@@ -23,10 +23,27 @@ def _shared(loop: Any) -> Callable[..., int]:
     return shared(_compiled(loop))
 
 
+def _rotate_far(rates: ndarray, part: slice, A: ndarray, L: ndarray, h: float, far: ndarray, new: ndarray) -> None:
+    left = part.start + np.flatnonzero(far[part])
+    new[:, :, left] = rotated(rates, A[:, :, left], L[:, left], h, left)
+
+
 class NumbaBackend(NumpyBackend):
     """What `NumpyBackend` does, compiled. Bodies that turn too far for the series in a step are left to NumPy."""
 
     name = "Numba"
+
+    def drift(
+        self, kinds: Kinds, q: ndarray, p: ndarray, A: ndarray, L: ndarray, h: float, inverse_masses: ndarray
+    ) -> tuple[ndarray, ndarray]:
+        new_q, new_A, far = np.empty(q.shape), np.empty(A.shape), np.empty(A.shape[2], dtype=bool)
+        for rates, part in kinds:
+            if rates is None:
+                new_A[:, :, part] = A[:, :, part]
+                _shared(numba_loops.advance)(part, q, p, h, inverse_masses, new_q)
+            elif _shared(numba_loops.drift)(part, q, p, A, L, h, rates, inverse_masses, new_q, new_A, far):
+                _rotate_far(rates, part, A, L, h, far, new_A)
+        return new_q, new_A
 
     def _rotate_kind(self, rates: ndarray, part: slice, A: ndarray, L: ndarray, h: float, new: ndarray) -> None:
         if rates.ndim > 1:
@@ -34,13 +51,7 @@ class NumbaBackend(NumpyBackend):
             return
         far = np.empty(A.shape[2], dtype=bool)
         if _shared(numba_loops.rotate)(part, A, L, h, rates, new, far):
-            left = part.start + np.flatnonzero(far[part])
-            new[:, :, left] = rotated(rates, A[:, :, left], L[:, left], h, left)
-
-    def advance(self, q: ndarray, p: ndarray, h: float, inverse_masses: ndarray) -> ndarray:
-        new = np.empty(q.shape)
-        _shared(numba_loops.advance)(slice(0, q.shape[1]), q, p, h, inverse_masses, new)
-        return new
+            _rotate_far(rates, part, A, L, h, far, new)
 
     def kick(
         self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray

@@ -84,11 +84,17 @@ def rotate_tile(tile, rates, h):
 
 
 def advance(start, stop, q, p, h, inverse_masses, new_q):
-    """As `NumpyBackend.advance`, for a range of the bodies."""
+    """Centres after a time h, for a range of the bodies."""
     for x in range(3):
         for n in range(np.uint64(start), np.uint64(stop)):
             new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
     return 0
+
+
+def drift(start, stop, q, p, A, L, h, rates, inverse_masses, new_q, new_A, far):
+    """`advance` and `rotate` in one call, since beside few bodies calls are what costs."""
+    advance(start, stop, q, p, h, inverse_masses, new_q)
+    return rotate(start, stop, A, L, h, rates, new_A, far)
 
 
 def kick(start, stop, p, L, F, torque, h, new_p, new_L):

@@ -27,12 +27,25 @@ from openmm_sier.dynamics.backend.sites import Sites
 ROTATED = 4096
 
 
+#: Inverse moments of each kind of body, and which bodies are of it, see `NumpyBackend.rotate`.
+Kinds = Sequence[tuple[ndarray | None, slice]]
+
+
 class NumpyBackend:
     """Execution of formulas that are written for scalars and for arrays alike."""
 
     name = "NumPy"
 
-    def rotate(self, kinds: Sequence[tuple[ndarray | None, slice]], A: ndarray, L: ndarray, h: float) -> ndarray:
+    def drift(
+        self, kinds: Kinds, q: ndarray, p: ndarray, A: ndarray, L: ndarray, h: float, inverse_masses: ndarray
+    ) -> tuple[ndarray, ndarray]:
+        """Centres (3, n) and attitudes (3, 3, n) after free motion for a time h, of bodies at q with momenta p, (3, n).
+
+        Args and errors: as of `rotate`; inverse masses are (n,).
+        """
+        return q + (h * inverse_masses) * p, self.rotate(kinds, A, L, h)
+
+    def rotate(self, kinds: Kinds, A: ndarray, L: ndarray, h: float) -> ndarray:
         """Attitudes (3, 3, n) after the exact free rotation of bodies for a time h.
 
         Args:
@@ -59,10 +72,6 @@ class NumpyBackend:
             block = slice(start, min(start + ROTATED, part.stop))
             own = rates if rates.ndim == 1 else rates[:, block]
             new[:, :, block] = rotated(own, A[:, :, block], L[:, block], h, range(block.start, block.stop))
-
-    def advance(self, q: ndarray, p: ndarray, h: float, inverse_masses: ndarray) -> ndarray:
-        """Centres (3, n) after a time h, of bodies with momenta (3, n) and inverse masses (n,)."""
-        return q + (h * inverse_masses) * p
 
     def kick(
         self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray

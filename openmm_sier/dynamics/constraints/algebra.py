@@ -10,7 +10,8 @@ are central and act on pairs, so that nothing here changes the total momentum or
 
 Geodesics are composed of RATTLE steps (Andersen, J. Comput. Phys. 52, 24 (1983)): the atoms move freely for a time d,
 are brought back along the gradients at the start, x' = x + d M^-1 (p + G(x)^T mu), and the momenta p + G(x)^T mu are
-projected at the end. This map is symmetric and symplectic. All equations are solved to rounding, so that it stays so.
+projected at the end, where they are wanted. This map is symmetric and symplectic. All equations are solved to rounding,
+so that it stays so.
 """
 
 from __future__ import annotations
@@ -177,9 +178,11 @@ class Constraints:
 
     # --- the algebra ---
 
+    # Arrays are made contiguous, since Numba would compile everything once more for another layout.
+
     def project(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Momenta or forces, (3, n), tangent to the constraints at q; those of unconstrained bodies are unchanged."""
-        q, p = _plain(q), _plain(p)
+        q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
         new_p = p.copy()
         if len(self.pairs):
             backend.active().execute(constraint_solver.project, self._table, q, p, new_p)
@@ -191,7 +194,7 @@ class Constraints:
         Raises:
             ConstraintError: there are no such positions.
         """
-        q, push = _plain(q), shift * _plain(force)
+        q, push = np.ascontiguousarray(q), shift * np.ascontiguousarray(force)
         new_q = q + push / self.masses
         if len(self.pairs):
             self._demand(backend.active().execute(constraint_solver.displace, self._table, q, push, new_q))
@@ -211,17 +214,17 @@ class Constraints:
         """Free motion for the time t: straight lines, and geodesics of the constrained bodies.
 
         Args:
-            q, p: (3, n); q satisfies the constraints and p is tangent to them.
+            q, p: (3, n); q satisfies the constraints. What p has along the bonds does not matter.
             t: ps, of either sign.
             fractions: of t for each RATTLE step, with the sum 1; see `openmm_sier.dynamics.constraints.geodesic`.
 
         Returns:
-            (q, p), new arrays.
+            (q, p), new arrays; p is not projected, see `project`.
 
         Raises:
             ConstraintError: a RATTLE step has no solution nearby: momenta are far too large for t.
         """
-        q, p = _plain(q), _plain(p)
+        q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
         new_q, new_p = q + (t / self.masses) * p, p.copy()
         if t != 0 and len(self.pairs):
             times = t * np.asarray(fractions, dtype=float)
@@ -238,8 +241,3 @@ class Constraints:
             )
             error.bodies = bodies
             raise error
-
-
-def _plain(vectors: ArrayLike) -> np.ndarray:
-    """Vectors (3, n) as contiguous doubles: for another layout Numba would compile everything once more."""
-    return np.ascontiguousarray(vectors, dtype=float)

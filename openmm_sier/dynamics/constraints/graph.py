@@ -13,15 +13,15 @@ PIVOT, SHIFT = 1e-9, 1e-12
 def joined(n: int, pairs: np.ndarray) -> np.ndarray:
     """For each of n nodes the smallest number in its connected component of the graph with edges (c, 2), (n,)."""
     ends = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
-    first = np.arange(n)
-    while (apart := first[ends[:, 0]] != first[ends[:, 1]]).any():
-        ends = ends[apart]
-        low, high = np.sort(first[ends], axis=1).T
-        np.minimum.at(first, high, low)
-        # Each node now points to a smaller one of its component, and in the end to the smallest.
-        while not np.array_equal(further := first[first], first):
-            first = further
-    return first
+    if not len(ends):
+        return np.arange(n)
+    # Most systems have no constraints between bodies, and need not import this.
+    from scipy import sparse
+    from scipy.sparse.csgraph import connected_components
+
+    graph = sparse.coo_array((np.ones(len(ends), dtype=bool), ends.T), (n, n))
+    _, component = connected_components(graph, directed=False)
+    return np.unique(component, return_index=True)[1][component]
 
 
 def constraint_table(
@@ -36,7 +36,6 @@ def constraint_table(
         members: columns of constrained bodies, ascending, (m,).
         first: for each of these the smallest column of its component, (m,).
     """
-    # Most systems have no constraints between bodies, and need not import this.
     from scipy import sparse
 
     pairs, masses = np.searchsorted(members, pairs), masses[members]

@@ -204,7 +204,7 @@ class ExactEngine(Engine):
     def _complete(self, state: BodyState, step: operators.Stepper) -> None:
         time, steps = self.clock
         self.forces.step = steps + 1
-        if self._flow.updates_context and any(steps % frequency == 0 for frequency in self._sweeps):
+        if self._sweeps and self._flow.updates_context and any(steps % frequency == 0 for frequency in self._sweeps):
             state = self.bodies.shifted(state, -self.bodies.centre_velocity(state.p))
         try:
             state = step(state)

@@ -38,7 +38,7 @@ class BodyForces:
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self.positions, self.velocities, self._vectors = np.zeros((3, n, 3))
         self._placed: tuple = NOWHERE
-        self._groups = self._fast_groups = 0
+        self._groups = self._groups_in_kicks = 0
         self.evaluations = self.step = 0
         # The last two, for the start and the end of a trajectory.
         self._energies: list[tuple[np.ndarray, np.ndarray, float]] = []
@@ -55,7 +55,7 @@ class BodyForces:
 
     def select(self, groups: int, fast_groups: int) -> None:
         """Take the force groups that move the bodies, and the fast ones among them, each as a bit mask."""
-        self._groups, self._fast_groups = groups, fast_groups
+        self._groups, self._groups_in_kicks = groups, groups & ~fast_groups
 
     # --- atoms ---
 
@@ -97,7 +97,7 @@ class BodyForces:
 
     def in_kicks(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forces and torques on bodies at (q, A), each (3, n), of all groups but the fast ones."""
-        return self._of(self._groups & ~self._fast_groups, q, A)
+        return self._of(self._groups_in_kicks, q, A)
 
     def energy(self, state: BodyState) -> float:
         """Potential energy at a state, kJ/mol, of all groups that move the bodies."""

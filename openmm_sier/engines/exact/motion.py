@@ -10,7 +10,6 @@ import openmm
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constrained import (
-    FastForces,
     constrained_bath,
     constrained_operators,
     nested_drift,
@@ -57,8 +56,8 @@ class Motion:
         self._bodies, self._rotation = bodies, rotation
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
-        self._solute = _solute(context, bodies, self._members, groups_of(fast_groups))
-        self.fast = None if self._solute is None else FastForces(self._solute)
+        solute = self._solute = _solute(context, bodies, self._members, groups_of(fast_groups))
+        self.fast = None if solute is None else CachedForces(lambda q, A: (solute(q),))
         self._drift = operators.drift(bodies, rotation)
         self._outer = self._without_bath(forces)
         self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
@@ -92,7 +91,7 @@ class Motion:
             self._solute.follow(context)
             self.fast.invalidate()
 
-    def _nested_drift(self, forces: FastForces, longest: float) -> Operator:
+    def _nested_drift(self, forces: CachedForces, longest: float) -> Operator:
         members, constraints = self._members, self._bodies.constraints.restricted(self._members)
         within = point_operators(constraints, forces, groups=self._groups[members])
         return nested_drift(self._drift, members, WITHIN_DRIFTS, within, longest)

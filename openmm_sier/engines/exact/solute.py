@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 from openmm_sier.engines.snapshot import read_vectors
 from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES, bonded_kind, bonded_terms
 
+# OpenMM's methods as they are before `hooks` replaces them: no integrator has to be told of these calls.
+set_positions, get_state = openmm.Context.setPositions, openmm.Context.getState
+
 
 class SoluteError(ValueError):
     """Fast forces that a Context of bonded forces cannot compute."""
@@ -120,8 +123,8 @@ class SoluteForces:
     def __call__(self, q: np.ndarray) -> np.ndarray:
         """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm."""
         self._positions[self._members] = q.T
-        self._context.setPositions(self._positions)
-        found = read_vectors(self._context.getState(forces=True), openmm.State.Forces, self._values)
+        set_positions(self._context, self._positions)
+        found = read_vectors(get_state(self._context, forces=True), openmm.State.Forces, self._values)
         return np.ascontiguousarray(found[self._members].T)
 
     def follow(self, context: openmm.Context) -> bool:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK
 from openmm_sier.engines.variables import PREFIX
@@ -33,15 +34,8 @@ FRICTION, THERMAL = (PREFIX + name for name in ("friction", "kT"))
 #: OpenMM looks at every path through the if-blocks of a program, of which there are 2^parts.
 MOST_PARTS = 12
 
-_YOSHIDA = 1 / (2 - 2 ** (1 / 3))
-_SUZUKI = 1 / (4 - 4 ** (1 / 3))
-
-#: RATTLE steps, as fractions of a drift, that make the drift fourth order. Five are 80 times as accurate as three
-#: (Yoshida, Phys. Lett. A 150, 262 (1990); Suzuki, Phys. Lett. A 146, 319 (1990)).
-COMPOSITIONS = {
-    3: (_YOSHIDA, 1 - 2 * _YOSHIDA, _YOSHIDA),
-    5: (_SUZUKI, _SUZUKI, 1 - 4 * _SUZUKI, _SUZUKI, _SUZUKI),
-}
+#: RATTLE steps, as fractions of a drift, that make the drift fourth order. Five are 80 times as accurate as three.
+COMPOSITIONS = {3: TRIPLE_JUMP, 5: SUZUKI}
 
 #: Steps of RATTLE in each drift of an inner step.
 INNER_SUBSTEPS = 3
