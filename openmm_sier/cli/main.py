@@ -27,6 +27,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 def carry_out(options: argparse.Namespace) -> int:
     """Execute a command with parsed arguments and return the exit code."""
+    if sys.stdout is None:
+        streams.complain("standard output is closed; send it to a file, or to /dev/null")
+        return FAILED
     # Otherwise OpenMM counts the cores of the machine, for the threads of PME even where a Context has fewer.
     os.environ.setdefault("OPENMM_CPU_THREADS", str(cores()))
     try:

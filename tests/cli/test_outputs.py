@@ -159,6 +159,12 @@ def run_process(command, **options):
     return done.returncode, done.stdout, done.stderr
 
 
+def test_closed_standard_output(box):
+    code, _, err = run_process("$RUN run box.pdb >&-")
+    assert (code, err) == (1, "openmm-sier: standard output is closed; send it to a file, or to /dev/null\n")
+    assert [path.name for path in Path().iterdir()] == ["box.pdb"]
+
+
 @pytest.mark.slow
 def test_standard_output_on_a_full_disk(box):
     code, _, err = run_process("$RUN run box.pdb > /dev/full")
