@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from openmm_sier_command.options import OF_TUNING, OPTIONS, Option, add_options
 from openmm_sier_command.values import COUNT, SWITCH, file, number, several, whole, word
@@ -20,11 +21,11 @@ EXIT_CODES = """exit codes:
   0    done
   1    an error, in one line on standard error
   2    wrong arguments
-  3    energy or temperature ran away, for example because the step is too long. The last good checkpoint is kept
+  3    the temperature ran away, for example because the step is too long. The last checkpoint is kept
   4    the run that --restart should continue is already complete
   129, 130, 143
        ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,
-       and --restart goes on. A second signal ends the run at once
+       and --restart goes on
 """
 
 
@@ -134,22 +135,10 @@ class Parser(argparse.ArgumentParser):
         self.exit(MISUSED, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-class _Version(argparse.Action):
-    """Looks up the version only when it is asked for."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from importlib.metadata import version
-
-        print(f"{PROGRAM} {version(PROGRAM)}")
-        parser.exit()
-
-
 def build_parser() -> argparse.ArgumentParser:
     """The parser of `openmm-sier`. What it returns has the name of the command as `command`."""
     parser = Parser(prog=PROGRAM, description="Simulation of rigid molecules with OpenMM, with exact rotation.")
-    parser.add_argument(
-        "--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
-    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {version(PROGRAM)}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
     for name, command in COMMANDS.items():
         added = commands.add_parser(

@@ -99,18 +99,6 @@ class Option:
         return [self.flag, *map(str, value if isinstance(value, list) else [value])]
 
 
-def checked(source: str, name: str, kind: Kind, value: object) -> Any:
-    """The value that a file has by a name.
-
-    Raises:
-        OptionError: it is not of the kind.
-    """
-    try:
-        return kind.check(value)
-    except WrongValueError as error:
-        raise OptionError(f"{source}: {name}: {error}") from None
-
-
 def _option(kind: Kind, help: str, default: Any = None, otherwise: str = "", **more: Any) -> Any:
     known = {"kind": kind, "help": help, "default": default, "otherwise": otherwise, **more}
     return field(default=None, metadata=known)
@@ -329,7 +317,10 @@ def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:
             raise OptionError(f"{source}: there is no option {name}")
     if len(both := [name for name in EXCLUSIVE if name in table]) > 1:
         raise OptionError(f"{source}: {' and '.join(both)} exclude each other")
-    return {
-        name: None if value is None and OPTIONS[name].empty else checked(source, name, OPTIONS[name].kind, value)
-        for name, value in table.items()
-    }
+    found = {}
+    for name, value in table.items():
+        try:
+            found[name] = None if value is None and OPTIONS[name].empty else OPTIONS[name].kind.check(value)
+        except WrongValueError as error:
+            raise OptionError(f"{source}: {name}: {error}") from None
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,7 +109,9 @@ def file(metavar: str = "FILE", use: str = "input") -> Kind:
     """The name of a file that a command reads (`use` is "input") or writes ("output")."""
 
     def accepts(value: Any) -> bool:
-        return isinstance(value, str) and value != "" and "\0" not in value
+        # No file is written by the name of this directory, or of the one above.
+        refused = ("", ".", "..") if use == "output" else ("",)
+        return isinstance(value, str) and value not in refused and "\0" not in value
 
     return Kind("the name of a file", accepts, Path, metavar=metavar, file=use)
 
@@ -124,21 +126,6 @@ def several(kind: Kind) -> Kind:
         return [kind.check(item) for item in value]
 
     return Kind("a list with at least one value", accepts, made, metavar=kind.metavar, file=kind.file, each=kind)
-
-
-def table(entries: Mapping[str, Kind]) -> Kind:
-    """Values by their names, each of a kind of its own, and all of them."""
-
-    def made(value: Any) -> dict[str, Any]:
-        for name, kind in entries.items():
-            if not kind.accepts(value[name]):
-                raise WrongValueError(f"{kind.expected} as {name}", value[name])
-        return {name: kind.made(value[name]) for name, kind in entries.items()}
-
-    accepted = set(entries)
-    return Kind(
-        f"a table of {', '.join(entries)}", lambda value: isinstance(value, dict) and set(value) == accepted, made
-    )
 
 
 #: Kinds that several commands share.

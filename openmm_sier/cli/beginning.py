@@ -25,17 +25,6 @@ from openmm_sier.prepare.preparation import prepare_system
 from openmm_sier_command.options import RECOMMENDED, USUAL_STEPS
 
 
-def check_platform(name: str | None) -> None:
-    """Refuse a platform that OpenMM does not have.
-
-    Raises:
-        RunError: with those that it has.
-    """
-    known = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
-    if name is not None and name not in known:
-        raise RunError(f"there is no registered Platform {name}, expected one of {', '.join(known)}")
-
-
 def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | None]:
     """The state from which a new run starts, and the plan of the run that reached it; None without a checkpoint.
 
@@ -44,7 +33,7 @@ def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | Non
     """
     if checkpoint is None:
         return None, None
-    state, notes = checkpoints.read_checkpoint(checkpoint, files=False)
+    state, notes = checkpoints.read_checkpoint(checkpoint)
     return state, noted_plan(checkpoint, notes["plan"])
 
 
@@ -78,11 +67,8 @@ class Simulated:
         note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
         bodies = rigid_bodies(box, plan.rigid)
         fast = prepare_system(box.system, bodies).fastForceGroups
-        if not box.system.usesPeriodicBoundaryConditions():
-            if plan.moves_volume:
-                raise RunError("constant pressure needs a periodic box, which the PDB file does not have")
-            if plan.pressure_tensor:
-                raise RunError("--pressure-tensor needs a periodic box, which the PDB file does not have")
+        if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
+            raise RunError("--pressure-tensor needs a periodic box, which the PDB file does not have")
         return cls(options, plan, box, bodies, fast)
 
     def context(self, step: int = 0) -> openmm.Context:
@@ -138,16 +124,6 @@ class Simulated:
             stock.shift_velocities(context, -plan.dt / 2000)
         return context
 
-    def check_particles(self, state: openmm.State, checkpoint: Path | None) -> None:
-        """Refuse the state of a checkpoint with another number of particles.
-
-        Raises:
-            RunError: with both numbers.
-        """
-        there, here = len(state.getPositions()), self.box.system.getNumParticles()
-        if there != here:
-            raise RunError(f"{checkpoint} has {there} particles, {self.options.box} with its force field {here}")
-
     def integrator(self, plan: Plan) -> SIERIntegrator:
         """An integrator of this package for a plan, with SIER4G where the plan has a method of OpenMM."""
         step, scheme = plan.dt / 1000, plan.method.scheme or SIER4G
@@ -169,13 +145,12 @@ class Simulated:
     def _start_from(self, context: openmm.Context, state: openmm.State, origin: Plan | None) -> None:
         """Take positions, velocities and box of a checkpoint."""
         start = self.options.start
-        self.check_particles(state, start)
-        context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-        context.setPositions(state.getPositions())
-        context.setVelocities(state.getVelocities())
         try:
+            context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+            context.setPositions(state.getPositions())
+            context.setVelocities(state.getVelocities())
             context.getIntegrator().getBodyState()
-        except RigidityError as error:
+        except (RigidityError, openmm.OpenMMException) as error:
             raise RunError(f"{start} does not fit {self.options.box}: {first_line(error)}") from error
         if origin is not None and origin.method.leapfrog:
             stock.shift_velocities(context, origin.dt / 2000)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, suppress
 from datetime import timedelta
 
 try:
@@ -27,19 +27,9 @@ clock = time.perf_counter
 LINE_AFTER = 30.0
 
 
-@contextmanager
-def _standard_output() -> Iterator[None]:
-    """Make write errors name standard output, for example when it goes to a full disk."""
-    try:
-        yield
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, "standard output") from error
-
-
 def note(message: str) -> None:
     """Print a line of progress information."""
-    with _standard_output():
-        print(message, flush=True)
+    print(message, flush=True)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
@@ -57,13 +47,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
     for row in rows:
         made.add_row(*row)
     # In a file, lines are as long as they need to be.
-    with _standard_output():
-        Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
-
-
-def show_cursor() -> None:
-    """Show the cursor of a terminal, which a progress bar hides: for programs that end within one."""
-    Console(stderr=True).show_cursor()
+    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 
 
 class ProgressBar(AbstractContextManager[Advance]):
@@ -92,6 +76,8 @@ class ProgressBar(AbstractContextManager[Advance]):
     def __enter__(self) -> Advance:
         with suppress(OSError):
             self._bar.start()
+            # Whatever ends the process then leaves a terminal as it was.
+            self._bar.console.show_cursor()
         return self._advance
 
     def __exit__(self, *_: object) -> None:

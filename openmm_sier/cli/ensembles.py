@@ -27,14 +27,9 @@ from openmm_sier.cli.console import REPORT, note, table
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError, new_plan
 from openmm_sier.measure.ensemble import (
-    COMPLETE,
-    LOCK,
-    NOTES,
-    OUTPUT,
     EnsembleError,
     Member,
     Outcome,
-    damaged_notes,
     ensemble,
     is_complete,
 )
@@ -51,12 +46,6 @@ KEYS, COMMAND = ("options", "members"), "run"
 
 #: Options that the ensemble itself sets.
 TAKEN = ("out", "restart", "overwrite")
-
-#: Files of a member that are not those of its run.
-OWN_FILES = (OUTPUT, COMPLETE, NOTES, LOCK)
-
-#: Longest name of a directory on common file systems.
-LONGEST_NAME = 255
 
 
 class PlanError(ValueError):
@@ -76,9 +65,6 @@ def run(
     directory = out or plan.with_suffix("")
     complete = [is_complete(member, directory) for member in members]
     note(f"{plan}: {len(members)} members in {directory}, {sum(complete)} of them complete")
-    for member in (member for member, done in zip(members, complete, strict=True) if not done):
-        for damaged in damaged_notes(member, directory):
-            note(f"{damaged} is damaged: {member.name} is done again")
     if list:
         rows = [[m.name, "complete" if done else ""] for m, done in zip(members, complete, strict=True)]
         table(str(plan), ("member", ""), rows, 2)
@@ -103,11 +89,8 @@ def _tell(outcomes: list[Outcome] | tuple[Outcome, ...]) -> None:
 
 
 def _workers(address: str) -> Executor:
-    try:
-        from distributed import Client
-    except ModuleNotFoundError as error:
-        message = "--scheduler needs dask.distributed; install it with: pip install 'openmm-sier[cluster]'"
-        raise ModuleNotFoundError(message) from error
+    from distributed import Client
+
     # The result of a member does not depend on its arguments alone, but also on the files that it already has.
     return Client(address).get_executor(pure=False)
 
@@ -178,24 +161,14 @@ def _member(path: Path, options: dict[str, Any], varied: list[str]) -> Member:
     except RunError as error:
         raise PlanError(f"{path}: {error}") from None
     for key, value in checked.items():
-        if OPTIONS[key].kind.file == "output":
-            _check_output(path, key, value)
+        if OPTIONS[key].kind.file == "output" and len(value.parts) != 1:
+            raise PlanError(f"{path}: {key}: outputs lie in the directory of each member: give a name alone")
     arguments = [COMMAND, box]
     for key, value in options.items():
         if key != "box":
             arguments += OPTIONS[key].words(_found(path, value) if OPTIONS[key].kind.file == "input" else value)
     name = "-".join(_label(key, options[key]) for key in varied) or COMMAND
-    if len(name) > LONGEST_NAME:
-        raise PlanError(f"{path}: a member's name would have {len(name)} characters: vary fewer options")
     return Member(name, tuple(arguments), checked.get("time") or 0.0)
-
-
-def _check_output(path: Path, key: str, name: Path) -> None:
-    """Outputs stand in the member's directory, always, and are not the ensemble's own files."""
-    if len(name.parts) != 1 or name.name in ("", ".."):
-        raise PlanError(f"{path}: {key}: outputs lie in the directory of each member, so give a name alone, got {name}")
-    if name.name.lower() in OWN_FILES or name.name.lower().startswith(f"{NOTES}."):
-        raise PlanError(f"{path}: {key}: {name} is a file of the ensemble itself: choose another name")
 
 
 def _found(path: Path, name: Any) -> Any:

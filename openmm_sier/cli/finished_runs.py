@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from openmm_sier.cli.files import checkpoints
-from openmm_sier.cli.files.records import RecordError
+from openmm_sier.cli.files.records import RecordError, read_log
 from openmm_sier.cli.plan import Plan, RunError, noted_plan
 from openmm_sier.measure.statistics import FEWEST
 from openmm_sier.observe import conservation, pressure
@@ -67,8 +67,6 @@ class FinishedRun(NamedTuple):
         """Columns of the pressure tensors likewise; None where the run wrote none."""
         if self.plan.pressure_tensor is None:
             return None
-        if self.notes.get("tensors") is None:
-            raise RecordError(f"{self.checkpoint} does not note the length of its tensors")
         path, interval = Path(self.plan.pressure_tensor), self.plan.interval(self.plan.pressure_tensor_every)
         return _after(skip, path, read_rows(path, pressure.COLUMNS, self.notes["tensors"]["count"], interval, interval))
 
@@ -118,45 +116,22 @@ def read_rows(path: Path, columns: Sequence[str], count: int, interval: int, fir
         first: step of the first row.
 
     Raises:
-        RecordError: a column, a number or a row is missing, or there is one too many. It names file and line.
+        RecordError: a column, a number or a row is missing, or there is one too many.
         OSError: the file cannot be read.
     """
-    heading, *lines = path.read_text().splitlines() or [""]
-    names = heading.split(",")
-    if missing := [name for name in columns if name not in names]:
-        raise RecordError(f"{path}, line 1: expected a heading with {missing[0]}, got {heading[:60]!r}")
-    rows = _numbers(path, lines, len(names))
-    values = dict(zip(names, rows.T, strict=True))
-    steps = first + interval * np.arange(len(rows))
-    if (wrong := np.flatnonzero(values["Step"] != steps)).size:
-        i = int(wrong[0])
+    values = read_log(path)
+    if missing := [name for name in columns if name not in values]:
+        raise RecordError(f"{path}: expected a heading with {missing[0]}")
+    if not np.array_equal(values["Step"], first + interval * np.arange(count)):
         raise RecordError(
-            f"{path}, line {i + 2}: expected step {steps[i]}, got {values['Step'][i]:g}: rows are missing or repeated"
-        )
-    if len(rows) != count:
-        line = min(len(rows), count) + 2
-        raise RecordError(
-            f"{path}, line {line}: expected {count} rows, as the checkpoint notes, got {len(rows)}: the run still goes "
+            f"{path}: expected {count} rows, one every {interval} steps, as the checkpoint notes: the run still goes "
             "on, was cut off (run --restart mends that), or the file is not that of the checkpoint"
         )
     for name in columns:
-        wrong = np.flatnonzero(~np.isfinite(values[name]))
-        if wrong.size and not (name in UNKNOWN and np.isnan(values[name]).all()):
-            raise RecordError(f"{path}, line {wrong[0] + 2}: {name} is {values[name][wrong[0]]}, expected a number")
+        wrong = ~np.isfinite(values[name])
+        if wrong.any() and not (name in UNKNOWN and np.isnan(values[name]).all()):
+            raise RecordError(f"{path}: {name} is {values[name][wrong][0]} in row {wrong.argmax() + 1}")
     return values
-
-
-def _numbers(path: Path, lines: Sequence[str], width: int) -> np.ndarray:
-    rows = []
-    for number, line in enumerate(lines, 2):
-        try:
-            row = [float(word) for word in line.split(",")]
-        except ValueError:
-            row = []
-        if len(row) != width:
-            raise RecordError(f"{path}, line {number}: expected {width} numbers, got {line[:60]!r}")
-        rows.append(row)
-    return np.array(rows).reshape(-1, width)
 
 
 def _after(skip: float, path: Path, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +17,6 @@ from openmm_sier_command.options import (
     OF_THE_SYSTEM,
     OPTIONS,
     USUAL_STEPS,
-    OptionError,
     Options,
     check_table,
 )
@@ -30,9 +29,6 @@ DEFAULT_TIME = 10.0
 
 #: Steps in a trial of hybrid Monte Carlo.
 TRIAL = 10
-
-#: Most steps between two records of a file, a 32-bit number in DCD files.
-LONGEST_INTERVAL = 2**31 - 1
 
 #: Options that name one file each. A checkpoint notes them relative to itself.
 FILES = tuple(name for name in NOTED if OPTIONS[name].kind.file and not OPTIONS[name].kind.each)
@@ -161,7 +157,7 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
         "steps", _steps(values.get("time", DEFAULT_TIME), values["dt"] * values.get("steps_per_trial", 1))
     )
     values.setdefault("out", Path(f"{options.box.stem}.dcd"))
-    values.setdefault("report", values["out"].with_suffix(".csv") if values["out"].name else values["out"])
+    values.setdefault("report", values["out"].with_suffix(".csv"))
     values.setdefault("bodies_every", values["every"])
     plan = Plan(**values)
     _check(plan)
@@ -176,45 +172,28 @@ def _steps(time: float, dt: float) -> int:
 def _check(plan: Plan) -> None:
     """Refuse what no run can have."""
     if plan.ensemble not in plan.method.ensembles:
-        raise RunError(
-            f"{plan.method.name} needs --ensemble {_alternatives(plan.method.ensembles)}, got {plan.ensemble}"
-        )
+        possible = ", ".join(plan.method.ensembles)
+        raise RunError(f"{plan.method.name} has the ensembles {possible}, got {plan.ensemble}")
     if plan.rigid and plan.method.scheme is None:
         raise RunError(
             f"--rigid {' '.join(plan.rigid)} needs a scheme of this package: {plan.method.name} holds no molecules "
             "rigid but by constraints"
         )
-    if plan.ensemble == "npt" and plan.pressure is None:
-        raise RunError("--ensemble npt needs --pressure")
-    if (plan.ensemble == "hmc") != (plan.steps_per_trial is not None):
-        raise RunError("--steps-per-trial needs --ensemble hmc, and that needs it")
-    for name in OUTPUTS:
-        path = getattr(plan, name)
-        if path is not None and path.name in ("", ".."):
-            raise RunError(f"{OPTIONS[name].flag} {path} is a directory, expected the name of a file")
-    for name in OPTIONS:
-        if name.endswith("every") and plan.interval(getattr(plan, name)) > LONGEST_INTERVAL:
-            raise RunError(f"{OPTIONS[name].flag} {getattr(plan, name):g} is more than {LONGEST_INTERVAL} steps")
-
-
-def _alternatives(names: Sequence[str]) -> str:
-    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _check_given(options: Options, ensemble: str) -> None:
     """Refuse options that would do nothing."""
     if options.start and options.restart:
         raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
-    if options.friction is not None and ensemble == "nve":
-        raise RunError("--friction needs --ensemble nvt, npt or hmc")
-    if options.pressure is not None and ensemble not in ("npt", "hmc"):
-        raise RunError("--pressure needs --ensemble npt or hmc")
-    if options.steps_per_trial is not None and ensemble != "hmc":
-        raise RunError("--steps-per-trial needs --ensemble hmc")
-    if options.bodies_every is not None and options.bodies is None:
-        raise RunError("--bodies-every needs --bodies FILE.h5")
-    if options.pressure_tensor_every is not None and options.pressure_tensor is None:
-        raise RunError("--pressure-tensor-every needs --pressure-tensor FILE.csv")
+    for name, needed, there in (
+        ("friction", "--ensemble nvt, npt or hmc", ensemble != "nve"),
+        ("pressure", "--ensemble npt or hmc", ensemble in ("npt", "hmc")),
+        ("steps_per_trial", "--ensemble hmc", ensemble == "hmc"),
+        ("bodies_every", "--bodies FILE.h5", options.bodies),
+        ("pressure_tensor_every", "--pressure-tensor FILE.csv", options.pressure_tensor),
+    ):
+        if getattr(options, name) is not None and not there:
+            raise RunError(f"{OPTIONS[name].flag} needs {needed}")
 
 
 # --- from a checkpoint ---
@@ -224,22 +203,12 @@ def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan that a checkpoint notes, with paths of files relative to the current directory.
 
     Raises:
-        OptionError, RunError: it is none; the message names the checkpoint and the field.
+        OptionError: it is none; the message names the checkpoint and the field.
     """
-    source = f"{checkpoint}: plan"
-    if unknown := [name for name in saved if name not in NOTED]:
-        raise OptionError(f"{source}: there is no option {unknown[0]}")
-    if missing := [name for name in NOTED if saved.get(name) is None and not OPTIONS[name].empty]:
-        raise OptionError(f"{source}: {missing[0]} is missing")
-    values = check_table(source, saved)
+    values = check_table(f"{checkpoint}: plan", saved)
     here = os.path.dirname(checkpoint)
     beside = {name: Path(os.path.normpath(os.path.join(here, values[name]))) for name in FILES if values.get(name)}
-    plan = Plan(**values | beside)
-    try:
-        _check(plan)
-    except RunError as error:
-        raise RunError(f"{source}: {error}") from None
-    return plan
+    return Plan(**values | beside)
 
 
 def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, object]) -> Plan:

@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from signal import Signals
 from typing import Any
 
 import openmm
 from openmm import unit
 
 from openmm_sier.cli import runaway, summary
-from openmm_sier.cli.beginning import Simulated, check_platform, read_start
-from openmm_sier.cli.console import ProgressBar, clock, note, show_cursor, table
+from openmm_sier.cli.beginning import Simulated, read_start
+from openmm_sier.cli.console import ProgressBar, clock, note, table
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
-from openmm_sier.cli.files.outputs import OutputFiles, Outputs, run_identity
+from openmm_sier.cli.files.outputs import OutputFiles, Outputs
 from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
-from openmm_sier.cli.stopping import Stopped, StopRequests, signal_name
+from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.engines.temperature import degrees_of_freedom
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box, first_line, locate
@@ -45,19 +46,11 @@ def run(**given: Any) -> None:
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     options = Options(**given)
-    with FileLocks() as locks:
-
-        def leave_nothing() -> None:
-            locks.remove()
-            show_cursor()
-
-        with StopRequests(leave_nothing) as requests:
-            _run(options, requests, locks)
+    with FileLocks() as locks, StopRequests() as requests:
+        _run(options, requests, locks)
 
 
 def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
-    check_platform(options.platform)
-    notes: dict[str, Any] = {}
     if options.restart:
         if options.restart.is_file():
             # Before it is read, so that nobody replaces it from here on.
@@ -65,43 +58,36 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
         state, notes = checkpoints.read_checkpoint(options.restart)
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
     else:
-        state, origin = read_start(options.start)
+        notes, (state, origin) = None, read_start(options.start)
         plan = new_plan(options, origin)
         checkpoint = plan.out.with_suffix(".chk")
-    files = OutputFiles(plan, checkpoint)
-    files.check(_inputs(options))
-    locks.hold(files.everything.values())
-    files.check_existing("continue" if options.restart else "replace" if options.overwrite else "refuse")
-    noted = files.noted(notes) if options.restart else {}
     simulated = Simulated.read(options, plan)
+    files = OutputFiles(plan, checkpoint)
     files.check(_inputs(options, simulated.box))
-    if options.restart:
-        _check_unfinished(plan, options.restart, notes["step"], files.are_finished)
-        context = _restored(simulated, state, notes)
-    else:
-        context = simulated.begin(state, origin)
+    locks.hold(files.everything)
+    if not (notes or options.overwrite):
+        files.refuse_existing()
+    if notes:
+        _check_unfinished(plan, checkpoint, notes["step"], files.are_finished)
+        files.check_noted(notes)
+    context = _restored(simulated, state, notes) if notes else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
-    if not options.restart:
+    if not notes:
         files.remove()
-        notes = {"run": run_identity(plan, context)}
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
-    columns = conservation.columns(context.getIntegrator())
-    outputs = Outputs(files, plan, simulated.box, simulated.bodies, notes["run"], columns, noted, notes.get("step"))
-    dof = degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum)
-    guard = runaway.Guard(plan, dof, read_log(outputs.log.path) if outputs.log.count else None)
-    cost = _advance(context, plan, outputs, guard, requests)
+    outputs = Outputs(files, simulated, context, notes)
+    bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
+    cost = _advance(context, plan, outputs, bounds, requests)
     outputs.finish()
     _report(plan, outputs, cost)
     note(f"wrote {files}")
 
 
-def _inputs(options: Options, box: Box | None = None) -> list[Path]:
+def _inputs(options: Options, box: Box) -> list[Path]:
     """Files that are read and must not be written. The checkpoint of --restart, which is both, is not among them."""
-    files = [options.box, options.start]
-    if box is not None:
-        files += [Path(locate(file, options.box.parent)) for file in box.choice.files]
-    return [path for path in files if path is not None]
+    fields = [Path(locate(file, options.box.parent)) for file in box.choice.files]
+    return [options.box, *fields, *([options.start] if options.start else [])]
 
 
 def _length(plan: Plan, steps: int) -> str:
@@ -134,7 +120,6 @@ def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) 
     """A Context in the state of a checkpoint, which must belong to this system."""
     box, checkpoint = simulated.options.box, simulated.options.restart
     context = simulated.context(notes["step"])
-    simulated.check_particles(state, checkpoint)
     try:
         context.setState(state)
     except openmm.OpenMMException as error:
@@ -152,7 +137,7 @@ def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) 
 
 
 def _advance(
-    context: openmm.Context, plan: Plan, outputs: Outputs, guard: runaway.Guard, requests: StopRequests
+    context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds, requests: StopRequests
 ) -> summary.Cost:
     """Run from the Context's step to the last one of the plan, or to a signal, writing what is due."""
     integrator = context.getIntegrator()
@@ -162,7 +147,7 @@ def _advance(
     progress = ProgressBar(plan.method.name, plan.steps, plan.step_time, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if not outputs.log.count:
-            _write(["log", "checkpoint"], context, plan, outputs, guard)
+            _write(["log", "checkpoint"], context, plan, outputs, bounds)
         while step < plan.steps and requests.received is None:
             chunk = min(outputs.next_due(step), plan.steps, step + longest) - step
             start, before = clock(), watch.seconds
@@ -172,12 +157,12 @@ def _advance(
             seconds += spent
             force_seconds += watch.seconds - before
             step += chunk
-            _write(outputs.due(step), context, plan, outputs, guard)
+            _write(outputs.due(step), context, plan, outputs, bounds)
             show(step)
         if outputs.saved_step != step:
-            _write(["checkpoint"], context, plan, outputs, guard)
+            _write(["checkpoint"], context, plan, outputs, bounds)
     if step < plan.steps and requests.received is not None:
-        by, where = signal_name(requests.received), _length(plan, step)
+        by, where = Signals(requests.received).name, _length(plan, step)
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
         raise Stopped(requests.received, message)
     evaluations = integrator.forceEvaluations - evaluations
@@ -200,14 +185,12 @@ def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) 
         raise RunError(f"{error.filename}: {error.strerror}, at step {where}. {kept}") from error
 
 
-def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, guard: runaway.Guard) -> None:
+def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds) -> None:
     """Check the bounds, then write the files that are due."""
+    runaway.check(context, bounds)
     values = {}
     if "log" in due or "checkpoint" in due:
         values = dict(zip(outputs.log.columns, conservation.row(context), strict=True))
-        guard.look(values)
-    else:
-        guard.look_at_temperatures(*context.getIntegrator().computeTemperatures()[1:])
     outputs.write(due, context, values)
     if "checkpoint" in due and isinstance(context.getIntegrator(), stock.StockIntegrator):
         stock.go_on_as_a_restart(context, plan.seed)
@@ -216,4 +199,4 @@ def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs
 def _kept(outputs: Outputs, use: str) -> str:
     if outputs.saved_step is None:
         return "There is no checkpoint yet"
-    return f"The last good checkpoint is {outputs.checkpoint}, of step {outputs.saved_step}; {use}"
+    return f"The last checkpoint is {outputs.checkpoint}, of step {outputs.saved_step}; {use}"

@@ -19,22 +19,6 @@ AS_OPTIONS = {
 }
 
 
-def open_closed_streams() -> bool:
-    """Open the null device for each standard stream that is closed, so that no other file gets its number.
-
-    Returns whether standard output was open.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            # This takes the lowest free number, which is that of the closed stream.
-            os.open(os.devnull, os.O_RDWR)
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
-    return sys.stdout is not None
-
-
 def discard(stream: TextIO) -> None:
     """Send unwritten text of a broken stream to the null device; otherwise Python would fail on it when it exits."""
     with contextlib.suppress(OSError, ValueError):

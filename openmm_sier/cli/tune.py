@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
-from openmm_sier.cli.beginning import Simulated, check_platform, read_start
+from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.plan import Options, Plan, new_plan
 from openmm_sier.cli.streams import PROGRAM
@@ -26,7 +26,6 @@ def run(acceptance: float, trials: int, samples: int, **given: Any) -> None:
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     options = Options(ensemble="hmc", **given)
-    check_platform(options.platform)
     state, origin = read_start(options.start)
     plan = new_plan(options, origin)
     context = Simulated.read(options, plan).begin(state, origin)

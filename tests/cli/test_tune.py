@@ -52,4 +52,4 @@ def test_line_keeps_what_was_given():
 
 
 def test_schemes_of_openmm_have_no_trials(capsys, box):
-    assert "OpenMM Verlet needs --ensemble" in complaint(capsys, "tune", box, "--scheme", "verlet")
+    assert "OpenMM Verlet has the ensembles" in complaint(capsys, "tune", box, "--scheme", "verlet")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -80,15 +78,6 @@ def test_all_runs_at_constant_energy_count(capsys):
     run("validate", "4-1", "2-1", "2-2")
     capsys.readouterr()
     assert "energy at 4 and 2 fs" in complaint_after_table(capsys, "4-1", "4-2", "2-1", "2-2")
-
-
-def test_runs_are_pooled_whatever_else_they_wrote(capsys):
-    """A file of pressure tensors for each, at an interval of its own, makes them no other runs."""
-    for seed in (1, 2):
-        options = {"seed": seed, "pressure_tensor": Path(f"seed{seed}") / "p.csv", "every": 0.1 * seed}
-        write_run(f"seed{seed}", log(seed=seed, rows=200), ensemble="nvt", temperature=T, **options)
-    run("validate", "seed1", "seed2")
-    assert "2 runs" in capsys.readouterr().out
 
 
 def test_what_tells_nothing_is_refused(capsys):

@@ -37,7 +37,6 @@ def write_run(name, values, **options):
     columns["Step"] = plan.interval(plan.report_every) * np.arange(rows)
     write_rows(Path(plan.report), columns)
     notes = {
-        "run": "identity",
         "plan": plan.noted(checkpoint),
         "step": plan.steps,
         "potential_energy": float(columns["Potential Energy (kJ/mole)"][-1]),
@@ -59,4 +58,4 @@ def write_rows(path, columns):
     file = records.Log(path, tuple(columns))
     for row in np.transpose(list(columns.values())):
         file.write(row)
-    file.close()
+    file.finish()

@@ -9,108 +9,62 @@ import openmm
 
 from openmm_sier.cli.files import records
 from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.observe.body_states import (
-    BodyStateFile,
-    body_frame,
-    check_same,
-    frame_type,
-    import_h5py,
-    read_frames,
-)
+from openmm_sier.observe.body_states import BodyStateFile, body_frame, frame_type, import_h5py, read_frames
 
-SUFFIX = ".h5"
-
-#: Bytes of the title of the plain file.
-HEADER = 80
-
-#: Bytes converted at a time.
-CHUNK_BYTES = 2**24
+#: Frames converted at a time.
+CHUNK = 100
 
 
 class BodyStates(records.MadeAtTheEnd):
     """An HDF5 file in the layout of `openmm_sier.observe.body_states`, whose centres follow continuous paths.
 
-    It is made of a plain file, a title and frames. Both hold every bit of the numbers, so a finished file can be turned
-    back into a plain one and continued.
+    It is made of a file of frames alone. Both hold every bit of the numbers, so a finished file can be turned back into
+    frames and continued.
     """
 
     GROWING = ".frames"
 
-    def __init__(
-        self, path: Path, bodies: RigidBodies, periodic: bool, run: str = "", noted: records.Noted | None = None
-    ):
+    def __init__(self, path: Path, bodies: RigidBodies, periodic: bool, noted: records.Noted | None = None):
         """
         Args:
             path: of the HDF5 file.
             bodies: the rigid bodies.
             periodic: whether there is a box.
-            run: identity of the run.
             noted: what to keep of the frames; None begins anew.
-
-        Raises:
-            ValueError: the file to continue has another layout, or holds other bodies.
         """
-        self.target, self._bodies, self._periodic, self._title = path, bodies, periodic, records.title(run)
-        self._frame = frame_type(bodies.n, periodic)
-        self._chunk = max(1, CHUNK_BYTES // self._frame.itemsize)
-        if noted and not self.unfinished(path):
-            self._take_apart()
         super().__init__(self.growing(path), noted)
-        if not self.size:
-            self.append(_header(self._title), counts=False)
+        self.target, self._bodies, self._periodic = path, bodies, periodic
 
     @classmethod
-    def read_finished(cls, path: Path) -> tuple[str, int]:
-        h5py = import_h5py()
-        with records.naming(path), h5py.File(path, "r") as file:
-            if "step" not in file or "q" not in file:
-                raise records.RecordError(f"{path} has no body states")
-            return str(file.attrs.get("title")), len(file["step"])
+    def check(cls, path: Path, noted: records.Noted) -> None:
+        growing = cls.growing(path)
+        if cls.unfinished(path):
+            super().check(growing, noted)
+            return
+        _take_apart(path, growing)
+        try:
+            super().check(growing, noted)
+        except records.RecordError as error:
+            growing.unlink()
+            raise records.RecordError(f"{path} is not the file that the checkpoint belongs to") from error
 
     def write(self, context: openmm.Context) -> None:
         """Append the bodies of a Context at its last completed step."""
         self.append(body_frame(context, context.getState()).tobytes())
 
     def _make(self, path: Path) -> None:
-        frames = np.memmap(self.path, self._frame, "r", HEADER) if self.count else np.zeros(0, self._frame)
-        file = BodyStateFile(path, self._bodies, self._periodic, title=self._title)
+        kind = frame_type(self._bodies.n, self._periodic)
+        frames = np.memmap(self.path, kind, "r") if self.count else np.zeros(0, kind)
+        file = BodyStateFile(path, self._bodies, self._periodic)
         try:
-            for first in range(0, self.count, self._chunk):
-                file.append(frames[first : first + self._chunk])
+            for first in range(0, self.count, CHUNK):
+                file.append(frames[first : first + CHUNK])
         finally:
             file.close()
 
-    def _take_apart(self) -> None:
-        import h5py
 
-        frames = self.growing(self.target)
-        with (
-            h5py.File(self.target, "r") as file,
-            records.replacing(frames) as made,
-            open(made, "wb") as out,
-        ):
-            check_same(file, self.target, self._bodies, self._periodic)
-            out.write(_header(self._title))
-            for first in range(0, len(file["step"]), self._chunk):
-                out.write(read_frames(file, first, first + self._chunk).tobytes())
-
-    @classmethod
-    def companions(cls, path: Path) -> list[Path]:
-        return [*super().companions(path), records.temporary(cls.growing(path))]
-
-    @staticmethod
-    def check_possible(path: Path) -> None:
-        """Check that such a file can be written: its name, and the packages that it needs.
-
-        Raises:
-            RecordError: the name does not end in .h5.
-            ModuleNotFoundError: h5py is missing.
-        """
-        if path.suffix != SUFFIX:
-            raise records.RecordError(f"body states go to a file that ends in {SUFFIX}, got {path.name}")
-        import_h5py()
-
-
-def _header(title: str) -> bytes:
-    """The beginning of the plain file."""
-    return title.encode().ljust(HEADER, b"\0")
+def _take_apart(path: Path, frames: Path) -> None:
+    """Make the file of frames anew of which an HDF5 file was made."""
+    with import_h5py().File(path, "r") as file, records.replacing(frames) as made, open(made, "wb") as out:
+        for first in range(0, len(file["step"]), CHUNK):
+            out.write(read_frames(file, first, first + CHUNK).tobytes())

@@ -2,44 +2,31 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.cli.files import checkpoints, trajectories
-from openmm_sier.cli.files.body_states import BodyStates
-from openmm_sier.cli.files.records import Log, Noted, RecordError, temporary
-from openmm_sier.cli.plan import FILES, Plan, RunError
-from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.measure.forcefields import Box
-from openmm_sier.observe import pressure
-from openmm_sier_command.options import CONTINUED
+from openmm_sier.cli.beginning import Simulated
+from openmm_sier.cli.files import body_states, checkpoints, trajectories
+from openmm_sier.cli.files.records import Log, Noted
+from openmm_sier.cli.plan import Plan, RunError
+from openmm_sier.observe import conservation, pressure
+from openmm_sier.observe.body_states import import_h5py
 
-
-class Output(NamedTuple):
-    """A file that grows during a run: its name in messages, and the options that name it and set its interval."""
-
-    name: str
-    option: str
-    every: str
-
-
-#: Files that grow, by their names in the notes of a checkpoint.
+#: Files that grow, by their names in the notes of a checkpoint: the options that name them and set their intervals.
 OUTPUTS = {
-    "trajectory": Output("trajectory", "out", "every"),
-    "log": Output("log", "report", "report_every"),
-    "bodies": Output("body states", "bodies", "bodies_every"),
-    "tensors": Output("pressure tensor", "pressure_tensor", "pressure_tensor_every"),
+    "trajectory": ("out", "every"),
+    "log": ("report", "report_every"),
+    "tensors": ("pressure_tensor", "pressure_tensor_every"),
+    # Last, since frames are made of a finished HDF5 file where the others have been found to be right.
+    "bodies": ("bodies", "bodies_every"),
 }
 
 
@@ -48,9 +35,9 @@ class OutputFiles:
 
     Attributes:
         checkpoint: path of the checkpoint.
-        paths: of the files that grow, by their keys in `OUTPUTS`.
+        paths: of the outputs, by their keys in `OUTPUTS`.
         formats: their classes.
-        everything: all files, temporary ones too, by a name for messages, the checkpoint first.
+        everything: all files, also those of which HDF5 files are made, the checkpoint first.
     """
 
     def __init__(self, plan: Plan, checkpoint: Path):
@@ -59,19 +46,17 @@ class OutputFiles:
             RecordError: a name has the wrong ending, or a package that its format needs is missing.
             ModuleNotFoundError: a package that body states need is missing.
         """
-        named = {key: getattr(plan, output.option) for key, output in OUTPUTS.items()}
+        named = {key: getattr(plan, option) for key, (option, _) in OUTPUTS.items()}
         self.checkpoint = checkpoint
         self.paths = {key: Path(path) for key, path in named.items() if path}
-        formats = {"trajectory": trajectories.trajectory_format(self.paths["trajectory"]), "bodies": BodyStates}
-        self.formats: dict[str, Any] = {key: formats.get(key, Log) for key in self.paths}
         if "bodies" in self.paths:
-            BodyStates.check_possible(self.paths["bodies"])
-        written = [("checkpoint", checkpoint, [temporary(checkpoint)])]
-        written += [(OUTPUTS[key].name, path, self.formats[key].companions(path)) for key, path in self.paths.items()]
-        self.everything: dict[str, Path] = {}
-        for name, path, companions in written:
-            self.everything[f"{name} {path}"] = path
-            self.everything |= {f"{name} {path}, by way of {place}": place for place in companions}
+            import_h5py()
+        self.formats: dict[str, Any] = dict.fromkeys(self.paths, Log)
+        self.formats["trajectory"] = trajectories.trajectory_format(self.paths["trajectory"])
+        self.formats |= {"bodies": body_states.BodyStates} if "bodies" in self.paths else {}
+        growing = {key: self.formats[key].growing(path) for key, path in self.paths.items()}
+        beside = [place for key, place in growing.items() if place != self.paths[key]]
+        self.everything = [checkpoint, *self.paths.values(), *beside]
 
     def __str__(self) -> str:
         return ", ".join(str(path) for path in (self.checkpoint, *self.paths.values()))
@@ -84,7 +69,7 @@ class OutputFiles:
     def remove(self) -> None:
         """Remove the outputs, the checkpoint first, so that it is never left with files that are not its own."""
         for path in (self.checkpoint, *self.paths.values()):
-            path.unlink(missing_ok=True)
+            Path(os.path.realpath(path)).unlink(missing_ok=True)
 
     def check(self, inputs: Collection[Path]) -> None:
         """Refuse outputs that cannot be written, and any that would destroy an input or another output.
@@ -95,62 +80,37 @@ class OutputFiles:
         Raises:
             RunError: naming the file.
         """
-        for what, path in self.everything.items():
-            for other in inputs:
-                if same_file(path, other):
-                    raise RunError(f"the {what} would destroy the input {other}: name another file")
-        for (one, path), (two, other) in combinations(self.everything.items(), 2):
+        for path, other in product(self.everything, inputs):
             if same_file(path, other):
-                raise RunError(f"the {two} would be the same file as the {one}: outputs must be different files")
-        for path in self.everything.values():
-            _check_writable(path)
+                raise RunError(f"{path} would destroy the input {other}: name another file")
+        for path, other in combinations(self.everything, 2):
+            if same_file(path, other):
+                raise RunError(f"{path} and {other} are the same: outputs must be different files")
+        for path in self.everything:
+            # For example a device: /dev/null would be replaced by a file.
+            if path.exists() and not path.is_file():
+                raise RunError(f"{path} is no regular file")
+            if not path.parent.is_dir():
+                raise RunError(f"there is no directory {path.parent} for {path.name}")
 
-    def check_existing(self, existing: str) -> None:
-        """Refuse files that are in the way.
-
-        Args:
-            existing: what to do with files that exist: "refuse", "replace", or "continue".
-
-        Raises:
-            RunError: naming the file.
-        """
-        for path in filter(os.path.lexists, self.everything.values()):
-            if existing == "refuse":
-                raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
-            if existing == "continue" and not os.access(path, os.W_OK):
-                raise RunError(f"{path} cannot be written: permission denied")
-
-    def noted(self, notes: Mapping[str, Any]) -> dict[str, Noted]:
-        """What a checkpoint notes of the outputs, by key, if they are those of its run; none is changed.
+    def refuse_existing(self) -> None:
+        """Refuse to replace files.
 
         Raises:
-            RecordError: an output is missing, or is of another run; or the checkpoint lacks what tells them apart.
+            RunError: naming the file that is in the way.
         """
-        found = {}
+        for path in filter(os.path.lexists, self.everything):
+            raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
+
+    def check_noted(self, notes: Mapping[str, Any]) -> None:
+        """Check that the outputs are those of the run that a checkpoint notes; none is changed.
+
+        Raises:
+            RecordError: an output is of another run.
+            OSError: one is missing.
+        """
         for key, path in self.paths.items():
-            if not notes.get(key):
-                raise RecordError(f"{self.checkpoint}: {key} is missing, what is noted of {path}")
-            found[key] = Noted(**notes[key])
-            self.formats[key].check(path, found[key], notes["run"])
-        return found
-
-
-def run_identity(plan: Plan, context: openmm.Context) -> str:
-    """Identity of a run that is to begin: a digest of its settings and of its first phase point.
-
-    It is not drawn at random, so that the same run gives the same bytes again. Runs with one identity are one run, and
-    differ in their length alone.
-    """
-    settings = {name: getattr(plan, name) for name in CONTINUED if name not in FILES}
-    state = context.getState(positions=True, velocities=True)
-    digest = hashlib.blake2b(json.dumps(settings, default=str).encode(), digest_size=16)
-    for values in (
-        state.getPositions(asNumpy=True),
-        state.getVelocities(asNumpy=True),
-        state.getPeriodicBoxVectors(asNumpy=True),
-    ):
-        digest.update(np.asarray(values._value, dtype=float).tobytes())
-    return digest.hexdigest()
+            self.formats[key].check(path, Noted(**notes[key]))
 
 
 def same_file(one: Path, two: Path) -> bool:
@@ -159,21 +119,6 @@ def same_file(one: Path, two: Path) -> bool:
         return os.path.samefile(one, two)
     except OSError:
         return os.path.realpath(one) == os.path.realpath(two)
-
-
-def _check_writable(path: Path) -> None:
-    if path.is_dir():
-        raise RunError(f"{path} is a directory, expected the name of a file")
-    # For example a device: /dev/null would be replaced by a file.
-    if path.exists() and not path.is_file():
-        raise RunError(f"{path} is no regular file")
-    if not path.parent.is_dir():
-        raise RunError(f"there is no directory {path.parent} for {path.name}")
-    try:
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise RunError(f"{path} cannot be written: {error.strerror} in {path.parent}") from error
 
 
 class Outputs:
@@ -186,39 +131,30 @@ class Outputs:
     """
 
     def __init__(
-        self,
-        files: OutputFiles,
-        plan: Plan,
-        box: Box,
-        bodies: RigidBodies,
-        run: str,
-        columns: Sequence[str],
-        noted: Mapping[str, Noted],
-        saved_step: int | None,
+        self, files: OutputFiles, simulated: Simulated, context: openmm.Context, notes: Mapping[str, Any] | None
     ):
         """
         Args:
             files: of the run.
-            plan: of the run.
-            box: what is simulated.
-            bodies: its rigid bodies.
-            run: its identity.
-            columns: of the log.
-            noted: what `OutputFiles.noted` gives for a run that is continued; empty for a new one.
-            saved_step: of the checkpoint that is continued; None for a new run.
+            simulated: what is simulated.
+            context: at the start, or at the checkpoint.
+            notes: of the checkpoint of a run that is continued, for which `OutputFiles.check_noted` has passed; None
+                for a new run.
         """
-        self.checkpoint, self.saved_step = files.checkpoint, saved_step
-        self._plan, self._listed, self._run = plan, box.listed, run
+        plan, box, bodies = simulated.plan, simulated.box, simulated.bodies
+        self.checkpoint, self.saved_step = files.checkpoint, notes["step"] if notes else None
+        self._plan, self._listed = plan, box.listed
         self._periodic = box.system.usesPeriodicBoundaryConditions()
-        self._intervals = {key: plan.interval(getattr(plan, OUTPUTS[key].every)) for key in files.paths}
+        self._intervals = {key: plan.interval(getattr(plan, OUTPUTS[key][1])) for key in files.paths}
         layouts: dict[str, Sequence[Any]] = {
-            "trajectory": (_subset(box.topology, box.listed), plan.step_time, self._intervals["trajectory"], run),
-            "log": (columns,),
-            "bodies": (bodies, self._periodic, run),
+            "trajectory": (_subset(box.topology, box.listed), plan.step_time, self._intervals["trajectory"]),
+            "log": (conservation.columns(context.getIntegrator()),),
+            "bodies": (bodies, self._periodic),
             "tensors": (pressure.COLUMNS,),
         }
+        noted = {key: Noted(**notes[key]) if notes else None for key in files.paths}
         self._files: dict[str, Any] = {
-            key: files.formats[key](path, *layouts[key], noted.get(key)) for key, path in files.paths.items()
+            key: files.formats[key](path, *layouts[key], noted[key]) for key, path in files.paths.items()
         }
         self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
         self.log: Log = self._files["log"]
@@ -258,11 +194,8 @@ class Outputs:
         self._files["trajectory"].write(positions, state.getPeriodicBoxVectors())
 
     def _write_checkpoint(self, context: openmm.Context, potential: float) -> None:
-        for file in self._files.values():
-            file.sync()
         step = context.getStepCount()
         notes = {
-            "run": self._run,
             "plan": self._plan.noted(self.checkpoint),
             "step": step,
             "potential_energy": potential,

@@ -11,7 +11,7 @@ import hashlib
 import os
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,8 +19,12 @@ import numpy as np
 
 from openmm_sier.observe.conservation import csv_line
 
-#: Bytes at the beginning and at the end of what a file held at a checkpoint by which it is known again.
+#: Bytes at the end of what a file held at a checkpoint by which it is known again. Runs that differ in anything differ
+#: there, in the last row of the log and in the last frame.
 WINDOW = 2**16
+
+#: Bytes at the beginning that do not count, since they change while a file grows: a DCD file counts its frames there.
+CHANGING = 48
 
 
 class RecordError(ValueError):
@@ -36,33 +40,25 @@ def naming(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
-def temporary(path: Path) -> Path:
-    """Temporary path of a file that takes its place when it is complete."""
-    return path.with_name(f"{path.name}.tmp")
-
-
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path, of which what is written there takes the place of a file at the end.
 
     At any moment, after a power failure too, the file is the old or the new one. After an error it is the old one, and
-    nothing of the new one is left.
+    nothing of the new one is left. A link stays, and leads to the new file.
     """
-    made = temporary(path)
+    made = Path(f"{os.path.realpath(path)}.tmp")
     with naming(path):
         try:
+            # What has this name may be another name of a file that is somebody's.
+            made.unlink(missing_ok=True)
             yield made
             with open(made, "rb+") as file:
                 os.fsync(file.fileno())
-            os.replace(made, path)
+            os.replace(made, os.path.realpath(path))
         except BaseException:
             made.unlink(missing_ok=True)
             raise
-
-
-def title(run: str) -> str:
-    """Title of a file by the identity of its run."""
-    return f"openmm-sier run {run}"
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,7 @@ class Noted:
     Attributes:
         size: bytes written.
         count: records among them, a header not counted.
-        fingerprint: of these bytes, see `GrowingFile.fingerprint`.
+        fingerprint: of these bytes.
     """
 
     size: int
@@ -88,9 +84,6 @@ class GrowingFile:
         size: bytes written.
         count: records written, a header not counted.
     """
-
-    #: Bytes at the beginning that change while the file grows.
-    CHANGING = 0
 
     def __init__(self, path: Path, noted: Noted | None = None):
         """
@@ -110,33 +103,27 @@ class GrowingFile:
             self._file.seek(self.size)
 
     @classmethod
-    def check(cls, path: Path, noted: Noted, run: str) -> None:
+    def check(cls, path: Path, noted: Noted) -> None:
         """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
 
         Args:
             path: of the output.
             noted: of it by the checkpoint.
-            run: identity of the run by the checkpoint.
 
         Raises:
-            RecordError: the output is missing, has fewer bytes than noted, or other ones.
+            OSError: the output is missing.
+            RecordError: it does not begin with the noted bytes.
         """
-        if not noted.size:
-            return
-        if not path.exists():
-            raise RecordError(f"{path} is missing; a restart continues the file that its checkpoint belongs to")
-        if (size := path.stat().st_size) < noted.size:
-            raise RecordError(f"{path} has {size} bytes, fewer than the {noted.size} that it had at the checkpoint")
-        if cls.fingerprint(path, noted.size) != noted.fingerprint:
+        if noted.size and _fingerprint(path, noted.size) != noted.fingerprint:
             raise RecordError(
                 f"{path} is not the file that the checkpoint belongs to, or was edited: its first {noted.size} bytes "
                 "are not those of the checkpoint"
             )
 
-    @staticmethod
-    def companions(path: Path) -> list[Path]:
-        """Further files that are written along with the output at this path."""
-        return []
+    @classmethod
+    def growing(cls, path: Path) -> Path:
+        """Path of the file that grows for the output at a path."""
+        return path
 
     @classmethod
     def unfinished(cls, path: Path) -> bool:
@@ -144,23 +131,15 @@ class GrowingFile:
         return not path.exists()
 
     def append(self, record: bytes, counts: bool = True) -> None:
-        """Write a record.
+        """Write a record. What a kill or a full disk leaves of it is cut off by the restart.
 
         Raises:
-            OSError: for example, the disk is full. The file then ends with the previous record.
+            OSError: for example, the disk is full.
         """
+        written = 0
         with naming(self.path):
-            try:
-                # One system call, so that a kill nearly always leaves whole records; cutting back mends the rest.
-                written = self._file.write(record)
-                # A disk that is nearly full takes a part of the record, and refuses only the next write.
-                while written < len(record):
-                    written += self._file.write(record[written:])
-            except OSError:
-                with suppress(OSError):
-                    self._file.truncate(self.size)
-                    self._file.seek(self.size)
-                raise
+            while written < len(record):
+                written += self._file.write(record[written:])
         self.size += len(record)
         self.count += counts
 
@@ -171,41 +150,23 @@ class GrowingFile:
             self._file.write(value)
             self._file.seek(self.size)
 
-    def sync(self) -> None:
-        """Wait until all bytes are on the disk."""
+    def noted(self) -> Noted:
+        """What a checkpoint notes of this file, all of which is then on the disk."""
         with naming(self.path):
             os.fsync(self._file.fileno())
-
-    def noted(self) -> Noted:
-        """What a checkpoint notes of this file."""
-        return Noted(self.size, self.count, self.fingerprint(self.path, self.size))
-
-    def close(self) -> None:
-        self._file.close()
+        return Noted(self.size, self.count, _fingerprint(self.path, self.size))
 
     def finish(self) -> None:
         """Close the file at the end of its run."""
-        self.close()
+        self._file.close()
 
-    @classmethod
-    def fingerprint(cls, path: Path, size: int) -> str:
-        """A digest of the first and the last bytes of a file, which takes no longer for a long one.
 
-        Runs that differ in anything differ there: in the title of the trajectory, and in the last row of the log.
-
-        Args:
-            path: of the file.
-            size: the bytes from this one on are left out, as are those that change while the file grows.
-
-        Raises:
-            OSError: it cannot be read.
-        """
-        digest = hashlib.blake2b(digest_size=16)
-        with naming(path), open(path, "rb") as file:
-            for first, last in ((cls.CHANGING, cls.CHANGING + WINDOW), (max(cls.CHANGING, size - WINDOW), size)):
-                file.seek(first)
-                digest.update(file.read(max(0, min(last, size) - first)))
-        return digest.hexdigest()
+def _fingerprint(path: Path, size: int) -> str:
+    """A digest of the last of so many bytes of a file, which takes no longer for a long one."""
+    begin = max(CHANGING, size - WINDOW)
+    with naming(path), open(path, "rb") as file:
+        file.seek(begin)
+        return hashlib.blake2b(file.read(max(0, size - begin)), digest_size=16).hexdigest()
 
 
 class MadeAtTheEnd(GrowingFile):
@@ -225,36 +186,11 @@ class MadeAtTheEnd(GrowingFile):
 
     @classmethod
     def growing(cls, path: Path) -> Path:
-        """Path of the growing file for the output at a path."""
         return path.with_name(path.name + cls.GROWING)
-
-    @classmethod
-    def companions(cls, path: Path) -> list[Path]:
-        return [cls.growing(path), temporary(path)]
 
     @classmethod
     def unfinished(cls, path: Path) -> bool:
         return cls.growing(path).exists() or super().unfinished(path)
-
-    @classmethod
-    def check(cls, path: Path, noted: Noted, run: str) -> None:
-        if not path.exists() or cls.growing(path).exists():
-            super().check(cls.growing(path), noted, run)
-            return
-        found, count = cls.read_finished(path)
-        if found != title(run):
-            raise RecordError(f"{path} is not the file that the checkpoint belongs to: its title is {found}")
-        if count < noted.count:
-            raise RecordError(f"{path} has {count} frames, fewer than the {noted.count} that it had at the checkpoint")
-
-    @classmethod
-    @abstractmethod
-    def read_finished(cls, path: Path) -> tuple[str, int]:
-        """Title and number of frames of an output that has been made.
-
-        Raises:
-            RecordError: it is no such file.
-        """
 
     @abstractmethod
     def _make(self, path: Path) -> None:
@@ -272,8 +208,7 @@ class MadeAtTheEnd(GrowingFile):
                 self._make(made)
         # PyTables and h5py raise RuntimeErrors of their own where the disk is full.
         except (OSError, RuntimeError) as error:
-            reason = " ".join(str(error).split())[-200:]
-            message = f"{self.target} could not be written: {reason}. Its frames are kept in {self.path}"
+            message = f"{self.target} could not be written. Its frames are kept in {self.path}: {error}"
             raise RecordError(message) from error
         self.path.unlink()
 
@@ -296,8 +231,12 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
 
     Raises:
         OSError: the file cannot be read.
+        RecordError: a row has no numbers, or not as many as the heading has names.
     """
     with open(path) as file:
         columns = file.readline().rstrip().split(",")
-        rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))
+        try:
+            rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))
+        except ValueError as error:
+            raise RecordError(f"{path} below its heading: {error}") from error
     return dict(zip(columns, rows.T, strict=True))

@@ -14,25 +14,21 @@ import numpy as np
 from openmm import app
 from openmm.unit import Quantity
 
-from openmm_sier.cli.files.records import GrowingFile, MadeAtTheEnd, Noted, RecordError, title
+from openmm_sier.cli.files.records import CHANGING, GrowingFile, MadeAtTheEnd, Noted, RecordError
 
-#: The largest step number that XTC files hold. In longer runs they count frames instead, so that times stay right.
-LARGEST_STEP = 2**31 - 1
-
-#: Bytes of OpenMM's header of a DCD file, and its second title. OpenMM puts the time there, for which we put the
-#: identity of the run, so that the same run gives the same bytes.
-DCD_HEADER, DCD_TITLE = 276, slice(180, 260)
+#: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
+DCD_HEADER, DCD_TIME = 276, slice(180, 260)
 
 
 class Trajectory(GrowingFile):
     """Frames of a file that grows."""
 
     def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
+        self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None = None
     ) -> None:
         """Begin a file with atoms of a topology, steps of dt ps and an interval in steps, or continue it."""
         super().__init__(path, noted)
-        self._topology, self._dt, self._interval, self._title = topology, dt, interval, title(run)
+        self._topology, self._dt, self._interval = topology, dt, interval
 
     @abstractmethod
     def write(self, positions: Quantity, box: Quantity) -> None:
@@ -46,34 +42,26 @@ class DCDTrajectory(Trajectory):
     after each of them.
     """
 
-    CHANGING = 48
-
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._memory = io.BytesIO()
         app.DCDFile(self._memory, self._topology, self._dt, self._interval, self._interval)
         with self._memory.getbuffer() as header:
             header[8:12] = struct.pack("<i", self.count)
-            header[DCD_TITLE] = self._title.encode().ljust(DCD_TITLE.stop - DCD_TITLE.start, b"\0")
+            header[DCD_TIME] = bytes(DCD_TIME.stop - DCD_TIME.start)
         # A file that is appended to has its number of frames from the header.
         self._dcd = app.DCDFile(self._memory, self._topology, self._dt, self._interval, self._interval, append=True)
         if self.size:
-            self.replace_beginning(self._memory.getvalue()[: self.CHANGING])
+            self.replace_beginning(self._memory.getvalue()[:CHANGING])
         else:
             self.append(self._memory.getvalue(), counts=False)
 
     def write(self, positions: Quantity, box: Quantity) -> None:
-        """Append a frame.
-
-        Args:
-            positions: (n, 3), nm.
-            box: periodic box vectors (a Quantity) or None.
-        """
         self._dcd.writeModel(positions, periodicBoxVectors=box)
         everything = self._memory.getvalue()
         self._memory.truncate(DCD_HEADER)
         self.append(everything[DCD_HEADER:])
-        self.replace_beginning(everything[: self.CHANGING])
+        self.replace_beginning(everything[:CHANGING])
 
 
 class XTCTrajectory(Trajectory):
@@ -82,10 +70,9 @@ class XTCTrajectory(Trajectory):
     def write(self, positions: Quantity, box: Quantity) -> None:
         with tempfile.TemporaryDirectory() as directory:
             frame = Path(directory) / "frame.xtc"
-            step, dt = (self.count + 1) * self._interval, self._dt
-            if step > LARGEST_STEP:
-                step, dt = self.count + 1, self._dt * self._interval
-            app.XTCFile(str(frame), self._topology, dt, step).writeModel(positions, periodicBoxVectors=box)
+            # Steps have 32 bits, which long runs exceed: frames are counted in their place, and times are right.
+            file = app.XTCFile(str(frame), self._topology, self._dt * self._interval, self.count + 1)
+            file.writeModel(positions, periodicBoxVectors=box)
             self.append(frame.read_bytes())
 
 
@@ -95,7 +82,7 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
     GROWING = ".dcd"
 
     def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, run: str = "", noted: Noted | None = None
+        self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None = None
     ) -> None:
         """
         Raises:
@@ -103,18 +90,14 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
         """
         if noted and not self.unfinished(path):
             raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
-        super().__init__(self.growing(path), topology, dt, interval, run, noted)
+        super().__init__(self.growing(path), topology, dt, interval, noted)
         self.target = path
 
     @classmethod
-    def read_finished(cls, path: Path) -> tuple[str, int]:
-        import tables
-
-        try:
-            with tables.open_file(path) as file:
-                return str(getattr(file.root._v_attrs, "title", None)), len(file.root.coordinates)
-        except (OSError, RuntimeError, tables.NoSuchNodeError) as error:
-            raise RecordError(f"{path} is no HDF5 file of a trajectory") from error
+    def check(cls, path: Path, noted: Noted) -> None:
+        # One that is complete is not continued, so nothing of it is cut.
+        if cls.unfinished(path):
+            super().check(cls.growing(path), noted)
 
     def _make(self, path: Path) -> None:
         import mdtraj
@@ -128,8 +111,6 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
                 time = (np.arange(done, done + len(chunk)) + 1) * self._interval * self._dt
                 file.write(chunk.xyz, time, cell_lengths=chunk.unitcell_lengths, cell_angles=chunk.unitcell_angles)
                 done += len(chunk)
-            # The first frame brings one of MDTraj's.
-            file.title = self._title
 
 
 FORMATS: dict[str, type[Trajectory]] = {
