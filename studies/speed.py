@@ -36,7 +36,7 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.starts import make_context
 from studies import records, speed_boxes
 from studies.bench import accuracy, peers, usual_inputs
-from studies.bench.timing import ON_PROCESSORS, median_and_error
+from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
 from studies.command import BoxSettings, chosen, execute
 from studies.records import Record
 from studies.report import SILENT, Report, Table
@@ -143,17 +143,6 @@ class Turn(NamedTuple):
     simulated: float
     wall: float
     processor: float
-
-
-def turns(actions: Mapping[str, Callable[[], Turn]], rounds: int) -> dict[str, np.ndarray]:
-    """Simulated fs, wall and processor time of each turn, (rounds, 3); a first round is not counted."""
-    found: dict[str, list[Turn]] = {name: [] for name in actions}
-    for number in range(rounds + 1):
-        for name, action in actions.items():
-            turn = action()
-            if number:
-                found[name].append(turn)
-    return {name: np.array(each, dtype=float) for name, each in found.items()}
 
 
 def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:

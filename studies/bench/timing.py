@@ -6,6 +6,8 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -58,14 +60,24 @@ def interleaved(
         rounds: how many.
         clock: of wall time, or of processor time, on which other work on the machine has less effect.
     """
-    times: dict[str, list[float]] = {name: [] for name in actions}
+
+    def seconds(action: Callable[[], object]) -> float:
+        start = clock()
+        action()
+        return clock() - start
+
+    return turns({name: partial(seconds, action) for name, action in actions.items()}, rounds)
+
+
+def turns(actions: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, np.ndarray]:
+    """What each action gave in each round, (rounds, ...); a first round is not counted."""
+    found: dict[str, list[Any]] = {name: [] for name in actions}
     for number in range(rounds + 1):
         for name, action in actions.items():
-            start = clock()
-            action()
+            given = action()
             if number:
-                times[name].append(clock() - start)
-    return {name: np.array(values) for name, values in times.items()}
+                found[name].append(given)
+    return {name: np.array(each, dtype=float) for name, each in found.items()}
 
 
 def apart(clock: ForceClock, action: Callable[[], object]) -> tuple[float, float]:

@@ -85,20 +85,6 @@ def test_nothing_is_measured_twice(finished, settings, monkeypatch):
         acceptance.measure(dataclasses.replace(settings, time=0.03))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"schemes": ("sier5",)}, "unknown scheme 'sier5'; known are verlet, sier2"),
-        ({"trials": (1,)}, "trials must be at least 2, got 1"),
-        ({"trials": (2, 3)}, "one number or one for each of 1 sizes"),
-        ({"sizes": (40,)}, "multiples of the 27 molecules of the box, got 40"),
-    ],
-)
-def test_settings_that_make_no_sense(settings, tmp_path, changes, message):
-    with pytest.raises(ValueError, match=message):
-        acceptance.measure(dataclasses.replace(settings, out=tmp_path, **changes))
-
-
 def trials_of(molecules, errors, method="SIER2", dt=2.0, broken=""):
     """What `acceptance_trials.measure` gives."""
     place = {"molecules": molecules, "method": method, "fs_per_force": dt, "step": dt, "length": 60.0}

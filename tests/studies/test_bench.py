@@ -73,12 +73,6 @@ def test_bench_in_miniature(box, tmp_path, monkeypatch):
     assert len(told.tables) == 5
 
 
-def test_unknown_part_is_refused():
-    known = "known are steps, rotations, layer, accuracy"
-    with pytest.raises(ValueError, match=f"unknown part of the benchmark 'speed'; {known}"):
-        bench.study(timing.BenchSettings(parts=("speed",)))
-
-
 def test_interleaved_timings_discard_the_first_round():
     calls = []
     seconds = timing.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
@@ -106,14 +100,6 @@ def power_law(factor, power, steps=(0.25, 0.5, 1.0, 2.0)):
 def test_step_at_a_level_of_a_power_law(power):
     level = 0.1 * 0.7**power
     assert accuracy.step_at(power_law(0.1, power), "m", level) == pytest.approx(0.7, rel=1e-12)
-
-
-def test_level_that_no_step_or_every_step_reaches():
-    points = power_law(0.1, 2)
-    assert math.isnan(accuracy.step_at(points, "m", 1e-5))
-    assert math.isnan(accuracy.step_at(points, "m", 100.0))
-    points.loc[1:, "percent"] = math.nan
-    assert math.isnan(accuracy.step_at(points, "m", 0.1))
 
 
 def test_cost_at_a_level():
@@ -166,11 +152,6 @@ def test_what_lammps_gets(liquid):
     assert np.abs(100 * velocities - state.getVelocities(asNumpy=True)._value).max() < 1e-12
     assert "pair_coeff 1 1 0.152 3.1507524" in peers._lammps_input(told, 1.0, 10, 1)
     assert f"gewald {told.alpha / 10:.6f}"[:14] in peers._lammps_input(told, 1.0, 10, 1)
-
-
-def test_other_liquids_are_left_to_openmm():
-    box = forcefields.read_box(SYSTEMS / "tip4p-512.pdb")
-    assert peers.liquid_of(box.system, None) is None
 
 
 FAKE = """#!{python}

@@ -18,12 +18,6 @@ def test_boxes_are_as_cubic_as_they_can_be(times, copies):
     assert boxes.copies_for(512 * times, 512) == copies
 
 
-@pytest.mark.parametrize("molecules", [100, 513])
-def test_sizes_that_are_no_multiple_are_refused(molecules):
-    with pytest.raises(ValueError, match=f"multiples of the 512 molecules of the box, got {molecules}"):
-        boxes.copies_for(molecules, 512)
-
-
 @pytest.mark.parametrize("name", ["tip3p-512.pdb", "tip4p2005-512.pdb"])
 def test_repeated_box_has_the_energy_of_its_copies(name):
     found = forcefields.read_box(SYSTEMS / name)

@@ -103,14 +103,3 @@ def test_directories_are_pooled(short, tmp_path):
         equipartition.pool((tmp_path / "1", tmp_path / "hot"))
     with pytest.raises(ValueError, match="cannot be pooled: both have SIER2 at 2 fs with seed 2"):
         equipartition.pool((tmp_path / "both", tmp_path / "2"))
-
-
-@pytest.mark.slow
-def test_short_times_give_one_sample(short, tmp_path):
-    settings = dataclasses.replace(short, out=tmp_path, time=0.004, ensemble="npt", pressure=0.0)
-    assert not equipartition.study(settings).tables["rows"]["broken"][0]
-
-
-def test_unknown_methods_are_refused(short):
-    with pytest.raises(ValueError, match="unknown method of the nve ensemble 'leapfrog'; known are verlet, sier2"):
-        equipartition.compare(dataclasses.replace(short, methods=("leapfrog",)))

@@ -99,11 +99,6 @@ def test_dipoles_and_dihedrals_are_those_of_the_frames(tmp_path, monkeypatch):
     assert np.abs(found["dipole"].to_numpy()).max() < 5
 
 
-def test_members_must_be_named(tmp_path):
-    with pytest.raises(ValueError, match="name the directories"):
-        members.study(members.MemberSettings(out=tmp_path))
-
-
 def test_forces_of_a_step(runs):
     assert [members.forces_per_step(run) for run in open_runs([Path(runs[0]), Path(runs[2])])] == [17, 1 + 1 / 25]
 

@@ -9,7 +9,7 @@ import pytest
 
 from studies import mesh, records
 from studies.mesh import MeshSettings, Parameters
-from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.commands import write_lattice
 from tests.support.reports import Told
 
 
@@ -79,8 +79,3 @@ def test_mesh_in_miniature(tmp_path):
     assert (known["best_error"] <= known["error"]).all()
     assert all(math.isfinite(ratio) for ratio in known["ratio"])
     assert (tmp_path / "mesh.png").stat().st_size > 10_000
-
-
-def test_boxes_that_are_no_cubes_are_refused():
-    with pytest.raises(ValueError, match="1024 molecules are no cube of copies of the 512 of the box"):
-        mesh._replica(MeshSettings(box=SYSTEMS / "tip3p-512.pdb"), 1024)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from studies.methods import PAPER
-from studies.paper import dipole, published, tip4p
+from studies.paper import dipole, published
 from studies.paper.dipole import DipoleSettings, Field, Spread
 from tests.support.oracles import random_attitudes, skew
 
@@ -68,13 +68,6 @@ def _turned(A, axis, angle):
     """Bodies turned in the lab: rows of A turn as vectors."""
     S = np.eye(3) + np.sin(angle) * skew(axis) + (1 - np.cos(angle)) * skew(axis) @ skew(axis)
     return np.einsum("xy,ayn->axn", S, A)
-
-
-def test_units():
-    """1.84 D in 2.7 MV/m is 1.657e-23 J, 0.00998 kJ/mol; the dipole lies along the bisector, the middle axis."""
-    energy = 1.84 * 2.7 * dipole.DEBYE_MV_PER_M
-    assert energy == pytest.approx(0.0099796, rel=1e-4)
-    assert np.abs(tip4p.dipole_direction(tip4p.molecules(1))) == pytest.approx([0, 1, 0])
 
 
 def test_spread(rng):

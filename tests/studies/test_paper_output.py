@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pandas as pd
@@ -10,22 +9,10 @@ import pytest
 
 from studies import paper, records
 from studies.methods import PAPER
-from studies.paper import PaperSettings, dipole, free_rotation, liquids, published, water, water_runs
+from studies.paper import PaperSettings, dipole, free_rotation, liquids, water, water_runs
 from tests.support.reports import Told
 
 TINY = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=2)
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(117.0, "117 ps"), (0.91e6, "910 ns"), (2.1e3, "2.1 ns"), (16e9, "16 ms"), (math.inf, "-")]
-)
-def test_times(value, text):
-    assert published.picoseconds(value) == text
-
-
-def test_times_to_be_compared_have_one_unit():
-    assert published.picoseconds(0.91e6, like=1.1e6) == "0.91 µs"
-    assert published.picoseconds(48e9, like=1.2e12) == "0.048 s"
 
 
 def cells(table):
@@ -123,8 +110,3 @@ def test_all_runs_every_experiment(tmp_path, monkeypatch):
     for _, fractions in told.runs:
         assert fractions == sorted(fractions)
         assert fractions[-1] == pytest.approx(1)
-
-
-def test_a_member_that_there_is_not(tmp_path):
-    with pytest.raises(ValueError, match=r"must be one of pme-1, .* got 'ice-1'"):
-        paper.study(PaperSettings(experiment="water", quick=True, phase_point="ice-1", out=tmp_path))

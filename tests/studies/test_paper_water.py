@@ -15,7 +15,6 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIERIntegrator
-from studies.methods import PAPER
 from studies.paper import liquids, molecular_cutoff, tip4p, water, water_runs
 from studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from studies.paper.molecular_cutoff import MolecularCutoff
@@ -99,17 +98,6 @@ def test_periodic_images(rng):
     again, forces_again = POTENTIAL.energy_and_forces(positions + images, box)
     assert again == pytest.approx(energy, rel=1e-11)
     assert np.abs(forces_again - forces).max() < 1e-11 * np.abs(forces).max()
-
-
-def test_refusals():
-    with pytest.raises(ValueError, match="needs a box of at least"):
-        POTENTIAL.energy_and_forces(np.zeros((8, 3)), np.array([2.0, 0.9, 2.0]))
-    with pytest.raises(ValueError, match="0 < on < off"):
-        MolecularCutoff(0.3, 0.6, 0.5, 0.9, 0.8)
-    with pytest.raises(ValueError, match="kind of liquid"):
-        liquids.build("ice", box(), SMALL)
-    with pytest.raises(ValueError, match="needs a box"):
-        liquids.build(MOLECULAR, box(), replace(SMALL, molecular_off=0.7))
 
 
 @pytest.mark.parametrize("kind", [MOLECULAR, PME])
@@ -261,24 +249,6 @@ def test_runs_on_disk_are_not_made_again(tmp_path, monkeypatch):
     assert water_runs.read_runs(tmp_path) == undisturbed
     runs_from(point, settings, tmp_path)
     assert len(made) == 4
-
-
-def test_phase_points():
-    """Those of PME, which take longest, come first; fewer points have runs at the shortest steps."""
-    settings = WaterSettings()
-    names = [point.name for point in water_runs.phase_points(settings)]
-    assert len(names) == 18
-    assert names[0] == "pme-1"
-    assert names[-1] == "molecular-9"
-    assert water_runs.phase_point("pme-3", settings) == PhasePoint(PME, 3)
-    with pytest.raises(ValueError, match=r"must be one of pme-1, .* got 'pme-10'"):
-        water_runs.phase_point("pme-10", settings)
-    exact, mrdl = PAPER[-1], PAPER[0]
-    coarse = [0.5, 1.0, 1.4, 1.8, 2.2, 2.8, 3.5, 5.0, 7.0]
-    assert settings.steps_of(exact, PhasePoint(MOLECULAR, 3)) == [0.1, 0.25, *coarse]
-    assert settings.steps_of(exact, PhasePoint(MOLECULAR, 4)) == coarse
-    assert settings.steps_of(exact, PhasePoint(PME, 1)) == coarse
-    assert settings.steps_of(mrdl, PhasePoint(MOLECULAR, 1)) == coarse[1:]
 
 
 @pytest.mark.slow

@@ -145,8 +145,3 @@ def test_palindromes_by_their_fractions():
     assert [stage.fraction for stage in second.scheme.stages] == [0.5, 1.0, 0.5]
     with pytest.raises(ValueError, match="'drift' must sum to 1"):
         schemes.methods_of(["kick:0.2,0.6"])
-
-
-def test_unknown_schemes_are_refused(settings):
-    with pytest.raises(ValueError, match="unknown scheme 'sier5'; known are verlet, sier2"):
-        schemes.study(dataclasses.replace(settings, schemes=("sier5",)))

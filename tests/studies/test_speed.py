@@ -69,11 +69,6 @@ def test_a_speed_is_simulated_time_over_what_it_took():
     assert speed.rows_of({speed.REFERENCE: verlet, "other": other}, "CUDA")[1]["over"] == pytest.approx(3.0)
 
 
-def test_first_round_does_not_count():
-    each = iter([Turn(1.0, 9.0, 9.0), Turn(1.0, 1.0, 1.0), Turn(1.0, 2.0, 1.0)])
-    assert speed.turns({"a": lambda: next(each)}, 2)["a"].tolist() == [[1, 1, 1], [1, 2, 1]]
-
-
 def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):
     """Second order, 0.04 % and 0.01 % at 1 fs: 0.1 % at 1.58 and 3.16 fs, the second at the same cost of a force."""
     monkeypatch.setattr(speed, "LEVELS", (0.1,))
@@ -101,11 +96,6 @@ def test_steps_of_a_solute_are_those_that_its_bonds_allow():
     steps = [{each.method: each.step for each in speed.contestants(solute)} for solute in (False, True)]
     assert [each["SIER2P3"] for each in steps] == [12, 9]
     assert [each["SIER4G"] for each in steps] == [6, 6]
-
-
-def test_unknown_boxes_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="unknown box 'lysozyme'; known are peptide, dhfr"):
-        speed.study(SpeedSettings(out=tmp_path, boxes=("water-512", "lysozyme")))
 
 
 def test_systems_are_as_openmm_makes_them():

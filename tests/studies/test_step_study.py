@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from openmm_sier.cli.plan import Options, RunError, new_plan
+from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.properties import ROWS, Run, estimated
 from studies import records, step_study
 from studies.records import Record
@@ -116,13 +116,3 @@ def test_members_become_a_table_and_a_figure(box, tmp_path):
     assert rows["rotation"][1] == pytest.approx(means["Rotational Temperature (K)"])
     assert rows["density"][1] == pytest.approx(means["Density (g/mL)"])
     assert {path.name for path in tmp_path.iterdir()} >= {"step-study.json", "step-study.md", "step-study.png"}
-
-
-def test_runs_of_two_states_are_no_study(box):
-    """A tiny run each: the check comes before trajectories are read."""
-    for name, temperature in (("cold", "290"), ("hot", "310")):
-        Path(name).mkdir()
-        chosen = ["--scheme", "sier2", "--ensemble", "nvt", "--temperature", temperature, "--steps", "1"]
-        run("run", box, *SHORT[:-2], *chosen, "--out", f"{name}/run.dcd")
-    with pytest.raises(RunError, match=r"has temperature 310.*a study is of one state of the liquid"):
-        step_study.study(StepSettings(runs=(Path("cold"), Path("hot"))))
