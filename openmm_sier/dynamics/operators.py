@@ -20,7 +20,7 @@ from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
 #: (state, time) -> state; a gradient kick also takes its displacement per acceleration.
 Operator = Callable[..., BodyState]
 
-#: Name of the operator, if there is one, that ends every step, whatever its scheme: a function of the state alone.
+#: Name of an operator that, where there is one, ends every step whatever the scheme. It takes the state alone.
 AFTER_STEP = "after step"
 
 #: A function that makes a whole step.
