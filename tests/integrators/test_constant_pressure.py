@@ -8,12 +8,11 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator
-from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
+from openmm_sier.dynamics.constants import BAR
 from tests.support.restarts import WAYS, assert_same, everything, simulation_of
 from tests.support.waters import cluster_system, context_at, periodic_system, platform, relaxed
 
 TEMPERATURE, PRESSURE = 300.0, 100 * BAR
-KT = GAS_CONSTANT * TEMPERATURE
 
 
 @pytest.fixture(scope="module")

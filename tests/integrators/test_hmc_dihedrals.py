@@ -26,7 +26,6 @@ CENTRES, FIRMNESS = (-1.4, 1.2), 50.0
 EVERY, SAMPLES = 0.1, 1000
 
 #: Kicks of a wrong scheme, as a part of those that are right.
-WEAKER = 0.4
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,9 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER2, SIER4, SIER4G, SIERIntegrator, SIERLangevinIntegrator, prepare_system
-from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 TEMPERATURE = 297.0
-THERMAL = GAS_CONSTANT * TEMPERATURE
 
 
 @pytest.fixture(scope="module")
