@@ -90,7 +90,7 @@ def _at_constant_temperature(points: Sequence[Point]) -> Iterator[Checked]:
         yield from _tried(point.title, partial(validation.kinetic_verdicts, point.sample))
     pairs = list(_pairs(warm, ("temperature", "pressure")))
     for one, two in pairs:
-        title = f"{one.plan.method.name}, {one.plan.ensemble.upper()}, {one.plan.dt:g} fs"
+        title = f"{one.plan.method.name}, {one.plan.ensemble.upper()}{one.plan.hydrogens}, {one.plan.dt:g} fs"
         yield from _tried(title, partial(_compared, one, two))
     if warm and not pairs:
         _suggest(warm[0])

@@ -102,8 +102,7 @@ def label_of(run: FinishedRun) -> str:
     plan = run.plan
     trials = f", trials of {1e3 * plan.step_time:.4g} fs" if plan.ensemble == "hmc" else ""
     friction = f", friction {plan.friction:g}/ps" if plan.friction else ""
-    hydrogens = f", hydrogens of {plan.hydrogen_mass:g}" if plan.hydrogen_mass else ""
-    return f"{Path(str(plan.box)).stem}: {plan.method.name}{trials}, steps of {plan.dt:g} fs{friction}{hydrogens}"
+    return f"{Path(str(plan.box)).stem}: {plan.method.name}{trials}, steps of {plan.dt:g} fs{friction}{plan.hydrogens}"
 
 
 def forces_per_step(run: FinishedRun) -> float:

@@ -60,6 +60,8 @@ def test_costs_of_members(runs, tmp_path):
     hmc, langevin = members.study(settings).tables["rows"].to_dict("records")
     assert hmc["label"] == "box: SIER4G, trials of 30 fs, steps of 6 fs"
     assert langevin["label"].endswith("steps of 4 fs, friction 1/ps, hydrogens of 3")
+    (plan,) = (run.plan for run in open_runs([Path(runs[2])]))
+    assert plan.title.endswith("1 bar, hydrogens of 3, 4 fs")
     assert (hmc["runs"], langevin["runs"]) == (2, 1)
     assert hmc["accepted"] == pytest.approx(0.9)
     # 400 numbers tell a standard deviation to 4 %, 800 to 2.5 %.
