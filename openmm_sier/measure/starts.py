@@ -12,7 +12,6 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.backend.threads import cores
-from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.engines.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
@@ -116,10 +115,7 @@ def prepare(
         openmm.LocalEnergyMinimizer.minimize(context)
         report.note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
     found = equilibrate(context, temperature, seed, time, report)
-    # At constant pressure the box has changed.
-    context.setPeriodicBoxVectors(*found.state.getPeriodicBoxVectors())
-    context.setPositions(found.state.getPositions())
-    context.setVelocities(found.state.getVelocities())
+    context.setState(found.state)
     stop_centre_of_mass(context)
     if found.settled and not isinstance(context.getIntegrator(), ConstantTemperatureIntegrator):
         _set_energy(context, temperature, found.means.potential)
@@ -129,17 +125,15 @@ def prepare(
 
 def _strongest_force(context: openmm.Context) -> float:
     """Largest net force on a molecule over the root of its size, kJ/mol/nm; infinite where one is not finite."""
-    integrator = context.getIntegrator()
+    bodies = context.getIntegrator().bodies
     forces = context.getState(forces=True).getForces(asNumpy=True)
-    forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
-    bodies = integrator.bodies
-    try:
-        F, _ = bodies.forces_and_torques(forces, integrator.getBodyState().A)
-    except NotFiniteError:
-        return math.inf
+    forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)[bodies.owners >= 0]
     # Bonds pull at the bodies of a molecule much more than its surroundings do.
-    net = np.linalg.norm([np.bincount(bodies.molecules, row) for row in F], axis=0)
-    return float((net / np.sqrt(np.bincount(bodies.molecules))).max())
+    _, molecules, sizes = np.unique(bodies.molecules, return_inverse=True, return_counts=True)
+    owners = molecules[bodies.owners[bodies.owners >= 0]]
+    net = np.linalg.norm([np.bincount(owners, column) for column in forces.T], axis=0)
+    strongest = float((net / np.sqrt(sizes)).max())
+    return strongest if math.isfinite(strongest) else math.inf
 
 
 class Means(NamedTuple):
