@@ -15,6 +15,7 @@ from openmm.unit import Quantity
 
 from openmm_sier.measure.pdb_files import first_line, read_pdb
 from openmm_sier.measure.water_models import ForceFieldError, WaterModel, recognize
+from openmm_sier.observe.body_states import wrapped
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
@@ -120,24 +121,14 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
     """
     try:
         return app.ForceField(*[locate(name, Path(beside)) for name in files])
-    except ForceFieldError:
-        raise
     except Exception as error:
         raise ForceFieldError(f"cannot read the force field {' '.join(files)}: {first_line(error)}") from error
 
 
 def locate(name: str, beside: Path) -> str:
-    """The path of a force-field file, or its name where it is one of OpenMM's own; looked for as in `load`.
-
-    Raises:
-        ForceFieldError: the file is not found.
-    """
-    for directory in (Path(), beside, *SHIPPED):
-        if (directory / name).is_file():
-            return str(directory / name)
-    if not (Path(app.__file__).parent / "data" / name).is_file():
-        raise ForceFieldError(f"there is no force field {name}, neither here, beside the PDB file, nor in OpenMM")
-    return name
+    """The path of a force-field file, or its name where OpenMM is to look for it; see `load`."""
+    places = (directory / name for directory in (Path(), beside, *SHIPPED))
+    return next((str(place) for place in places if place.is_file()), name)
 
 
 def add_virtual_sites(
@@ -289,12 +280,7 @@ def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
     if box is None:
         return positions
     first = np.array([next(atom.residue.atoms()).index for atom in topology.atoms()])
-    arms = positions - positions[first]
-    for vector in reversed(np.array(box.value_in_unit(unit.nanometer))):
-        # In OpenMM's reduced form the last non-zero component of a box vector is the one along its own axis.
-        axis = int(np.flatnonzero(vector)[-1])
-        arms = arms - np.outer(np.round(arms[:, axis] / vector[axis]), vector)
-    return positions[first] + arms
+    return positions[first] + wrapped(positions - positions[first], box.value_in_unit(unit.nanometer), np.round)
 
 
 def describe(box: Box) -> str:
