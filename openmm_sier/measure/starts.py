@@ -14,6 +14,7 @@ from openmm import unit
 from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
 from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
@@ -287,10 +288,7 @@ def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time:
 
 def stop_centre_of_mass(context: openmm.Context) -> None:
     """Bring the centre of mass of a Context to rest."""
-    system = context.getSystem()
-    masses = tables.masses(system)
-    velocities = context.getState(velocities=True).getVelocities(asNumpy=True)
-    velocities = velocities.value_in_unit(unit.nanometer / unit.picosecond)
+    masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
     velocities[masses > 0] -= masses @ velocities / masses.sum()
     context.setVelocities(velocities)
 
