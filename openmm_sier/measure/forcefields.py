@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.measure.pdb_files import first_line, read_pdb
-from openmm_sier.measure.water_models import ForceFieldError, WaterModel, recognize
+from openmm_sier.measure.water_models import ForceFieldError, recognize
 from openmm_sier.observe.body_states import wrapped
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 
@@ -62,16 +62,8 @@ class Interactions:
     hydrogen_mass: float | None = None
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Force-field files, and the reason for the choice in words."""
-
-    files: tuple[str, ...]
-    reason: str
-
-
-def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> Choice:
-    """The force field of a PDB file for which the user named none.
+def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> tuple[tuple[str, ...], str]:
+    """Force-field files for a PDB file for which the user named none, and the reason in words.
 
     Records "REMARK  99 FORCEFIELD file.xml" in the file decide; the project's own boxes have them. Without them the
     geometry decides, if it is that of a single water model, see `openmm_sier.measure.water_models`.
@@ -85,32 +77,23 @@ def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> Cho
         ForceFieldError: there is no water, or something besides water and ions, or the geometry is that of no model or
             of several. The message says what `--forcefield` (here: `files` of `read_box`) may be.
     """
-    named = tuple(
-        line[len(REMARK) :].strip()
-        for line in Path(path).read_text(errors="replace").splitlines()
-        if line.startswith(REMARK)
-    )
-    if named:
-        return Choice(named, "named in the PDB file")
+    lines = Path(path).read_text(errors="replace").splitlines()
+    if named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK)):
+        return named, "named in the PDB file"
     residues = list(topology.residues())
     waters = [residue for residue in residues if residue.name == "HOH"]
     others = [residue for residue in residues if residue.name != "HOH"]
     if not waters:
-        raise ForceFieldError(f"{path} has no water, so that no force field can be picked. Name one with --forcefield")
-    try:
-        model = recognize(waters, positions, ions=bool(others))
-    except ForceFieldError as error:
-        raise ForceFieldError(f"{path}: {error}") from None
+        raise ForceFieldError("it has no water, so that no force field can be picked. Name one with --forcefield")
+    model = recognize(waters, positions, ions=bool(others))
     file = model.file_with_ions if others else model.file
     if file is None or any(len(list(residue.atoms())) > 1 for residue in others):
-        raise ForceFieldError(_unknown_residues(path, model, others))
-    return Choice((file,), f"{model.name}, whose geometry the water has{', with ions' if others else ''}")
-
-
-def _unknown_residues(path: str | Path, model: WaterModel, others: Iterable[app.topology.Residue]) -> str:
-    names = ", ".join(sorted({residue.name for residue in others})) or "none"
-    hint = "" if model.file_with_ions is None else f"; {model.file_with_ions} has {model.name} water and ions"
-    return f"{path} has residues {names} besides {model.name} water. Name force fields for them with --forcefield{hint}"
+        names = ", ".join(sorted({residue.name for residue in others})) or "none"
+        hint = "" if model.file_with_ions is None else f"; {model.file_with_ions} has {model.name} water and ions"
+        raise ForceFieldError(
+            f"it has residues {names} besides {model.name} water. Name force fields for them with --forcefield{hint}"
+        )
+    return (file,), f"{model.name}, whose geometry the water has{', with ions' if others else ''}"
 
 
 def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
@@ -229,14 +212,16 @@ class Box:
         topology: openmm.app.Topology, virtual sites included.
         positions: Quantity, of all sites.
         system: openmm.System.
-        choice: the force field and why.
+        files: of the force field.
+        reason: why these, in words.
         listed: indices of the particles that the PDB file lists, virtual sites only if it has them.
     """
 
     topology: app.Topology
     positions: unit.Quantity
     system: openmm.System
-    choice: Choice
+    files: tuple[str, ...]
+    reason: str
     listed: np.ndarray
 
 
@@ -260,18 +245,17 @@ def read_box(
     pdb = read_pdb(path)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     lengths = make_whole(lengths, pdb.topology)
-    named = Choice(tuple(map(str, files)), "named by the user") if files else None
-    choice = named or pick(path, pdb.topology, lengths)
-    forcefield = load(choice.files, Path(path).parent)
-    topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
-    listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
-    if len(listed) != pdb.topology.getNumAtoms():
-        listed = np.arange(topology.getNumAtoms())
     try:
+        chosen, reason = (tuple(map(str, files)), "named by the user") if files else pick(path, pdb.topology, lengths)
+        forcefield = load(chosen, Path(path).parent)
+        topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)
     except ForceFieldError as error:
         raise ForceFieldError(f"{path}: {error}") from None
-    return Box(topology, positions, system, choice, listed)
+    listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
+    if len(listed) != pdb.topology.getNumAtoms():
+        listed = np.arange(topology.getNumAtoms())
+    return Box(topology, positions, system, chosen, reason, listed)
 
 
 def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
