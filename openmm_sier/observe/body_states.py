@@ -52,9 +52,6 @@ UNITS = {
 #: Size of a chunk in numbers, 64 kB.
 CHUNK = 8192
 
-#: Values of the attribute `wrapped` of q.
-CONTINUOUS, WRAPPED = "no", "into the box"
-
 
 def frame_type(n: int, periodic: bool) -> np.dtype:
     """The numbers of one frame of n bodies; the names are those of the datasets."""
@@ -114,7 +111,7 @@ def _create_datasets(file: h5py.File, bodies: RigidBodies, periodic: bool, unwra
 
 
 def _wrapping(periodic: bool, unwrapped: bool) -> str:
-    return CONTINUOUS if unwrapped or not periodic else WRAPPED
+    return "no" if unwrapped or not periodic else "into the box"
 
 
 def _constant(group: h5py.Group, name: str, values: ArrayLike, unit: str) -> None:
@@ -153,13 +150,22 @@ class BodyStateFile:
         self._file = h5py.File(path, "r+" if append else "w", libver="earliest")
         if append:
             try:
-                check_same(self._file, Path(path), bodies, periodic, unwrapped)
-            except BaseException:
+                self._check_same(bodies, _wrapping(periodic, unwrapped))
+            except ValueError as error:
                 self._file.close()
-                raise
+                raise ValueError(f"{path} cannot be continued: {error}") from None
         else:
             _create_datasets(self._file, bodies, periodic, unwrapped)
         self._file.flush()
+
+    def _check_same(self, bodies: RigidBodies, wrapping: str) -> None:
+        file = self._file
+        if (layout := file.attrs.get("layout")) != LAYOUT:
+            raise ValueError(f"it has body states in layout {layout}, expected {LAYOUT}")
+        if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
+            raise ValueError(f"its {len(file['masses'])} bodies are not those of this System")
+        if (there := file["q"].attrs["wrapped"]) != wrapping:
+            raise ValueError(f"its centres are wrapped: {there}, expected: {wrapping}")
 
     def append(self, frames: np.ndarray) -> None:
         """Write frames, (T,) of `frame_type`, and flush them."""
@@ -184,22 +190,6 @@ def read_frames(file: h5py.File, first: int, last: int) -> np.ndarray:
     for name in found.dtype.names or ():
         found[name] = file[name][first:last]
     return found
-
-
-def check_same(file: h5py.File, path: Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
-    """Refuse a file to which frames of these bodies cannot be appended.
-
-    Raises:
-        ValueError: the file has another layout or wrapping, or is of other bodies.
-    """
-    layout = file.attrs.get("layout")
-    if layout != LAYOUT:
-        raise ValueError(f"{path} cannot be continued: it has body states in layout {layout}, expected {LAYOUT}")
-    if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
-        raise ValueError(f"{path} cannot be continued: its {len(file['masses'])} bodies are not those of this System")
-    wrapping = _wrapping(periodic, unwrapped)
-    if (there := file["q"].attrs["wrapped"]) != wrapping:
-        raise ValueError(f"{path} cannot be continued: its centres are wrapped: {there}, expected: {wrapping}")
 
 
 def import_h5py() -> Any:
