@@ -52,9 +52,6 @@ TIGHTEST = 1.0
 #: Least kinetic energy with which a run at constant energy is started, as a fraction of that at its temperature.
 LEAST_MOTION = 0.1
 
-#: Properties of a Platform that make two Contexts compute alike.
-KEPT_PROPERTIES = ("Threads", "DeterministicForces", "Precision", "DeviceIndex")
-
 
 class EquilibrationWarning(UserWarning):
     """An equilibration ended before temperatures and potential energy had settled."""
@@ -224,8 +221,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
         fastForceGroups=integrator.fastForceGroups,
     )
     langevin.setRandomNumberSeed(seed)
-    names = set(KEPT_PROPERTIES) & set(platform.getPropertyNames())
-    properties = {name: platform.getPropertyValue(context, name) for name in names}
+    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
     bath = openmm.Context(context.getSystem(), langevin, platform, properties)
     bath.setState(context.getState(positions=True))
     bath.setVelocitiesToTemperature(temperature, seed)
@@ -256,11 +252,10 @@ def _has_settled(windows: list[Means], temperature: float, dof: DegreesOfFreedom
     if len(windows) < FEWEST_WINDOWS:
         return False
     earlier, later = windows[-2:]
-    for first, second, number in zip(earlier[:3], later[:3], dof, strict=True):
-        if number and not abs((first + second) / 2 - temperature) <= bound(temperature, number):
-            return False
-    return abs(later.potential - earlier.potential) <= 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(
-        sum(dof) / 2
+    means = zip(np.mean([earlier, later], axis=0), dof, strict=False)
+    steady = 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(sum(dof) / 2)
+    return abs(later.potential - earlier.potential) <= steady and all(
+        abs(mean - temperature) <= bound(temperature, number) for mean, number in means if number
     )
 
 
