@@ -63,14 +63,6 @@ class Run(NamedTuple):
         interval = self.plan.interval(self.plan.pressure_tensor_every) * self.plan.step_time
         return tensors, interval, float(columns["Box Volume (nm^3)"].mean()), self.temperature
 
-    @property
-    def energy(self) -> np.ndarray:
-        """The energy whose fluctuations give the heat capacity: the enthalpy where the volume changes."""
-        total = self.log["Total Energy (kJ/mole)"]
-        if self.plan.moves_volume:
-            total = total + (self.plan.pressure or 0.0) * BAR * self.log["Box Volume (nm^3)"]
-        return total
-
 
 def _temperature(run: Run) -> Estimate | None:
     """The mean temperature, where there is no heat bath."""
@@ -84,9 +76,13 @@ def _mean_temperature(column: str, run: Run) -> Estimate | None:
 
 
 def _capacity(run: Run) -> Estimate | None:
-    if run.plan.ensemble == "nve":
+    """From the enthalpy where the volume changes; none without a heat bath."""
+    energy, plan = run.log["Total Energy (kJ/mole)"], run.plan
+    if plan.ensemble == "nve":
         return None
-    return properties.heat_capacity(run.energy, run.temperature, run.molecules)
+    if plan.moves_volume:
+        energy = energy + (plan.pressure or 0.0) * BAR * run.log["Box Volume (nm^3)"]
+    return properties.heat_capacity(energy, run.temperature, run.molecules)
 
 
 def _vaporization(run: Run) -> Estimate:
@@ -182,7 +178,12 @@ def curves_of(runs: Sequence[Run], stressed: Sequence[Run]) -> dict[str, Curve]:
         stressed: those among them that give a viscosity.
     """
     samples = [run.samples for run in _written_as_often(runs)]
-    return property_curves(samples, _integrals(_written_as_often(stressed)), runs[0].plan.ensemble != "hmc")
+    viscosities = None
+    if stressed:
+        integrals = [properties.viscosity_integrals(*run.stress) for run in _written_as_often(stressed)]
+        times = np.arange(integrals[0].shape[1]) * stressed[0].stress[1]
+        viscosities = times, np.concatenate(integrals)
+    return property_curves(samples, viscosities, runs[0].plan.ensemble != "hmc")
 
 
 def _written_as_often(runs: Sequence[Run]) -> list[Run]:
@@ -244,14 +245,6 @@ def _note_tail(runs: Sequence[Run]) -> None:
 def _without_the_box(runs: Sequence[Run], diffusion: Estimate, viscosity: Estimate) -> Estimate:
     edge = float(np.mean([run.samples.volumes.mean() ** (1 / 3) for run in runs]))
     return properties.without_finite_size(diffusion, runs[0].temperature, edge, viscosity)
-
-
-def _integrals(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times, ps, and running Green-Kubo integrals, mPa s, of all runs; None where there are none."""
-    if not runs:
-        return None
-    found = np.concatenate([properties.viscosity_integrals(*run.stress) for run in runs])
-    return np.arange(found.shape[1]) * runs[0].stress[1], found
 
 
 def read_runs(runs: Sequence[FinishedRun], given: Path | None, skip: float) -> list[Run]:
