@@ -37,12 +37,10 @@ class StockIntegrator(openmm.Integrator):
 
     Attributes:
         bodies: the rigid bodies of the Context.
-        fastForceGroups: none; all forces act at once.
         forceEvaluations: number of steps done, since each needs one.
     """
 
     bodies: RigidBodies
-    fastForceGroups: frozenset[int] = frozenset()
 
     #: Whether a bath or barostat of OpenMM gives heat that is not counted.
     _bathed = False
