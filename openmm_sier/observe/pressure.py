@@ -56,7 +56,9 @@ class MolecularPressure:
         self._source, self._system = context, system
         self._masses = tables.masses(system)
         self._owners, self._molecule_masses = _molecules(context, self._masses)
-        self._context = _second_context(context)
+        platform = context.getPlatform()
+        properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
+        self._context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
         self._forgets = neighbour_list.is_remembered(self._context)
         self._strains = [(_strain(axes, STRAIN), _strain(axes, -STRAIN)) for axes in COMPONENTS]
 
@@ -142,12 +144,6 @@ def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray,
         atom = int(np.flatnonzero(totals[owners] == 0)[0])
         raise ValueError(f"a pressure tensor needs molecules that move, but that of atom {atom} has no mass")
     return owners, totals
-
-
-def _second_context(context: openmm.Context) -> openmm.Context:
-    platform = context.getPlatform()
-    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
-    return openmm.Context(context.getSystem(), openmm.VerletIntegrator(0.001), platform, properties)
 
 
 def _strain(axes: tuple[int, int], size: float) -> tuple[np.ndarray, np.ndarray]:
