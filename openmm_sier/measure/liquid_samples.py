@@ -74,17 +74,13 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         ValueError: a position or an edge of the box is not finite.
         OSError: the file cannot be read.
     """
-    first = _first_atoms(box)
     topology = mdtraj.Topology.from_openmm(box.topology).subset(box.listed)
-    place = np.full(box.topology.getNumAtoms(), -1)
-    place[box.listed] = np.arange(len(box.listed))
-    oxygens = place[first]
+    first = _first_atoms(topology)
     frames, lengths, directions, pairs = [], [], [], []
     dipoles: list[np.ndarray] = []
     stride, first_frame, done = max(1, round(APART / interval)), round(skip / interval), 0
     dipole_of = _dipole_of(box)
-    count = min(len(first), 512)
-    chosen = topology.select_pairs(oxygens[:count], oxygens)
+    chosen = topology.select_pairs(first[:512], first)
     # All runs need the same bins, and their boxes may become smaller than that of the PDB file.
     reach = min(1.0, 0.45 * float(_edges(box, trajectory).min()))
     for chunk in read_chunks(trajectory, topology, first_frame):
@@ -92,9 +88,9 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         if not finite.all():
             number = first_frame + done + int(np.flatnonzero(~finite)[0]) + 1
             raise ValueError(f"{trajectory}, frame {number}: a position or an edge of the box is not finite")
-        frames.append(chunk.xyz[:, oxygens].astype(float))
+        frames.append(chunk.xyz[:, first].astype(float))
         lengths.append(chunk.unitcell_lengths.astype(float))
-        arms = (chunk.xyz[:, oxygens + 2] - chunk.xyz[:, oxygens + 1]).astype(float)
+        arms = (chunk.xyz[:, first + 2] - chunk.xyz[:, first + 1]).astype(float)
         directions.append(arms / np.linalg.norm(arms, axis=2, keepdims=True))
         if dipole_of is not None:
             dipoles += map(dipole_of, chunk.xyz)
@@ -153,16 +149,14 @@ def _edges(box: Box, trajectory: Path) -> np.ndarray:
     return edges
 
 
-def _first_atoms(box: Box) -> np.ndarray:
-    residues = list(box.topology.residues())
-    kinds = sorted({residue.name for residue in residues})
-    sizes = {len(list(residue.atoms())) for residue in residues}
-    if len(kinds) > 1 or min(sizes) < 3:
+def _first_atoms(topology: mdtraj.Topology) -> np.ndarray:
+    kinds = sorted({residue.name for residue in topology.residues})
+    if len(kinds) > 1 or min(residue.n_atoms for residue in topology.residues) < 3:
         raise NoLiquidError(
             f"properties are those of one kind of molecule with three atoms or more, the box has residues "
             f"{', '.join(kinds)}"
         )
-    return np.array([next(iter(residue.atoms())).index for residue in residues])
+    return np.array([residue.atom(0).index for residue in topology.residues])
 
 
 def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
