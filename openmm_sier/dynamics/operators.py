@@ -56,7 +56,6 @@ class CachedForces:
 
     def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
         if state.q is not self._q or state.A is not self._A:
-            self.invalidate()
             self._value = self.at(state.q, state.A)
             self._q, self._A = state.q, state.A
         return self._value

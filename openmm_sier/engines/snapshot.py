@@ -17,9 +17,10 @@ class Snapshot:
 
     def __init__(self, context: openmm.Context) -> None:
         state = context.getState(positions=True, velocities=True, parameters=True)
-        shape = (state._getNumParticles(), 3)
-        self.positions = read_vectors(state, openmm.State.Positions, np.empty(shape))
-        self.velocities = read_vectors(state, openmm.State.Velocities, np.empty(shape))
+        self.positions, self.velocities = np.empty((2, state._getNumParticles(), 3))
+        # Like getPositions(asNumpy=True), but without its overhead for names and units.
+        state._getVectorAsNumpy(openmm.State.Positions, self.positions)
+        state._getVectorAsNumpy(openmm.State.Velocities, self.velocities)
         self.time, self.steps = state.getTime()._value, state.getStepCount()
         self._environment = state.getPeriodicBoxVectors()._value, dict(state.getParameters())
 
@@ -32,17 +33,3 @@ class Snapshot:
     def same_environment(self, other: Snapshot | None) -> bool:
         """Whether box and parameters are the same. Changes of a Force itself leave no trace here."""
         return other is not None and self._environment == other._environment
-
-
-def read_vectors(state: openmm.State, kind: int, values: np.ndarray) -> np.ndarray:
-    """Fill a contiguous float64 array (N, 3) of exactly this size, which is not checked, with vectors of a State.
-
-    Like getPositions(asNumpy=True), but without its overhead for names and units.
-
-    Args:
-        state: a State.
-        kind: openmm.State.Positions, Velocities or Forces.
-        values: written, and returned.
-    """
-    state._getVectorAsNumpy(kind, values)
-    return values

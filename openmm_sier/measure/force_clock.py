@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -11,12 +10,12 @@ import openmm
 
 
 class ForceClock:
-    """Measures from outside the time for evaluating forces and energies, and for setting positions.
+    """Measures the time of the calls in which an exact engine asks OpenMM for forces and energies, or sets positions.
 
-    It wraps `Context.getState` and `Context.setPositions`.
+    It counts nothing for other engines and integrators, whose steps are made by OpenMM, nor for fast forces.
 
     Attributes:
-        seconds: spent in them.
+        seconds: spent in these calls.
         calls: number of evaluations of forces.
     """
 
@@ -27,19 +26,19 @@ class ForceClock:
             now: clock in seconds; `time.process_time` counts processor time, which other programs hardly affect.
         """
         self.seconds, self.calls = 0.0, 0
-        ask, place = context.getState, context.setPositions
+        forces = getattr(getattr(context.getIntegrator(), "_engine", None), "forces", None)
+        if forces is None:
+            return
 
-        def timed(call: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-            start = now()
-            try:
-                return call(*args, **kwargs)
-            finally:
-                self.seconds += now() - start
+        def timed(call: Callable[..., Any]) -> Callable[..., Any]:
+            def measured(*args: Any, **kwargs: Any) -> Any:
+                self.calls += "forces" in kwargs
+                start = now()
+                try:
+                    return call(*args, **kwargs)
+                finally:
+                    self.seconds += now() - start
 
-        def timed_ask(*args: Any, **kwargs: Any) -> Any:
-            if not (kwargs.get("forces") or kwargs.get("energy")):
-                return ask(*args, **kwargs)
-            self.calls += bool(kwargs.get("forces"))
-            return timed(ask, *args, **kwargs)
+            return measured
 
-        context.getState, context.setPositions = timed_ask, partial(timed, place)
+        forces.get_state, forces.set_positions = timed(forces.get_state), timed(forces.set_positions)

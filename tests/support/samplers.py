@@ -5,6 +5,7 @@ from __future__ import annotations
 import openmm
 
 from openmm_sier import SIER2, SIERHMCIntegrator
+from openmm_sier.engines.exact.forces import BodyForces
 from tests.support.restarts import everything
 
 TEMPERATURE = 297.0
@@ -32,4 +33,5 @@ def energies_computed(monkeypatch):
         return get(self, *args, **kwargs)
 
     monkeypatch.setattr(openmm.Context, "getState", counting)
+    monkeypatch.setattr(BodyForces, "get_state", staticmethod(counting))
     return computed

@@ -8,7 +8,6 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4Integrator, SIERLangevinIntegrator
-from openmm_sier.engines.snapshot import read_vectors
 from tests.support.waters import array, cluster_system, context_at, periodic_system, phase_point, platform, relaxed
 
 
@@ -75,7 +74,8 @@ def test_vectors_of_a_state(box):
     state = context.getState(positions=True, velocities=True, forces=True)
     for name in ("Positions", "Velocities", "Forces"):
         expected = getattr(state, f"get{name}")(asNumpy=True)._value
-        found = read_vectors(state, getattr(openmm.State, name), np.empty(expected.shape))
+        found = np.empty(expected.shape)
+        state._getVectorAsNumpy(getattr(openmm.State, name), found)
         assert expected.any()
         assert np.array_equal(found, expected)
 

@@ -197,7 +197,9 @@ class Constraints:
         q, push = np.ascontiguousarray(q), shift * np.ascontiguousarray(force)
         new_q = q + push / self.masses
         if len(self.pairs):
-            self._demand(backend.active().execute(constraint_solver.displace, self._table, q, push, new_q))
+            failed = backend.active().execute(constraint_solver.displace, self._table, q, push, new_q)
+            if failed >= 0:
+                raise self._insoluble(failed)
         return new_q
 
     def satisfied(self, q: np.ndarray) -> np.ndarray:
@@ -228,16 +230,16 @@ class Constraints:
         new_q, new_p = q + (t / self.masses) * p, p.copy()
         if t != 0 and len(self.pairs):
             times = t * np.asarray(fractions, dtype=float)
-            self._demand(backend.active().execute(constraint_solver.drift, self._table, q, p, times, new_q, new_p))
+            failed = backend.active().execute(constraint_solver.drift, self._table, q, p, times, new_q, new_p)
+            if failed >= 0:
+                raise self._insoluble(failed)
         return new_q, new_p
 
-    def _demand(self, failed: int) -> None:
-        """Refuse a solution in which a constraint, or none if the number is negative, is not satisfied."""
-        if failed >= 0:
-            bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
-            error = ConstraintError(
-                f"the constraints of {self._name(*bodies)} have no solution near: they contradict each other, their "
-                "atoms are far from where they belong, or they move too fast for this time"
-            )
-            error.bodies = bodies
-            raise error
+    def _insoluble(self, failed: int) -> ConstraintError:
+        bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
+        error = ConstraintError(
+            f"the constraints of {self._name(*bodies)} have no solution near: they contradict each other, their "
+            "atoms are far from where they belong, or they move too fast for this time"
+        )
+        error.bodies = bodies
+        return error

@@ -9,11 +9,8 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.engines.protocol import TrajectoryError
-from openmm_sier.engines.snapshot import Snapshot, read_vectors
+from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system.stiffness import stiffest_force
-
-#: Value of `BodyForces._placed` if the positions are not those of placed bodies.
-NOWHERE = (None, None)
 
 
 class BodyForces:
@@ -26,28 +23,27 @@ class BodyForces:
             are stored here.
         evaluations: number of force evaluations so far.
         step: number of the step that is being made, for messages.
+        get_state, set_positions: the methods of Context that are called, as `hooks` finds them: no integrator has to be
+            told of these calls.
     """
 
     _bodies: RigidBodies
+    _placed: tuple[np.ndarray | None, np.ndarray | None]
+    get_state = staticmethod(openmm.Context.getState)
+    set_positions = staticmethod(openmm.Context.setPositions)
 
     def __init__(self, context: openmm.Context):
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
-        self._context_ref = weakref.ref(context)
+        self._context = weakref.proxy(context)
         system = context.getSystem()
         n = system.getNumParticles()
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
         self.positions, self.velocities, self._vectors = np.zeros((3, n, 3))
-        self._placed: tuple = NOWHERE
+        self.forget_place()
         self._groups = self._groups_in_kicks = 0
         self.evaluations = self.step = 0
         # The last two, for the start and the end of a trajectory.
         self._energies: list[tuple[np.ndarray, np.ndarray, float]] = []
-
-    @property
-    def _context(self) -> openmm.Context:
-        context = self._context_ref()
-        assert context is not None
-        return context
 
     def act_on(self, bodies: RigidBodies) -> None:
         """Take bodies."""
@@ -70,11 +66,10 @@ class BodyForces:
             positions = self._bodies.place(q, A, self.positions)
         except NotFiniteError as error:
             raise self._blown_up("position of", error) from None
-        context = self._context
-        context.setPositions(positions)
+        self.set_positions(self._context, positions)
         if self._has_virtual_sites:
-            context.computeVirtualSites()
-        self._placed = (q, A)
+            self._context.computeVirtualSites()
+        self._placed = q, A
 
     def is_at(self, q: np.ndarray, A: np.ndarray) -> bool:
         """Whether the Context has the positions of bodies at (q, A)."""
@@ -87,7 +82,7 @@ class BodyForces:
 
     def forget_place(self) -> None:
         """Make the next `place` write positions to the Context, whatever is there."""
-        self._placed = NOWHERE
+        self._placed = None, None
 
     # --- forces ---
 
@@ -105,7 +100,7 @@ class BodyForces:
         found = next((kept for kept in self._energies if kept[0] is q and kept[1] is A), None)
         if found is None:
             self.place(q, A)
-            energy = self._context.getState(energy=True, groups=self._groups).getPotentialEnergy()._value
+            energy = self.get_state(self._context, energy=True, groups=self._groups).getPotentialEnergy()._value
             found = (q, A, energy)
         self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
         return found[2]
@@ -123,9 +118,11 @@ class BodyForces:
     def _of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.evaluations += 1
         self.place(q, A)
-        found = self._context.getState(forces=True, groups=groups)
+        found = self.get_state(self._context, forces=True, groups=groups)
+        # Like getForces(asNumpy=True), but without its overhead for names and units.
+        found._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         try:
-            return self._bodies.forces_and_torques(read_vectors(found, openmm.State.Forces, self._vectors), A)
+            return self._bodies.forces_and_torques(self._vectors, A)
         except NotFiniteError as error:
             raise self._blown_up("force on", error) from None
 

@@ -56,8 +56,8 @@ class Motion:
         self._bodies, self._rotation = bodies, rotation
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
-        solute = self._solute = _solute(context, bodies, self._members, groups_of(fast_groups))
-        self.fast = None if solute is None else CachedForces(lambda q, A: (solute(q),))
+        self._solute = _solute(context, bodies, self._members, groups_of(fast_groups))
+        self.fast = None if self._solute is None else CachedForces(self._solute)
         self._drift = operators.drift(bodies, rotation)
         self._outer = self._without_bath(forces)
         self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})

@@ -8,7 +8,6 @@ import numpy as np
 import openmm
 from numpy.typing import ArrayLike
 
-from openmm_sier.engines.snapshot import read_vectors
 from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES, bonded_kind, bonded_terms
 
 # OpenMM's methods as they are before `hooks` replaces them: no integrator has to be told of these calls.
@@ -81,7 +80,7 @@ def _checked_terms(force: openmm.Force, moving: np.ndarray, rigid: np.ndarray) -
 
 
 class SoluteForces:
-    """Fast forces on some atoms: a function of their positions.
+    """Fast forces on some atoms: a function of their positions, and of attitudes that play no part.
 
     The Context keeps copies of the Forces, so that changes of parameters, box or Forces do not reach it by themselves.
     `follow` takes over parameters and box; after `updateParametersInContext` a new object is needed.
@@ -120,12 +119,12 @@ class SoluteForces:
         if hasattr(self, "_context"):
             del self._context
 
-    def __call__(self, q: np.ndarray) -> np.ndarray:
-        """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm."""
+    def __call__(self, q: np.ndarray, A: np.ndarray | None = None) -> tuple[np.ndarray]:
+        """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm, alone in a tuple."""
         self._positions[self._members] = q.T
         set_positions(self._context, self._positions)
-        found = read_vectors(get_state(self._context, forces=True), openmm.State.Forces, self._values)
-        return np.ascontiguousarray(found[self._members].T)
+        get_state(self._context, forces=True)._getVectorAsNumpy(openmm.State.Forces, self._values)
+        return (np.ascontiguousarray(self._values[self._members].T),)
 
     def follow(self, context: openmm.Context) -> bool:
         """Take over the parameters and the box of the Context of all forces; returns whether any was different.
