@@ -74,19 +74,13 @@ class RigidBodies(dynamics.RigidBodies):
 
 
 class BodyPlan:
-    """Which particles of a System form rigid bodies; see `RigidBodies.from_system` for the rules.
+    """Which particles of a System form rigid bodies; see `RigidBodies.from_system` for arguments, rules and errors.
 
     Attributes:
         kinds: the kinds of body.
     """
 
     def __init__(self, system: openmm.System, topology: openmm.app.Topology | None = None, rigid: Rigid = None):
-        """
-        Args:
-            system: openmm.System.
-            topology: openmm.app.Topology.
-            rigid: as in `RigidBodies.from_system`, which also lists the errors raised.
-        """
         n = system.getNumParticles()
         self._labels = None if topology is None else _residue_labels(topology, n)
         self._n = n
