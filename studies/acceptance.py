@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from openmm_sier.dynamics.metropolis import expected_acceptance, spread_at
+from openmm_sier.dynamics.metropolis import spread_at
 from studies import acceptance_trials as trials
 from studies import boxes, records, style
 from studies.acceptance_trials import AcceptanceSettings
@@ -157,6 +157,11 @@ def limits(rows: pd.DataFrame, accepted: float = 0.5) -> pd.DataFrame:
         row["measured"] = max(mine.loc[mine["acceptance"] > accepted, "molecules"], default=0)
         found.append(row | {"largest": largest, "largest_error": 2 * largest * error / spread})
     return pd.DataFrame(found)
+
+
+def expected_acceptance(spread: float) -> float:
+    """Mean of min(1, exp(-error)) for normally distributed energy errors with this standard deviation in kT."""
+    return math.erfc(spread / math.sqrt(8))
 
 
 def pooled_spread(rows: pd.DataFrame) -> tuple[float, float]:

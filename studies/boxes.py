@@ -148,7 +148,7 @@ def cropped(box: Box, directory: Path, molecules: int) -> Replica:
 
 
 def _system(topology: app.Topology, box: Box, directory: Path) -> openmm.System:
-    return with_tolerance(forcefields.pme_system(topology, forcefields.load(box.choice.files, directory)))
+    return with_tolerance(forcefields.pme_system(topology, forcefields.load(box.files, directory)))
 
 
 def of_size(box: Box, directory: Path, molecules: int) -> Replica:

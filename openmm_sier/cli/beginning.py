@@ -64,7 +64,7 @@ class Simulated:
             ForceFieldError, RigidityError, OSError: as their messages say.
         """
         box = read_box(options.box, plan.forcefield, plan.constraints, plan.interactions)
-        note(f"{options.box}: force field {' '.join(box.choice.files)} ({box.choice.reason}); {describe(box)}")
+        note(f"{options.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}")
         bodies = rigid_bodies(box, plan.rigid)
         fast = prepare_system(box.system, bodies).fastForceGroups
         if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():

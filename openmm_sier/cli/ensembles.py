@@ -1,18 +1,6 @@
 """The command `openmm-sier ensemble`: a plan in TOML, and its members on a pool of processes or on dask's workers.
 
-A plan has the options of `openmm-sier run` that all members share, and the values of those that vary:
-
-    [options]
-    time = 20
-    ensemble = "npt"
-    [members]
-    box = ["spce-512.pdb", "tip3p-512.pdb"]
-    scheme = ["sier2", "sier4g"]
-    seed = [1, 2, 3]
-
-Members are all combinations, here twelve. Several tables [[members]] add up, for example for methods that each have
-their own steps. Files that runs read are looked for beside the plan, and then
-among the project's own boxes. Files that they write lie in the directory of each member.
+`docs/command.md` says what a plan is. Files that runs read are looked for beside it, then among the project's own.
 """
 
 from __future__ import annotations
@@ -26,13 +14,7 @@ from typing import Any
 from openmm_sier.cli.console import REPORT, note, table
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.plan import RunError, new_plan
-from openmm_sier.measure.ensemble import (
-    EnsembleError,
-    Member,
-    Outcome,
-    ensemble,
-    is_complete,
-)
+from openmm_sier.measure.ensemble import EnsembleError, Member, Outcome, ensemble, is_complete
 from openmm_sier.measure.forcefields import SHIPPED
 from openmm_sier_command.options import OPTIONS, Options, check_table
 

@@ -57,18 +57,36 @@ class FinishedRun(NamedTuple):
 
         Raises:
             RunError: fewer than `FEWEST` rows remain.
-            RecordError: see `read_rows`.
+            RecordError: a column, a number or a row is missing, or there is one too many.
+            OSError: the file cannot be read.
         """
-        path, interval = Path(self.plan.report), self.plan.interval(self.plan.report_every)
-        # The first row is the start.
-        return _after(skip, path, read_rows(path, conservation.COLUMNS, self.notes["log"]["count"], interval, 0))
+        return self._rows("log", "report", conservation.COLUMNS, 0, skip)
 
     def tensors(self, skip: float) -> dict[str, np.ndarray] | None:
         """Columns of the pressure tensors likewise; None where the run wrote none."""
         if self.plan.pressure_tensor is None:
             return None
-        path, interval = Path(self.plan.pressure_tensor), self.plan.interval(self.plan.pressure_tensor_every)
-        return _after(skip, path, read_rows(path, pressure.COLUMNS, self.notes["tensors"]["count"], interval, interval))
+        return self._rows("tensors", "pressure_tensor", pressure.COLUMNS, 1, skip)
+
+    def _rows(self, noted: str, option: str, columns: Sequence[str], first: int, skip: float) -> dict[str, np.ndarray]:
+        """Columns of a file, whose first row is that of the start (0) or one interval later (1)."""
+        path, interval = Path(getattr(self.plan, option)), self.plan.interval(getattr(self.plan, f"{option}_every"))
+        values, count = read_log(path), self.notes[noted]["count"]
+        if missing := [name for name in columns if name not in values]:
+            raise RecordError(f"{path}: expected a heading with {missing[0]}")
+        if not np.array_equal(values["Step"], interval * (first + np.arange(count))):
+            raise RecordError(
+                f"{path}: expected {count} rows, one every {interval} steps, as the checkpoint notes: the run still "
+                "goes on, was cut off (run --restart mends that), or the file is not that of the checkpoint"
+            )
+        for name in columns:
+            wrong = ~np.isfinite(values[name])
+            if wrong.any() and not (name in UNKNOWN and np.isnan(values[name]).all()):
+                raise RecordError(f"{path}: {name} is {values[name][wrong][0]} in row {wrong.argmax() + 1}")
+        kept = values["Time (ps)"] >= skip
+        if kept.sum() < FEWEST:
+            raise RunError(f"{path} has {kept.sum()} rows after {skip:g} ps, {FEWEST} are needed")
+        return {name: column[kept] for name, column in values.items()}
 
 
 def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
@@ -103,39 +121,3 @@ def check_alike(run: FinishedRun, first: FinishedRun, names: Sequence[str], reas
     for name in names:
         if mine[name] != others[name]:
             raise RunError(f"{run.checkpoint} has {name} {mine[name]}, {first.checkpoint} has {others[name]}: {reason}")
-
-
-def read_rows(path: Path, columns: Sequence[str], count: int, interval: int, first: int) -> dict[str, np.ndarray]:
-    """All rows of a log of numbers, by column, if there are just those that its run wrote.
-
-    Args:
-        path: of the file.
-        columns: that it must have.
-        count: rows that the checkpoint notes.
-        interval: steps between rows.
-        first: step of the first row.
-
-    Raises:
-        RecordError: a column, a number or a row is missing, or there is one too many.
-        OSError: the file cannot be read.
-    """
-    values = read_log(path)
-    if missing := [name for name in columns if name not in values]:
-        raise RecordError(f"{path}: expected a heading with {missing[0]}")
-    if not np.array_equal(values["Step"], first + interval * np.arange(count)):
-        raise RecordError(
-            f"{path}: expected {count} rows, one every {interval} steps, as the checkpoint notes: the run still goes "
-            "on, was cut off (run --restart mends that), or the file is not that of the checkpoint"
-        )
-    for name in columns:
-        wrong = ~np.isfinite(values[name])
-        if wrong.any() and not (name in UNKNOWN and np.isnan(values[name]).all()):
-            raise RecordError(f"{path}: {name} is {values[name][wrong][0]} in row {wrong.argmax() + 1}")
-    return values
-
-
-def _after(skip: float, path: Path, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    kept = values["Time (ps)"] >= skip
-    if kept.sum() < FEWEST:
-        raise RunError(f"{path} has {kept.sum()} rows after {skip:g} ps, {FEWEST} are needed")
-    return {name: column[kept] for name, column in values.items()}

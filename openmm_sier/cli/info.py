@@ -61,7 +61,7 @@ def info(
     atoms = list(read.topology.atoms())
     riders = _riders(read.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
-    table(f"{box}, {' '.join(read.choice.files)} ({read.choice.reason})", COLUMNS, rows)
+    table(f"{box}, {' '.join(read.files)} ({read.reason})", COLUMNS, rows)
     counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
     if count := len(bodies.constraints.pairs):
         counts += f", {count} constraints between bodies"

@@ -100,11 +100,6 @@ class Plan(Options):
         return Interactions(self.cutoff, self.switch, self.tolerance, self.hydrogen_mass)
 
     @property
-    def counts_heat(self) -> bool:
-        """Whether the conserved energy is known: the heat from OpenMM's own baths is not counted."""
-        return self.method.scheme is not None or self.ensemble == "nve"
-
-    @property
     def title(self) -> str:
         """Method, ensemble, the mass of hydrogens if it was chosen, and step."""
         bath = f", {self.temperature:g} K" if self.ensemble != "nve" else ""

@@ -21,27 +21,14 @@ from openmm_sier.measure.liquid_samples import LiquidSamples, read_samples
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from openmm_sier.observe import pressure
 
-#: Liquid water at 298.15 K and 1 bar: density, heat capacity, enthalpy of vaporization and dielectric constant by the
-#: IAPWS formulations; self-diffusion of Holz et al., Phys. Chem. Chem. Phys. 2, 4740 (2000); the first maximum of the
-#: O-O distribution of Skinner et al., J. Chem. Phys. 138, 074506 (2013); viscosity by the IAPWS formulation.
-EXPERIMENT = {
-    "density": "0.9970",
-    "vaporization": "43.99",
-    "capacity": "75.3",
-    "dielectric": "78.4",
-    "diffusion": "2.30",
-    "viscosity": "0.890",
-    "peak": "2.57",
-    "peak distance": "0.280",
-}
-
 
 class Row(NamedTuple):
-    """A property: its key, its name with the unit, how it follows from a run, and whether it needs the motion."""
+    """A property: its key, its name with the unit, how a run gives it, its value in water, and if it needs motion."""
 
     key: str
     name: str
     estimate: Callable[[Run], Estimate | None]
+    water: str = ""
     of_motion: bool = False
 
 
@@ -76,14 +63,6 @@ class Run(NamedTuple):
         interval = self.plan.interval(self.plan.pressure_tensor_every) * self.plan.step_time
         return tensors, interval, float(columns["Box Volume (nm^3)"].mean()), self.temperature
 
-    @property
-    def energy(self) -> np.ndarray:
-        """The energy whose fluctuations give the heat capacity: the enthalpy where the volume changes."""
-        total = self.log["Total Energy (kJ/mole)"]
-        if self.plan.moves_volume:
-            total = total + (self.plan.pressure or 0.0) * BAR * self.log["Box Volume (nm^3)"]
-        return total
-
 
 def _temperature(run: Run) -> Estimate | None:
     """The mean temperature, where there is no heat bath."""
@@ -97,9 +76,13 @@ def _mean_temperature(column: str, run: Run) -> Estimate | None:
 
 
 def _capacity(run: Run) -> Estimate | None:
-    if run.plan.ensemble == "nve":
+    """From the enthalpy where the volume changes; none without a heat bath."""
+    energy, plan = run.log["Total Energy (kJ/mole)"], run.plan
+    if plan.ensemble == "nve":
         return None
-    return properties.heat_capacity(run.energy, run.temperature, run.molecules)
+    if plan.moves_volume:
+        energy = energy + (plan.pressure or 0.0) * BAR * run.log["Box Volume (nm^3)"]
+    return properties.heat_capacity(energy, run.temperature, run.molecules)
 
 
 def _vaporization(run: Run) -> Estimate:
@@ -129,24 +112,27 @@ def _viscosity(run: Run) -> Estimate | None:
     return None if run.tensors is None else properties.shear_viscosity(*run.stress)
 
 
+#: Liquid water is at 298.15 K and 1 bar. Density, heat capacity, enthalpy of vaporization, dielectric constant and
+#: viscosity are by the IAPWS formulations; self-diffusion of Holz et al., Phys. Chem. Chem. Phys. 2, 4740 (2000); the
+#: first maximum of the O-O distribution of Skinner et al., J. Chem. Phys. 138, 074506 (2013).
 ROWS = (
     Row("", "temperature, K", _temperature),
     Row("translation", "temperature of translation, K", partial(_mean_temperature, "Translational Temperature (K)")),
     Row("rotation", "temperature of rotation, K", partial(_mean_temperature, "Rotational Temperature (K)")),
-    Row("density", "density, g/cm³", lambda run: mean_and_error(run.log["Density (g/mL)"])),
+    Row("density", "density, g/cm³", lambda run: mean_and_error(run.log["Density (g/mL)"]), "0.9970"),
     Row(
         "energy",
         "potential energy, kJ/mol of molecules",
         lambda run: mean_and_error(run.log["Potential Energy (kJ/mole)"] / run.molecules),
     ),
-    Row("vaporization", "enthalpy of vaporization, kJ/mol, rigid and without polarization", _vaporization),
-    Row("capacity", "heat capacity (total energy or enthalpy), classical, J/mol/K", _capacity),
-    Row("dielectric", "static dielectric constant", _dielectric),
-    Row("viscosity", "shear viscosity, mPa s", _viscosity, of_motion=True),
-    Row("diffusion", "self-diffusion in the box, 10⁻⁹ m²/s", _diffusion, of_motion=True),
+    Row("vaporization", "enthalpy of vaporization, kJ/mol, rigid and without polarization", _vaporization, "43.99"),
+    Row("capacity", "heat capacity (total energy or enthalpy), classical, J/mol/K", _capacity, "75.3"),
+    Row("dielectric", "static dielectric constant", _dielectric, "78.4"),
+    Row("viscosity", "shear viscosity, mPa s", _viscosity, "0.890", of_motion=True),
+    Row("diffusion", "self-diffusion in the box, 10⁻⁹ m²/s", _diffusion, "2.30", of_motion=True),
     Row("", "rotational correlation time of second order, ps", _rotation, of_motion=True),
-    Row("peak", "maximum of the pair distribution", partial(_maximum_of_pairs, 0)),
-    Row("peak distance", "its distance, nm", partial(_maximum_of_pairs, 1)),
+    Row("peak", "maximum of the pair distribution", partial(_maximum_of_pairs, 0), "2.57"),
+    Row("peak distance", "its distance, nm", partial(_maximum_of_pairs, 1), "0.280"),
 )
 
 
@@ -192,7 +178,12 @@ def curves_of(runs: Sequence[Run], stressed: Sequence[Run]) -> dict[str, Curve]:
         stressed: those among them that give a viscosity.
     """
     samples = [run.samples for run in _written_as_often(runs)]
-    return property_curves(samples, _integrals(_written_as_often(stressed)), runs[0].plan.ensemble != "hmc")
+    viscosities = None
+    if stressed:
+        integrals = [properties.viscosity_integrals(*run.stress) for run in _written_as_often(stressed)]
+        times = np.arange(integrals[0].shape[1]) * stressed[0].stress[1]
+        viscosities = times, np.concatenate(integrals)
+    return property_curves(samples, viscosities, runs[0].plan.ensemble != "hmc")
 
 
 def _written_as_often(runs: Sequence[Run]) -> list[Run]:
@@ -213,13 +204,14 @@ def _rows(runs: Sequence[Run], viscosity: Estimate | None) -> tuple[list[list[st
         if not given:
             continue
         value = pooled(given)
-        rows.append([row.name, str(value), EXPERIMENT.get(row.key, "")])
+        rows.append([row.name, str(value), row.water])
         if row.key == "viscosity":
             stressed = [run for run in runs if found[run.plan.out] is not None]
             _note_tail(stressed)
             viscosity = viscosity or value
         if row.key == "diffusion" and viscosity is not None and viscosity.value > 2 * viscosity.error:
-            rows.append(_corrected(runs, value, viscosity))
+            name = f"self-diffusion without the box, viscosity {viscosity} mPa s"
+            rows.append([name, str(_without_the_box(runs, value, viscosity)), row.water])
     return rows, stressed
 
 
@@ -250,19 +242,9 @@ def _note_tail(runs: Sequence[Run]) -> None:
         )
 
 
-def _corrected(runs: Sequence[Run], found: Estimate, viscosity: Estimate) -> list[str]:
-    """The row of diffusion without the effect of the periodic box."""
+def _without_the_box(runs: Sequence[Run], diffusion: Estimate, viscosity: Estimate) -> Estimate:
     edge = float(np.mean([run.samples.volumes.mean() ** (1 / 3) for run in runs]))
-    value = properties.without_finite_size(found, runs[0].temperature, edge, viscosity)
-    return [f"self-diffusion without the box, viscosity {viscosity} mPa s", str(value), EXPERIMENT["diffusion"]]
-
-
-def _integrals(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times, ps, and running Green-Kubo integrals, mPa s, of all runs; None where there are none."""
-    if not runs:
-        return None
-    found = np.concatenate([properties.viscosity_integrals(*run.stress) for run in runs])
-    return np.arange(found.shape[1]) * runs[0].stress[1], found
+    return properties.without_finite_size(diffusion, runs[0].temperature, edge, viscosity)
 
 
 def read_runs(runs: Sequence[FinishedRun], given: Path | None, skip: float) -> list[Run]:

@@ -86,7 +86,7 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
 
 def _inputs(options: Options, box: Box) -> list[Path]:
     """Files that are read and must not be written. The checkpoint of --restart, which is both, is not among them."""
-    fields = [Path(locate(file, options.box.parent)) for file in box.choice.files]
+    fields = [Path(locate(file, options.box.parent)) for file in box.files]
     return [options.box, *fields, *([options.start] if options.start else [])]
 
 

@@ -15,10 +15,10 @@ import openmm
 
 from openmm_sier.cli.plan import Plan
 from openmm_sier.dynamics.bodies import NotFiniteError
+from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.temperature import DegreesOfFreedom
 from openmm_sier.measure.observables import energy_error, number_of_windows
 from openmm_sier.measure.statistics import rms
-from openmm_sier.observe.stock import BrokenDownError
 from openmm_sier.system.runaway import hottest
 
 #: Column of the log with H.
@@ -66,7 +66,7 @@ def check(context: openmm.Context, bounds: Bounds) -> None:
 def is_runaway(error: BaseException) -> bool:
     """Whether a step failed because forces or positions are not finite."""
     # OpenMM has one class for all its errors.
-    broken = isinstance(error, BrokenDownError) or isinstance(error.__context__, NotFiniteError)
+    broken = isinstance(error, TrajectoryError) or isinstance(error.__context__, NotFiniteError)
     return broken or "coordinate is NaN" in str(error)
 
 

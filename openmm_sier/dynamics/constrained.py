@@ -13,7 +13,9 @@ tangent w is <nabla_w grad V, grad V>, and since the Hessian of a function is sy
 the modified force is P F + s nabla_a (P F), with nabla the covariant derivative: P(q) d/ds of the tangent force P F
 along any curve on the manifold that starts at q with velocity a. To first order in s this is
 
-    P(q) P(q_s) F(q_s),    q_s: q + s a brought back onto the constraints.
+    P(q) P(q_s) F(q_s),    q_s: q + s M^-1 F brought back onto the constraints along their gradients at q,
+
+which takes away what F has along them.
 
 Projecting at q_s is essential: P(q) F(q_s) lacks the curvature term P (dP/ds) F, and the scheme falls to second order.
 As in flat space the map is reversible, and symplectic up to terms of the order h s^2 = O(h^5) a step.
@@ -22,8 +24,8 @@ The algebra of kicks is unchanged too: kicks commute, and T is quadratic in the 
 Schemes have the order that `Scheme.order` derives, provided that the geodesic has this order too.
 
 Forces at displaced points exert a torque about the points before displacement that differs in second order in s from
-that about the displaced ones. `DisplacedKick` corrects for this by a rigid rotation of each group of atoms, so that the
-total angular momentum is exact.
+that about the displaced ones. `DisplacedForces` corrects for this by a rigid rotation of each group of atoms, so that
+the total angular momentum is exact.
 """
 
 from __future__ import annotations
@@ -37,7 +39,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend, operators
-from openmm_sier.dynamics.backend.formulas import cross
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
@@ -62,7 +63,7 @@ def constrained_operators(
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
         composition: fractions of a drift that its RATTLE steps take, see `constraints.geodesic`.
-        groups: of `DisplacedKick`; None: one for each connected component of the constraints.
+        groups: of `DisplacedForces`; None: one for each connected component of the constraints.
     """
     return {
         KICK: operators.kick(forces),
@@ -111,25 +112,29 @@ def constrained_gradient_kick(
 
     The operator raises ConstraintError where no positions near the displaced ones satisfy the constraints.
     """
-    displaced_kick = DisplacedKick(constraints, groups)
+    displaced = DisplacedForces(constraints, groups)
+    grouped = np.flatnonzero(displaced.grouped)
 
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
         F, tau = forces(state)
-        F = constraints.project(state.q, F)
         q, A = bodies.displaced(state.q, state.A, F, tau, shift)
         part = constraints.members
         q[:, part] = constraints.displaced(state.q, F, shift)[:, part]
         F, tau = forces.at(q, A)
-        p, torques = displaced_kick(state, q, F, h)
-        return BodyState(state.q, p, state.A, state.L + h * (tau + torques), state.heat, state.draws)
+        p, L = backend.active().kick(state.p, state.L, displaced(state.q, q, F), tau, h, state.q, q)
+        L[:, grouped] = state.L[:, grouped]
+        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
 
     return apply
 
 
-class DisplacedKick:
-    """A kick by forces at displaced positions, which satisfy all constraints between members of a group of points.
+class DisplacedForces:
+    """Forces at displaced positions, which satisfy all constraints between members of a group of points.
 
     Where a group lies on a line or is a single point, errors of its torque are of second order in the displacement.
+
+    Attributes:
+        grouped: which bodies are in a group, (n,). The others take up torques about their own centres.
     """
 
     def __init__(self, constraints: Constraints, groups: ArrayLike | None):
@@ -142,27 +147,21 @@ class DisplacedKick:
         groups = constraints.groups if groups is None else np.asarray(groups)
         numbers, group, size = np.unique(groups, return_inverse=True, return_counts=True)
         part = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
-        self._constraints, self._grouped = constraints, groups >= 0
+        self._constraints, self.grouped = constraints, groups >= 0
         self._part = part[np.argsort(group[part], kind="stable")]
         starts = np.flatnonzero(np.diff(group[self._part], prepend=-1))
         self._edges = np.append(starts, len(self._part))
         self._masses = constraints.masses[self._part]
 
-    def __call__(self, state: BodyState, q: np.ndarray, F: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """New momenta, and the torques about the centres that bodies in no group take up themselves, (3, n) each.
+    def __call__(self, q: np.ndarray, at: np.ndarray, F: np.ndarray) -> np.ndarray:
+        """The forces, (3, n), of the gradient kick on bodies at q by the forces F at displaced positions, (3, n) each.
 
-        Args:
-            state: before the kick.
-            q: displaced positions, (3, n).
-            F: forces there, (3, n).
-            h: time.
+        They exert the torque of the displaced forces on each group, and need be projected at q.
         """
-        F = self._constraints.project(q, F)
-        torques = np.array(cross(q - state.q, F))
+        F = self._constraints.project(at, F)
         if len(self._part):
-            backend.active().turn_groups(self._edges, self._part, self._masses, state.q, torques, F)
-        torques[:, self._grouped] = 0.0
-        return state.p + h * F, torques
+            backend.active().turn_groups(self._edges, self._part, self._masses, q, at, F)
+        return F
 
 
 # --- drifts ---
@@ -196,9 +195,13 @@ def point_operators(
         constraints: in the numbering of the points, with the masses of all of them.
         forces: on the points, of which only the first array is used.
         composition: as above, of `constrained_operators`.
-        groups: of `DisplacedKick`; None: one for each connected component of the constraints.
+        groups: of `DisplacedForces`; None: one for each connected component of the constraints.
     """
-    displaced_kick = DisplacedKick(constraints, groups)
+    displaced = DisplacedForces(constraints, groups)
+
+    def drift(state: BodyState, h: float) -> BodyState:
+        q, p = constraints.drift(state.q, state.p, h, composition)
+        return BodyState(q, p, state.A, state.L, state.heat, state.draws)
 
     def kick(state: BodyState, h: float) -> BodyState:
         (F,) = forces(state)
@@ -206,15 +209,14 @@ def point_operators(
 
     def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
         (F,) = forces(state)
-        q = constraints.displaced(state.q, constraints.project(state.q, F), shift)
+        q = constraints.displaced(state.q, F, shift)
         (F,) = forces.at(q, state.A)
-        p, _ = displaced_kick(state, q, F, h)
-        return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
+        return BodyState(state.q, state.p + h * displaced(state.q, q, F), state.A, state.L, state.heat, state.draws)
 
     return {
         KICK: kick,
         GRADIENT_KICK: gradient_kick,
-        DRIFT: constrained_drift(lambda state, h: state, constraints, composition),
+        DRIFT: drift,
         AFTER_STEP: projection(constraints),
     }
 

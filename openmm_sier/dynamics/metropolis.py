@@ -37,11 +37,6 @@ def is_accepted(error: float, seed: int, draw: int) -> bool:
     return bool(error <= -math.log(1 - generator(seed, draw, stream=2).random()))
 
 
-def expected_acceptance(spread: float) -> float:
-    """Mean of min(1, exp(-error)) for normally distributed energy errors with this standard deviation in kT."""
-    return math.erfc(spread / math.sqrt(8))
-
-
 def spread_at(acceptance: float) -> float:
     """The standard deviation of energy errors in kT at which a fraction of trials is accepted.
 

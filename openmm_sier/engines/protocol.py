@@ -108,6 +108,11 @@ class Engine(ABC):
         """The rigid and point bodies of the System."""
 
     @property
+    def callers(self) -> tuple[Any, ...]:
+        """What asks OpenMM for forces in a step: first for those in the kicks, then for fast ones; see `ForceClock`."""
+        return ()
+
+    @property
     def _movers(self) -> RigidBodies:
         """What moves, by the numbers of which the engine knows it."""
         return self.bodies

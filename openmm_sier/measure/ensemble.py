@@ -19,7 +19,7 @@ from time import monotonic
 from typing import NamedTuple
 
 from openmm_sier.dynamics.backend.threads import cores
-from openmm_sier.measure.report import SILENT, Advance, Report
+from openmm_sier.measure.report import SILENT, Report
 
 #: The module that executes a member in a process of its own; its docstring explains its arguments.
 WORKER = "openmm_sier.cli.member"
@@ -117,12 +117,12 @@ def ensemble(
             raise ValueError(f"{name} must be at least 1, got {number}")
     place = Path(directory).resolve()
     if executor is not None:
-        return _sorted(members, _carry_out(executor, members, place, threads, report))
+        return _carry_out(executor, members, place, threads, report)
     processes = processes or max(1, min(cores(), len(members)))
     threads = threads or max(1, cores() // processes)
     with ThreadPoolExecutor(processes) as pool:
         try:
-            return _sorted(members, _carry_out(pool, members, place, threads, report))
+            return _carry_out(pool, members, place, threads, report)
         except BaseException:
             # Children end before the pool is left; members can go on from their last checkpoints.
             _stop_children()
@@ -132,18 +132,9 @@ def ensemble(
             _STOPPED.clear()
 
 
-def _sorted(members: Sequence[Member], found: dict[str, Outcome]) -> list[Outcome]:
-    outcomes = [found[member.name] for member in members]
-    if failed := [outcome for outcome in outcomes if outcome.error]:
-        first = failed[0]
-        more = f", and {len(failed) - 1} more" if len(failed) > 1 else ""
-        raise EnsembleError(f"{first.name} failed: {first.error}{more}", outcomes)
-    return outcomes
-
-
 def _carry_out(
     executor: Executor, members: Sequence[Member], place: Path, threads: int | None, report: Report
-) -> dict[str, Outcome]:
+) -> list[Outcome]:
     """Submit all members. The executor itself replaces workers that are lost, as dask does."""
     found = {m.name: Outcome(m.name, "", 0, 0.0) for m in members if is_complete(m, place)}
     with report.progress(f"{len(members)} members", len(members)) as advance:
@@ -153,14 +144,14 @@ def _carry_out(
                 name, error = running.pop(future).name, future.exception()
                 lost = f"its worker was lost: {' '.join(repr(error).split())}"
                 found[name] = Outcome(name, lost, 0, 0.0) if error else future.result()
-            _show(advance, members, found, place)
-    return found
-
-
-def _show(advance: Advance, members: Sequence[Member], found: dict[str, Outcome], place: Path) -> None:
-    parts = [fraction_done(member, place) for member in members if member.name not in found]
-    running = sum(0 < part < 1 for part in parts)
-    advance(len(found) + sum(parts), f"{len(found)} of {len(members)} members done, {running} running")
+            parts = [fraction_done(member, place) for member in running.values()]
+            working = sum(0 < part < 1 for part in parts)
+            advance(len(found) + sum(parts), f"{len(found)} of {len(members)} members done, {working} running")
+    outcomes = [found[member.name] for member in members]
+    if failed := [outcome for outcome in outcomes if outcome.error]:
+        more = f", and {len(failed) - 1} more" if len(failed) > 1 else ""
+        raise EnsembleError(f"{failed[0].name} failed: {failed[0].error}{more}", outcomes)
+    return outcomes
 
 
 def is_complete(member: Member, place: Path) -> bool:

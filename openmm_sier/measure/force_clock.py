@@ -8,15 +8,17 @@ from typing import Any
 
 import openmm
 
+from openmm_sier.integrators.integrator import SIERIntegrator
+
 
 class ForceClock:
     """Measures the time of the calls in which an exact engine asks OpenMM for forces and energies, or sets positions.
 
-    It counts nothing for other engines and integrators, whose steps are made by OpenMM, nor for fast forces.
+    It counts nothing for other engines and integrators, whose steps are made by OpenMM.
 
     Attributes:
-        seconds: spent in these calls.
-        calls: number of evaluations of forces.
+        seconds: spent in these calls, those for fast forces included.
+        calls: number of evaluations of all forces, or of those in the kicks where there are fast ones.
     """
 
     def __init__(self, context: openmm.Context, now: Callable[[], float] = perf_counter) -> None:
@@ -26,13 +28,10 @@ class ForceClock:
             now: clock in seconds; `time.process_time` counts processor time, which other programs hardly affect.
         """
         self.seconds, self.calls = 0.0, 0
-        forces = getattr(getattr(context.getIntegrator(), "_engine", None), "forces", None)
-        if forces is None:
-            return
 
-        def timed(call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(call: Callable[..., Any], counts: bool) -> Callable[..., Any]:
             def measured(*args: Any, **kwargs: Any) -> Any:
-                self.calls += "forces" in kwargs
+                self.calls += counts and "forces" in kwargs
                 start = now()
                 try:
                     return call(*args, **kwargs)
@@ -41,4 +40,8 @@ class ForceClock:
 
             return measured
 
-        forces.get_state, forces.set_positions = timed(forces.get_state), timed(forces.set_positions)
+        integrator = context.getIntegrator()
+        callers = integrator._bound().callers if isinstance(integrator, SIERIntegrator) else ()
+        for number, caller in enumerate(callers):
+            caller.get_state = timed(caller.get_state, number == 0)
+            caller.set_positions = timed(caller.set_positions, False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,8 @@ from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.measure.pdb_files import first_line, read_pdb
-from openmm_sier.measure.water_models import ForceFieldError, WaterModel, recognize
+from openmm_sier.measure.water_models import ForceFieldError, recognize
+from openmm_sier.observe.body_states import wrapped
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
@@ -61,16 +62,8 @@ class Interactions:
     hydrogen_mass: float | None = None
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Force-field files, and the reason for the choice in words."""
-
-    files: tuple[str, ...]
-    reason: str
-
-
-def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> Choice:
-    """The force field of a PDB file for which the user named none.
+def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> tuple[tuple[str, ...], str]:
+    """Force-field files for a PDB file for which the user named none, and the reason in words.
 
     Records "REMARK  99 FORCEFIELD file.xml" in the file decide; the project's own boxes have them. Without them the
     geometry decides, if it is that of a single water model, see `openmm_sier.measure.water_models`.
@@ -84,32 +77,23 @@ def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> Cho
         ForceFieldError: there is no water, or something besides water and ions, or the geometry is that of no model or
             of several. The message says what `--forcefield` (here: `files` of `read_box`) may be.
     """
-    named = tuple(
-        line[len(REMARK) :].strip()
-        for line in Path(path).read_text(errors="replace").splitlines()
-        if line.startswith(REMARK)
-    )
-    if named:
-        return Choice(named, "named in the PDB file")
+    lines = Path(path).read_text(errors="replace").splitlines()
+    if named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK)):
+        return named, "named in the PDB file"
     residues = list(topology.residues())
     waters = [residue for residue in residues if residue.name == "HOH"]
     others = [residue for residue in residues if residue.name != "HOH"]
     if not waters:
-        raise ForceFieldError(f"{path} has no water, so that no force field can be picked. Name one with --forcefield")
-    try:
-        model = recognize(waters, positions, ions=bool(others))
-    except ForceFieldError as error:
-        raise ForceFieldError(f"{path}: {error}") from None
+        raise ForceFieldError("it has no water, so that no force field can be picked. Name one with --forcefield")
+    model = recognize(waters, positions, ions=bool(others))
     file = model.file_with_ions if others else model.file
     if file is None or any(len(list(residue.atoms())) > 1 for residue in others):
-        raise ForceFieldError(_unknown_residues(path, model, others))
-    return Choice((file,), f"{model.name}, whose geometry the water has{', with ions' if others else ''}")
-
-
-def _unknown_residues(path: str | Path, model: WaterModel, others: Iterable[app.topology.Residue]) -> str:
-    names = ", ".join(sorted({residue.name for residue in others})) or "none"
-    hint = "" if model.file_with_ions is None else f"; {model.file_with_ions} has {model.name} water and ions"
-    return f"{path} has residues {names} besides {model.name} water. Name force fields for them with --forcefield{hint}"
+        names = ", ".join(sorted({residue.name for residue in others})) or "none"
+        hint = "" if model.file_with_ions is None else f"; {model.file_with_ions} has {model.name} water and ions"
+        raise ForceFieldError(
+            f"it has residues {names} besides {model.name} water. Name force fields for them with --forcefield{hint}"
+        )
+    return (file,), f"{model.name}, whose geometry the water has{', with ions' if others else ''}"
 
 
 def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
@@ -120,24 +104,14 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
     """
     try:
         return app.ForceField(*[locate(name, Path(beside)) for name in files])
-    except ForceFieldError:
-        raise
     except Exception as error:
         raise ForceFieldError(f"cannot read the force field {' '.join(files)}: {first_line(error)}") from error
 
 
 def locate(name: str, beside: Path) -> str:
-    """The path of a force-field file, or its name where it is one of OpenMM's own; looked for as in `load`.
-
-    Raises:
-        ForceFieldError: the file is not found.
-    """
-    for directory in (Path(), beside, *SHIPPED):
-        if (directory / name).is_file():
-            return str(directory / name)
-    if not (Path(app.__file__).parent / "data" / name).is_file():
-        raise ForceFieldError(f"there is no force field {name}, neither here, beside the PDB file, nor in OpenMM")
-    return name
+    """The path of a force-field file, or its name where OpenMM is to look for it; see `load`."""
+    places = (directory / name for directory in (Path(), beside, *SHIPPED))
+    return next((str(place) for place in places if place.is_file()), name)
 
 
 def add_virtual_sites(
@@ -238,14 +212,16 @@ class Box:
         topology: openmm.app.Topology, virtual sites included.
         positions: Quantity, of all sites.
         system: openmm.System.
-        choice: the force field and why.
+        files: of the force field.
+        reason: why these, in words.
         listed: indices of the particles that the PDB file lists, virtual sites only if it has them.
     """
 
     topology: app.Topology
     positions: unit.Quantity
     system: openmm.System
-    choice: Choice
+    files: tuple[str, ...]
+    reason: str
     listed: np.ndarray
 
 
@@ -269,18 +245,17 @@ def read_box(
     pdb = read_pdb(path)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     lengths = make_whole(lengths, pdb.topology)
-    named = Choice(tuple(map(str, files)), "named by the user") if files else None
-    choice = named or pick(path, pdb.topology, lengths)
-    forcefield = load(choice.files, Path(path).parent)
-    topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
-    listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
-    if len(listed) != pdb.topology.getNumAtoms():
-        listed = np.arange(topology.getNumAtoms())
     try:
+        chosen, reason = (tuple(map(str, files)), "named by the user") if files else pick(path, pdb.topology, lengths)
+        forcefield = load(chosen, Path(path).parent)
+        topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)
     except ForceFieldError as error:
         raise ForceFieldError(f"{path}: {error}") from None
-    return Box(topology, positions, system, choice, listed)
+    listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
+    if len(listed) != pdb.topology.getNumAtoms():
+        listed = np.arange(topology.getNumAtoms())
+    return Box(topology, positions, system, chosen, reason, listed)
 
 
 def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
@@ -289,12 +264,7 @@ def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
     if box is None:
         return positions
     first = np.array([next(atom.residue.atoms()).index for atom in topology.atoms()])
-    arms = positions - positions[first]
-    for vector in reversed(np.array(box.value_in_unit(unit.nanometer))):
-        # In OpenMM's reduced form the last non-zero component of a box vector is the one along its own axis.
-        axis = int(np.flatnonzero(vector)[-1])
-        arms = arms - np.outer(np.round(arms[:, axis] / vector[axis]), vector)
-    return positions[first] + arms
+    return positions[first] + wrapped(positions - positions[first], box.value_in_unit(unit.nanometer), np.round)
 
 
 def describe(box: Box) -> str:

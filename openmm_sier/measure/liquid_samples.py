@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -74,16 +74,13 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         ValueError: a position or an edge of the box is not finite.
         OSError: the file cannot be read.
     """
-    first = _first_atoms(box)
     topology = mdtraj.Topology.from_openmm(box.topology).subset(box.listed)
-    place = np.full(box.topology.getNumAtoms(), -1)
-    place[box.listed] = np.arange(len(box.listed))
-    oxygens = place[first]
-    frames, lengths, directions, dipoles, pairs = [], [], [], [], []
+    first = _first_atoms(topology)
+    frames, lengths, directions, pairs = [], [], [], []
+    dipoles: list[np.ndarray] = []
     stride, first_frame, done = max(1, round(APART / interval)), round(skip / interval), 0
-    sites = _Sites(box)
-    count = min(len(first), 512)
-    chosen = topology.select_pairs(oxygens[:count], oxygens)
+    dipole_of = _dipole_of(box)
+    chosen = topology.select_pairs(first[:512], first)
     # All runs need the same bins, and their boxes may become smaller than that of the PDB file.
     reach = min(1.0, 0.45 * float(_edges(box, trajectory).min()))
     for chunk in read_chunks(trajectory, topology, first_frame):
@@ -91,11 +88,12 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         if not finite.all():
             number = first_frame + done + int(np.flatnonzero(~finite)[0]) + 1
             raise ValueError(f"{trajectory}, frame {number}: a position or an edge of the box is not finite")
-        frames.append(chunk.xyz[:, oxygens].astype(float))
+        frames.append(chunk.xyz[:, first].astype(float))
         lengths.append(chunk.unitcell_lengths.astype(float))
-        arms = (chunk.xyz[:, oxygens + 2] - chunk.xyz[:, oxygens + 1]).astype(float)
+        arms = (chunk.xyz[:, first + 2] - chunk.xyz[:, first + 1]).astype(float)
         directions.append(arms / np.linalg.norm(arms, axis=2, keepdims=True))
-        dipoles.append(sites.dipoles(chunk.xyz))
+        if dipole_of is not None:
+            dipoles += map(dipole_of, chunk.xyz)
         for counted in range(-done % stride, len(chunk), stride):
             distances, found = mdtraj.compute_rdf(chunk[counted], chosen, r_range=(0.0, reach), bin_width=BIN)
             pairs.append(found)
@@ -107,7 +105,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         interval,
         unwrapped(np.concatenate(frames), edges),
         np.concatenate(directions),
-        np.concatenate(dipoles) if sites.neutral else None,
+        None if dipole_of is None else np.array(dipoles),
         edges.prod(axis=1),
         distances,
         np.array(pairs),
@@ -151,16 +149,14 @@ def _edges(box: Box, trajectory: Path) -> np.ndarray:
     return edges
 
 
-def _first_atoms(box: Box) -> np.ndarray:
-    residues = list(box.topology.residues())
-    kinds = sorted({residue.name for residue in residues})
-    sizes = {len(list(residue.atoms())) for residue in residues}
-    if len(kinds) > 1 or min(sizes) < 3:
+def _first_atoms(topology: mdtraj.Topology) -> np.ndarray:
+    kinds = sorted({residue.name for residue in topology.residues})
+    if len(kinds) > 1 or min(residue.n_atoms for residue in topology.residues) < 3:
         raise NoLiquidError(
             f"properties are those of one kind of molecule with three atoms or more, the box has residues "
             f"{', '.join(kinds)}"
         )
-    return np.array([next(iter(residue.atoms())).index for residue in residues])
+    return np.array([residue.atom(0).index for residue in topology.residues])
 
 
 def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -177,38 +173,28 @@ def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.concatenate([wrapped[:1], wrapped[:1] + np.cumsum(steps, axis=0)])
 
 
-class _Sites:
-    """Charges of a box and the places of its virtual sites, which a trajectory may leave out.
+def _dipole_of(box: Box) -> Callable[[np.ndarray], np.ndarray] | None:
+    """What gives the dipole (3,), e nm, of the listed particles' positions (l, 3); None where molecules are charged."""
+    force = next(f for f in box.system.getForces() if isinstance(f, openmm.NonbondedForce))
+    n = box.system.getNumParticles()
+    charges = np.array([force.getParticleParameters(i)[0].value_in_unit(CHARGE) for i in range(n)])
+    owners = [atom.residue.index for atom in box.topology.atoms()]
+    if np.abs(np.bincount(owners, charges)).max() >= 1e-6:
+        return None
+    if len(box.listed) == n:
+        return lambda positions: charges @ positions.astype(float)
+    # A trajectory may leave virtual sites out.
+    bare = openmm.XmlSerializer.clone(box.system)
+    for number in reversed(range(bare.getNumForces())):
+        bare.removeForce(number)
+    reference = openmm.Platform.getPlatformByName("Reference")
+    context = openmm.Context(bare, openmm.VerletIntegrator(0.001), reference)
 
-    Attributes:
-        neutral: whether no molecule has a charge.
-    """
+    def found(positions: np.ndarray) -> np.ndarray:
+        places = np.zeros((n, 3))
+        places[box.listed] = positions
+        context.setPositions(places)
+        context.computeVirtualSites()
+        return charges @ context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
 
-    def __init__(self, box: Box):
-        force = next(f for f in box.system.getForces() if isinstance(f, openmm.NonbondedForce))
-        n = box.system.getNumParticles()
-        self._charges = np.array([force.getParticleParameters(i)[0].value_in_unit(CHARGE) for i in range(n)])
-        self._listed = box.listed
-        owners = np.array([atom.residue.index for atom in box.topology.atoms()])
-        self.neutral = bool(np.abs(np.bincount(owners, self._charges)).max() < 1e-6)
-        self._context = None
-        if len(box.listed) < n:
-            bare = openmm.XmlSerializer.clone(box.system)
-            for number in reversed(range(bare.getNumForces())):
-                bare.removeForce(number)
-            reference = openmm.Platform.getPlatformByName("Reference")
-            self._context = openmm.Context(bare, openmm.VerletIntegrator(0.001), reference)
-
-    def dipoles(self, frames: np.ndarray) -> np.ndarray:
-        """Dipole (n, 3) in e nm of frames (n, listed, 3)."""
-        if self._context is None:
-            return np.einsum("i,nix->nx", self._charges, frames.astype(float))
-        found = []
-        for frame in frames:
-            places = np.zeros((len(self._charges), 3))
-            places[self._listed] = frame
-            self._context.setPositions(places)
-            self._context.computeVirtualSites()
-            places = self._context.getState(positions=True).getPositions(asNumpy=True)
-            found.append(self._charges @ places.value_in_unit(unit.nanometer))
-        return np.array(found)
+    return found

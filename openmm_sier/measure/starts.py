@@ -12,9 +12,9 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.backend.threads import cores
-from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
 from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
@@ -51,9 +51,6 @@ TIGHTEST = 1.0
 
 #: Least kinetic energy with which a run at constant energy is started, as a fraction of that at its temperature.
 LEAST_MOTION = 0.1
-
-#: Properties of a Platform that make two Contexts compute alike.
-KEPT_PROPERTIES = ("Threads", "DeterministicForces", "Precision", "DeviceIndex")
 
 
 class EquilibrationWarning(UserWarning):
@@ -116,10 +113,7 @@ def prepare(
         openmm.LocalEnergyMinimizer.minimize(context)
         report.note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
     found = equilibrate(context, temperature, seed, time, report)
-    # At constant pressure the box has changed.
-    context.setPeriodicBoxVectors(*found.state.getPeriodicBoxVectors())
-    context.setPositions(found.state.getPositions())
-    context.setVelocities(found.state.getVelocities())
+    context.setState(found.state)
     stop_centre_of_mass(context)
     if found.settled and not isinstance(context.getIntegrator(), ConstantTemperatureIntegrator):
         _set_energy(context, temperature, found.means.potential)
@@ -129,17 +123,15 @@ def prepare(
 
 def _strongest_force(context: openmm.Context) -> float:
     """Largest net force on a molecule over the root of its size, kJ/mol/nm; infinite where one is not finite."""
-    integrator = context.getIntegrator()
+    bodies = context.getIntegrator().bodies
     forces = context.getState(forces=True).getForces(asNumpy=True)
-    forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
-    bodies = integrator.bodies
-    try:
-        F, _ = bodies.forces_and_torques(forces, integrator.getBodyState().A)
-    except NotFiniteError:
-        return math.inf
+    forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)[bodies.owners >= 0]
     # Bonds pull at the bodies of a molecule much more than its surroundings do.
-    net = np.linalg.norm([np.bincount(bodies.molecules, row) for row in F], axis=0)
-    return float((net / np.sqrt(np.bincount(bodies.molecules))).max())
+    _, molecules, sizes = np.unique(bodies.molecules, return_inverse=True, return_counts=True)
+    owners = molecules[bodies.owners[bodies.owners >= 0]]
+    net = np.linalg.norm([np.bincount(owners, column) for column in forces.T], axis=0)
+    strongest = float((net / np.sqrt(sizes)).max())
+    return strongest if math.isfinite(strongest) else math.inf
 
 
 class Means(NamedTuple):
@@ -229,8 +221,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
         fastForceGroups=integrator.fastForceGroups,
     )
     langevin.setRandomNumberSeed(seed)
-    names = set(KEPT_PROPERTIES) & set(platform.getPropertyNames())
-    properties = {name: platform.getPropertyValue(context, name) for name in names}
+    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
     bath = openmm.Context(context.getSystem(), langevin, platform, properties)
     bath.setState(context.getState(positions=True))
     bath.setVelocitiesToTemperature(temperature, seed)
@@ -261,11 +252,10 @@ def _has_settled(windows: list[Means], temperature: float, dof: DegreesOfFreedom
     if len(windows) < FEWEST_WINDOWS:
         return False
     earlier, later = windows[-2:]
-    for first, second, number in zip(earlier[:3], later[:3], dof, strict=True):
-        if number and not abs((first + second) / 2 - temperature) <= bound(temperature, number):
-            return False
-    return abs(later.potential - earlier.potential) <= 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(
-        sum(dof) / 2
+    means = zip(np.mean([earlier, later], axis=0), dof, strict=False)
+    steady = 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(sum(dof) / 2)
+    return abs(later.potential - earlier.potential) <= steady and all(
+        abs(mean - temperature) <= bound(temperature, number) for mean, number in means if number
     )
 
 
@@ -293,10 +283,7 @@ def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time:
 
 def stop_centre_of_mass(context: openmm.Context) -> None:
     """Bring the centre of mass of a Context to rest."""
-    system = context.getSystem()
-    masses = tables.masses(system)
-    velocities = context.getState(velocities=True).getVelocities(asNumpy=True)
-    velocities = velocities.value_in_unit(unit.nanometer / unit.picosecond)
+    masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
     velocities[masses > 0] -= masses @ velocities / masses.sum()
     context.setVelocities(velocities)
 

@@ -154,9 +154,12 @@ def kinetic_verdicts(sample: Sampled) -> list[Verdict]:
         n = len(group.energies)
         if n < FEWEST:
             raise TooFewError(f"{group.name} has {n} independent samples, {FEWEST} are needed: longer runs, or more")
+        # The package takes degrees of freedom as those of atoms less constraints.
+        atoms = math.ceil(group.dof / 3)
+        system = {"natoms": atoms, "nconstraints": 3 * atoms - group.dof, "mass": np.ones(atoms)}
         data = pv.data.SimulationData(
             units=pv.data.UnitData.units("GROMACS"),
-            system=_system(pv, group.dof),
+            system=pv.data.SystemData(ndof_reduction_tra=0, ndof_reduction_rot=0, **system),
             ensemble=pv.data.EnsembleData("NVT", natoms=1, volume=1.0, temperature=sample.temperature),
             observables=pv.data.ObservableData(kinetic_energy=group.energies),
         )
@@ -175,14 +178,6 @@ def kinetic_verdicts(sample: Sampled) -> list[Verdict]:
             ),
         ]
     return found
-
-
-def _system(pv: Any, dof: float) -> Any:
-    """A system with this many degrees of freedom, given to the package as atoms and constraints."""
-    atoms = math.ceil(dof / 3)
-    return pv.data.SystemData(
-        natoms=atoms, nconstraints=3 * atoms - dof, ndof_reduction_tra=0, ndof_reduction_rot=0, mass=np.ones(atoms)
-    )
 
 
 def errors_of(probability: float) -> float:

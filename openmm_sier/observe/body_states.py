@@ -9,6 +9,7 @@ attribute, the root has the conventions (`CONVENTIONS`), and q says whether its 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,9 +51,6 @@ UNITS = {
 
 #: Size of a chunk in numbers, 64 kB.
 CHUNK = 8192
-
-#: Values of the attribute `wrapped` of q.
-CONTINUOUS, WRAPPED = "no", "into the box"
 
 
 def frame_type(n: int, periodic: bool) -> np.dtype:
@@ -113,7 +111,7 @@ def _create_datasets(file: h5py.File, bodies: RigidBodies, periodic: bool, unwra
 
 
 def _wrapping(periodic: bool, unwrapped: bool) -> str:
-    return CONTINUOUS if unwrapped or not periodic else WRAPPED
+    return "no" if unwrapped or not periodic else "into the box"
 
 
 def _constant(group: h5py.Group, name: str, values: ArrayLike, unit: str) -> None:
@@ -152,13 +150,22 @@ class BodyStateFile:
         self._file = h5py.File(path, "r+" if append else "w", libver="earliest")
         if append:
             try:
-                check_same(self._file, Path(path), bodies, periodic, unwrapped)
-            except BaseException:
+                self._check_same(bodies, _wrapping(periodic, unwrapped))
+            except ValueError as error:
                 self._file.close()
-                raise
+                raise ValueError(f"{path} cannot be continued: {error}") from None
         else:
             _create_datasets(self._file, bodies, periodic, unwrapped)
         self._file.flush()
+
+    def _check_same(self, bodies: RigidBodies, wrapping: str) -> None:
+        file = self._file
+        if (layout := file.attrs.get("layout")) != LAYOUT:
+            raise ValueError(f"it has body states in layout {layout}, expected {LAYOUT}")
+        if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
+            raise ValueError(f"its {len(file['masses'])} bodies are not those of this System")
+        if (there := file["q"].attrs["wrapped"]) != wrapping:
+            raise ValueError(f"its centres are wrapped: {there}, expected: {wrapping}")
 
     def append(self, frames: np.ndarray) -> None:
         """Write frames, (T,) of `frame_type`, and flush them."""
@@ -185,22 +192,6 @@ def read_frames(file: h5py.File, first: int, last: int) -> np.ndarray:
     return found
 
 
-def check_same(file: h5py.File, path: Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True) -> None:
-    """Refuse a file to which frames of these bodies cannot be appended.
-
-    Raises:
-        ValueError: the file has another layout or wrapping, or is of other bodies.
-    """
-    layout = file.attrs.get("layout")
-    if layout != LAYOUT:
-        raise ValueError(f"{path} cannot be continued: it has body states in layout {layout}, expected {LAYOUT}")
-    if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
-        raise ValueError(f"{path} cannot be continued: its {len(file['masses'])} bodies are not those of this System")
-    wrapping = _wrapping(periodic, unwrapped)
-    if (there := file["q"].attrs["wrapped"]) != wrapping:
-        raise ValueError(f"{path} cannot be continued: its centres are wrapped: {there}, expected: {wrapping}")
-
-
 def import_h5py() -> Any:
     """The module h5py.
 
@@ -214,14 +205,15 @@ def import_h5py() -> Any:
     return h5py
 
 
-def wrapped(points: np.ndarray, box: np.ndarray) -> np.ndarray:
+def wrapped(points: np.ndarray, box: np.ndarray, rounded: Callable = np.floor) -> np.ndarray:
     """Points (n, 3) moved by box vectors into the box.
 
     Args:
         points: (n, 3), nm.
         box: box vectors as rows, in OpenMM's reduced form, (3, 3), nm.
+        rounded: numpy.round moves them next to the origin instead.
     """
     moved, box = np.array(points, dtype=float), np.asarray(box, dtype=float)
     for axis in (2, 1, 0):
-        moved -= np.outer(np.floor(moved[:, axis] / box[axis, axis]), box[axis])
+        moved -= np.outer(rounded(moved[:, axis] / box[axis, axis]), box[axis])
     return moved

@@ -11,7 +11,6 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies, molecule_of_atoms
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.engines import neighbour_list
@@ -57,7 +56,9 @@ class MolecularPressure:
         self._source, self._system = context, system
         self._masses = tables.masses(system)
         self._owners, self._molecule_masses = _molecules(context, self._masses)
-        self._context = _second_context(context)
+        platform = context.getPlatform()
+        properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
+        self._context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
         self._forgets = neighbour_list.is_remembered(self._context)
         self._strains = [(_strain(axes, STRAIN), _strain(axes, -STRAIN)) for axes in COMPONENTS]
 
@@ -133,31 +134,16 @@ def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray,
 
     Atoms of one rigid body are in one molecule, even if nothing in the System joins them.
     """
-    owners = molecule_of_atoms(context.getMolecules(), len(masses))
-    integrator = context.getIntegrator()
-    if isinstance(integrator, SIERIntegrator):
-        owners = _joined(owners, integrator.bodies)
+    groups = [np.array(atoms) for atoms in context.getMolecules()]
+    if isinstance(integrator := context.getIntegrator(), SIERIntegrator):
+        groups += [atoms for species in integrator.bodies.species for atoms in species.atoms]
+    edges = np.concatenate([np.stack([np.full_like(atoms, atoms[0]), atoms], axis=1) for atoms in groups])
+    owners = np.unique(joined(len(masses), edges), return_inverse=True)[1]
     totals = np.bincount(owners, masses)
     if (totals == 0).any():
         atom = int(np.flatnonzero(totals[owners] == 0)[0])
         raise ValueError(f"a pressure tensor needs molecules that move, but that of atom {atom} has no mass")
     return owners, totals
-
-
-def _joined(owners: np.ndarray, bodies: RigidBodies) -> np.ndarray:
-    """Numbers of molecules (N,), without gaps; molecules that share a body are merged."""
-    edges = [
-        np.stack(np.broadcast_arrays(owners[species.atoms[:, :1]], owners[species.atoms]), axis=-1).reshape(-1, 2)
-        for species in bodies.species
-    ]
-    merged = joined(int(owners.max()) + 1, np.concatenate(edges))
-    return np.unique(merged[owners], return_inverse=True)[1]
-
-
-def _second_context(context: openmm.Context) -> openmm.Context:
-    platform = context.getPlatform()
-    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
-    return openmm.Context(context.getSystem(), openmm.VerletIntegrator(0.001), platform, properties)
 
 
 def _strain(axes: tuple[int, int], size: float) -> tuple[np.ndarray, np.ndarray]:

@@ -15,24 +15,24 @@ from openmm_sier.observe.body_states import BodyStateFile, body_frame, import_h5
 class _Reporter:
     """OpenMM's protocol for all reporters: the steps between reports, and the parts of the State that they need."""
 
-    def __init__(self, reportInterval: int, include: tuple[str, ...] = ()):
+    INCLUDE: tuple[str, ...] = ()
+
+    def __init__(self, reportInterval: int):
         if reportInterval < 1:
             raise ValueError(f"reportInterval must be at least 1, got {reportInterval}")
         self._interval = reportInterval
-        self._include = list(include)
 
     def describeNextReport(self, simulation: app.Simulation) -> dict:
         """Steps to the next report, for OpenMM's Simulation."""
         steps = self._interval - simulation.currentStep % self._interval
-        return {"steps": steps, "periodic": None, "include": self._include}
+        return {"steps": steps, "periodic": None, "include": list(self.INCLUDE)}
 
 
 class _TableReporter(_Reporter):
     """Writes rows of numbers, the first of which counts steps, as CSV."""
 
-    #: The first columns of a file, and the parts of the State that a row needs.
+    #: The first columns of a file.
     COLUMNS: tuple[str, ...]
-    INCLUDE: tuple[str, ...]
 
     def __init__(self, file: str | PathLike[str], reportInterval: int, append: bool = False) -> None:
         """
@@ -44,7 +44,7 @@ class _TableReporter(_Reporter):
         Raises:
             ValueError: the interval is not positive, or the file to be continued has other columns.
         """
-        super().__init__(reportInterval, self.INCLUDE)
+        super().__init__(reportInterval)
         self._path = Path(file)
         continued = append and self._path.exists() and self._path.stat().st_size
         self._header = self._columns_there() if continued else None

@@ -20,21 +20,16 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.engines.protocol import TrajectoryError
+from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.system import tables
 
 #: Tolerance of constraints; SETTLE is not better than 1e-8.
 CONSTRAINT_TOLERANCE = 1e-7
 
-VELOCITY, FORCE = unit.nanometer / unit.picosecond, unit.kilojoule_per_mole / unit.nanometer
-
-
 #: Steps between two attempts to change the volume, OpenMM's default. The count restarts at each checkpoint.
 BAROSTAT_INTERVAL = 25
-
-
-class BrokenDownError(openmm.OpenMMException):
-    """Positions or velocities are not finite, or molecules are torn."""
 
 
 class StockIntegrator(openmm.Integrator):
@@ -42,13 +37,10 @@ class StockIntegrator(openmm.Integrator):
 
     Attributes:
         bodies: the rigid bodies of the Context.
-        fastForceGroups: none; all forces act at once.
-        forceEvaluations: number of steps done in this process, since each needs one.
+        forceEvaluations: number of steps done, since each needs one.
     """
 
     bodies: RigidBodies
-    fastForceGroups: frozenset[int] = frozenset()
-    forceEvaluations = 0
 
     #: Whether a bath or barostat of OpenMM gives heat that is not counted.
     _bathed = False
@@ -60,10 +52,9 @@ class StockIntegrator(openmm.Integrator):
         self._context = weakref.proxy(context)
         self._momentum = MomentumConservation.of_system(context.getSystem(), bodies)
 
-    def step(self, steps: int) -> None:
-        """Advance by a number of steps."""
-        super().step(steps)
-        self.forceEvaluations += steps
+    @property
+    def forceEvaluations(self) -> int:
+        return self._context.getStepCount()
 
     @property
     def conservesMomentum(self) -> bool:
@@ -74,12 +65,12 @@ class StockIntegrator(openmm.Integrator):
         """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any.
 
         Raises:
-            BrokenDownError: positions or velocities are not finite, or molecules are torn.
+            TrajectoryError: positions or velocities are not finite, or molecules are torn.
         """
         try:
             found = body_state(self._context, self.bodies)
         except (NotFiniteError, RigidityError) as error:
-            raise BrokenDownError(str(error)) from error
+            raise TrajectoryError(str(error)) from error
         return replace(found, heat=math.nan) if self._bathed else found
 
     def computeTemperatures(self) -> Temperatures:
@@ -157,15 +148,13 @@ def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
     Raises:
         NotFiniteError, RigidityError: the positions do not form the bodies.
     """
-    integrator = context.getIntegrator()
-    leapfrog = isinstance(integrator, openmm.VerletIntegrator)
-    state = context.getState(positions=True, velocities=True, forces=leapfrog)
-    q, A = bodies.fit(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
-    p, L = bodies.momenta(state.getVelocities(asNumpy=True).value_in_unit(VELOCITY), A)
-    if leapfrog:
+    integrator, now = context.getIntegrator(), Snapshot(context)
+    q, A = bodies.fit(now.positions)
+    p, L = bodies.momenta(now.velocities, A)
+    if isinstance(integrator, openmm.VerletIntegrator):
         # Constraint forces need not be known: within a body they exert no net force or torque, and between bodies the
         # projection replaces them.
-        F, tau = bodies.forces_and_torques(state.getForces(asNumpy=True).value_in_unit(FORCE), A)
+        F, tau = bodies.forces_and_torques(_forces(context), A)
         half = 0.5 * integrator.getStepSize().value_in_unit(unit.picosecond)
         p, L = p + half * F, L + half * tau
     p = bodies.constraints.project(q, p)
@@ -178,11 +167,13 @@ def shift_velocities(context: openmm.Context, time: float) -> None:
     Half a step back turns velocities at whole steps into those that OpenMM's Verlet starts from; half a step forward
     undoes this.
     """
-    system = context.getSystem()
-    masses = tables.masses(system)
-    state = context.getState(velocities=True, forces=True)
-    velocities = state.getVelocities(asNumpy=True).value_in_unit(VELOCITY)
+    masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
     massive = masses > 0
-    velocities[massive] += time * state.getForces(asNumpy=True).value_in_unit(FORCE)[massive] / masses[massive, None]
+    velocities[massive] += time * _forces(context)[massive] / masses[massive, None]
     context.setVelocities(velocities)
     context.applyVelocityConstraints(CONSTRAINT_TOLERANCE)
+
+
+def _forces(context: openmm.Context) -> np.ndarray:
+    forces = context.getState(forces=True).getForces(asNumpy=True)
+    return forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)

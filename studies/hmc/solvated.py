@@ -26,11 +26,11 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier import SIERHMCIntegrator
-from openmm_sier.dynamics.metropolis import expected_acceptance, spread_at
+from openmm_sier.dynamics.metropolis import spread_at
 from openmm_sier.dynamics.rotation import exact, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 from studies import records
-from studies.acceptance import pooled_spread
+from studies.acceptance import expected_acceptance, pooled_spread
 from studies.command import execute
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings

@@ -252,7 +252,7 @@ def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "none.pdb: No such file or directory" in complaint(capsys, "run", "none.pdb")
     Path("text.pdb").write_text("this is no structure\n")
     assert "text.pdb is no PDB file with atoms" in complaint(capsys, "info", "text.pdb")
-    assert "there is no force field none.xml" in complaint(capsys, "run", box, "--forcefield", "none.xml")
+    assert 'Could not locate file "none.xml"' in complaint(capsys, "run", box, "--forcefield", "none.xml")
     assert "No template found for residue" in complaint(capsys, "run", box, "--forcefield", "amber14/lipid17.xml")
     assert "ends in .dcd, .xtc, .h5" in complaint(capsys, "run", box, "--out", "a.trr")
     assert not list(Path().glob("box.*"))

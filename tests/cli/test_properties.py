@@ -22,6 +22,7 @@ from openmm_sier.measure.statistics import Estimate
 from openmm_sier.observe.pressure import COLUMNS
 from tests.support.commands import SMALL, SYSTEMS, complaint, log, run
 from tests.support.finished_runs import note_count, write_rows
+from tests.support.series import stresses
 
 SETTINGS = ["--scheme", "sier2", "--dt", "2", "--ensemble", "npt", "--platform", "CPU", "--equilibrate", "0.01"]
 SETTINGS += ["--every", "0.004", "--report-every", "0.004"]
@@ -151,13 +152,8 @@ def test_wrong_input(runs, tmp_path, capsys):
 
 def write_tensors(path, n, keep, interval=0.02, steps=5):
     """A file of pressure tensors whose shear stresses are independent, of 500 bar and with correlation keep^t."""
-    rng = np.random.default_rng(8)
-    shear = rng.normal(size=(n, 5))
-    for i in range(1, n):
-        shear[i] = keep * shear[i - 1] + math.sqrt(1 - keep**2) * shear[i]
-    diagonal = shear[:, 3:4] * [1, -1, 0] + shear[:, 4:] * np.array([1, 1, -2]) / math.sqrt(3)
-    counts = np.arange(1, n + 1)
-    columns = [steps * counts, interval * counts, *(500 * diagonal.T), *(500 * shear[:, :3].T), np.full(n, 8.0)]
+    counts, tensors = np.arange(1, n + 1), 500 * stresses(np.random.default_rng(8), n, keep)
+    columns = [steps * counts, interval * counts, *tensors.T, np.full(n, 8.0)]
     write_rows(Path(path), dict(zip(COLUMNS, columns, strict=True)))
 
 

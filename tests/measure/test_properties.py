@@ -1,7 +1,6 @@
 """Properties of liquids from series whose answers are known."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,19 +10,12 @@ from scipy.integrate import trapezoid
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure import properties
 from openmm_sier.measure.statistics import Estimate
+from tests.support.series import correlated, stresses
 
 
 def agrees(estimate, expected, errors=4):
     """Whether an estimate is within so many of its errors; four are passed by one of 16000 right ones."""
     return abs(estimate.value - expected) < errors * estimate.error
-
-
-def autoregressive(rng, n, keep, *shape):
-    """Series of unit variance with correlation keep^t."""
-    series = rng.normal(size=(n, *shape))
-    for i in range(1, n):
-        series[i] = keep * series[i - 1] + math.sqrt(1 - keep**2) * series[i]
-    return series
 
 
 def test_heat_capacity_of_oscillators():
@@ -50,11 +42,7 @@ def test_dielectric_constant_of_free_dipoles():
 
 def test_error_of_the_dielectric_constant_of_short_runs():
     """Dipoles with a correlation time of 8 ps, in 200 runs of 60 ps with frames 0.5 ps apart."""
-    rng, kept = np.random.default_rng(7), math.exp(-0.5 / 8)
-    dipoles = rng.normal(size=(120, 200, 3))
-    dipoles[1:] *= math.sqrt(1 - kept**2)
-    for before, after in pairwise(dipoles):
-        after += kept * before
+    dipoles = correlated(np.random.default_rng(7), 120, math.exp(-0.5 / 8), 200, 3)
     found = [properties.dielectric_constant(run, np.ones(120), 300) for run in dipoles.swapaxes(0, 1)]
     values, errors, _ = np.array(found).T
     # The scatter of 200 runs is known to 5 %; a run of eight correlation times tells its error to a fifth. An error by
@@ -107,17 +95,11 @@ def test_correction_for_the_size_of_the_box():
     assert uncertain.error == pytest.approx(math.hypot(0.03, 0.1 * (uncertain.value - 2.0)))
 
 
-def stresses(rng, n, keep):
-    """Pressure tensors (n, 6) whose shear stresses are series of unit variance with correlation keep^t, bar."""
-    shear = autoregressive(rng, n, keep, 5)
-    # Two orthogonal directions in the space of traces of zero, and a pressure that has nothing to do with shear.
-    diagonal = shear[:, 3:4] * [1, -1, 0] + shear[:, 4:] * np.array([1, 1, -2]) / math.sqrt(3)
-    return np.concatenate([diagonal + rng.normal(3, 5, (n, 1)), shear[:, :3]], axis=1)
-
-
 def test_viscosity_of_a_stress_that_decays_exponentially():
     interval, volume, T, keep = 0.02, 8.0, 300.0, 0.9
-    tensors = stresses(np.random.default_rng(9), 40000, keep)
+    rng = np.random.default_rng(9)
+    # A pressure has nothing to do with shear.
+    tensors = stresses(rng, 40000, keep) + rng.normal(3, 5, (40000, 1)) * [1, 1, 1, 0, 0, 0]
     # By trapezoids, with less than 1e-6 after 3 ps. 1 bar is 1e5 Pa: V/kT in 1/Pa times Pa² times s, in mPa s.
     area = interval * 1e-12 * (0.5 + keep / (1 - keep))
     expected = volume * 1e-27 / (1.380649e-23 * T) * 1e10 * area * 1e3

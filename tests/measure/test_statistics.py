@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,16 +17,7 @@ from openmm_sier.measure.statistics import (
     pooled,
     slope_and_error,
 )
-
-
-def correlated(rng, n, kept, *shape):
-    """Series of variance 1 with correlation kept^t."""
-    values = rng.normal(size=(n, *shape))
-    values[1:] *= math.sqrt(1 - kept**2)
-    for before, after in pairwise(values):
-        after += kept * before
-    return values
-
+from tests.support.series import correlated
 
 # --- estimates as text ---
 

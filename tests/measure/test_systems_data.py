@@ -99,7 +99,7 @@ def check_four_sites(positions, distance):
 @pytest.mark.parametrize("model", PURE)
 def test_box_holds_512_whole_molecules_at_the_density_of_experiment(model):
     box = liquid(model)
-    assert box.choice.files == (make.MODELS[model].pure,)
+    assert box.files == (make.MODELS[model].pure,)
     assert [r.name for r in box.topology.residues()] == ["HOH"] * 512
     (edge, *others) = box.topology.getUnitCellDimensions().value_in_unit(unit.nanometer)
     assert others == [edge, edge]
@@ -128,7 +128,7 @@ def test_box_has_the_energy_of_the_liquid(model, energy):
 @pytest.mark.slow
 def test_salt_solution_has_its_ions_and_its_density():
     box = forcefields.read_box(SYSTEMS / SALT)
-    assert box.choice.files == ("amber14/tip3p.xml",)
+    assert box.files == ("amber14/tip3p.xml",)
     names = [residue.name for residue in box.topology.residues()]
     assert [names.count(name) for name in ("HOH", "NA", "CL")] == [494, 9, 9]
     edge = box.topology.getUnitCellDimensions()[0].value_in_unit(unit.nanometer)
@@ -193,7 +193,7 @@ def test_made_box_is_read_back(tmp_path, capsys):
     assert make.main([*command, "--out", str(out), "--threads", "1"]) == 0
     assert capsys.readouterr().out == f"{out}\n"
     box = forcefields.read_box(out)
-    assert box.choice.files == ("amber14/spce.xml",)
+    assert box.files == ("amber14/spce.xml",)
     assert RigidBodies.from_system(box.system).n == 40
     assert re.search(r"and 1 NaCl, 1\.461 mol/kg", out.read_text())
 

@@ -93,14 +93,14 @@ def test_the_table_has_the_geometries_of_the_files(file):
 @pytest.mark.parametrize("file", UNIQUE)
 def test_a_geometry_that_one_model_has_is_taken(tmp_path, file):
     box = read_box(write(tmp_path / "box.pdb", *one_molecule(file)))
-    assert box.choice.files == (file,)
-    assert "whose geometry the water has" in box.choice.reason
+    assert box.files == (file,)
+    assert "whose geometry the water has" in box.reason
 
 
 def test_sites_without_mass_are_not_needed_where_the_atoms_tell(tmp_path):
     """OPC's oxygen and hydrogens are those of no other model."""
     box = read_box(write(tmp_path / "box.pdb", *atoms_alone(*one_molecule("opc.xml"))))
-    assert box.choice.files == ("opc.xml",)
+    assert box.files == ("opc.xml",)
     assert box.topology.getNumAtoms() == 4 * MOLECULES
 
 
@@ -124,7 +124,7 @@ def test_a_geometry_of_several_models_has_to_be_named(tmp_path, file, bare, cand
     for candidate in candidates:
         assert candidate in str(refusal.value)
     assert "\n" not in str(refusal.value)
-    assert read_box(path, [file]).choice.files == (file,)
+    assert read_box(path, [file]).files == (file,)
 
 
 def test_a_geometry_of_no_model_is_refused_with_all_that_may_be_named(tmp_path):
@@ -146,12 +146,12 @@ def test_flexible_water_is_not_taken_for_a_rigid_model(tmp_path):
 def test_rounding_of_a_pdb_file_is_allowed(tmp_path, seed):
     """Other roundings of the same molecules; the tolerance is four standard errors of them."""
     box = read_box(write(tmp_path / "box.pdb", *one_molecule("tip4p.xml"), seed=seed))
-    assert box.choice.files == ("tip4p.xml",)
+    assert box.files == ("tip4p.xml",)
 
 
 def test_with_ions_the_file_that_has_them_is_named(tmp_path):
     with_file = write(tmp_path / "opc.pdb", *one_molecule("opc.xml"), ions=2)
-    assert read_box(with_file).choice.files == ("amber14/opc.xml",)
+    assert read_box(with_file).files == ("amber14/opc.xml",)
     tip5p = write(tmp_path / "tip5p.pdb", *one_molecule("tip5p.xml"), ions=2)
     with pytest.raises(ForceFieldError, match=r"TIP5P \(--forcefield charmm36/tip5p.xml\)"):
         read_box(tip5p)
@@ -164,7 +164,7 @@ def test_with_ions_the_file_that_has_them_is_named(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(SYSTEMS.glob("*.pdb")), ids=lambda path: path.name)
 def test_shipped_boxes_name_their_force_field(path):
-    assert read_box(path).choice.reason == "named in the PDB file"
+    assert read_box(path).reason == "named in the PDB file"
 
 
 def test_molecules_cut_by_the_boundary_are_recognized(tmp_path):
@@ -175,7 +175,7 @@ def test_molecules_cut_by_the_boundary_are_recognized(tmp_path):
     assert np.abs(cut - whole).max() > 1
     with open(path, "w") as file:
         app.PDBFile.writeFile(pdb.topology, cut * unit.nanometer, file)
-    assert read_box(path).choice.files == ("tip4p.xml",)
+    assert read_box(path).files == ("tip4p.xml",)
     # Positions in the file have 0.0001 nm.
     mended = forcefields.make_whole(cut, pdb.topology).reshape(-1, 4, 3)
     np.testing.assert_allclose(np.linalg.norm(mended[:, 1] - mended[:, 0], axis=1), 0.09572, atol=2e-4)

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.dynamics.metropolis import expected_acceptance
 from openmm_sier.measure import forcefields
 from studies import acceptance, acceptance_trials, boxes, records
 from studies.acceptance_trials import AcceptanceSettings
@@ -107,7 +106,7 @@ def test_limits():
     # (1.349/0.02)^2 = 4549.
     assert limit["measured"] == 4096
     assert limit["largest"] == pytest.approx(4549, abs=4 * limit["largest_error"])
-    assert expected_acceptance(limit["spread"] * limit["largest"] ** 0.5) == pytest.approx(0.5)
+    assert acceptance.expected_acceptance(limit["spread"] * limit["largest"] ** 0.5) == pytest.approx(0.5)
     # A spread that is larger by its error makes the box smaller by about as much as is said.
     smaller = limit["largest"] / (1 + limit["spread_error"] / limit["spread"]) ** 2
     assert limit["largest"] - smaller == pytest.approx(limit["largest_error"], rel=0.1)

@@ -112,8 +112,8 @@ class NumbaBackend(NumpyBackend):
             sites.part, sites.part.start, vectors, A, sites.places, weights, sites.atoms, total, moment
         )
 
-    def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
-        _compiled(numba_loops.turn_groups)(edges, part, m, q, torques, F)
+    def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, at: ndarray, F: ndarray) -> None:
+        _compiled(numba_loops.turn_groups)(edges, part, m, q, at, F)
 
     def execute(self, function: Callable[..., Any], *arguments: Any) -> Any:
         return _compiled(function)(*arguments)

@@ -206,7 +206,7 @@ def collect(start, stop, first, vectors, A, places, weights, atoms, total, momen
     return broken
 
 
-def turn_groups(edges, part, m, q, torques, F):
+def turn_groups(edges, part, m, q, at, F):
     """As `NumpyBackend.turn_groups`."""
     for g in range(len(edges) - 1):
         mass, centre, torque = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -214,7 +214,8 @@ def turn_groups(edges, part, m, q, torques, F):
             n = np.uint64(part[k])
             mass += m[k]
             centre = plus(centre, (m[k] * q[0, n], m[k] * q[1, n], m[k] * q[2, n]))
-            torque = plus(torque, (torques[0, n], torques[1, n], torques[2, n]))
+            lever = at[0, n] - q[0, n], at[1, n] - q[1, n], at[2, n] - q[2, n]
+            torque = plus(torque, cross(lever, (F[0, n], F[1, n], F[2, n])))
         centre = centre[0] / mass, centre[1] / mass, centre[2] / mass
         xx = yy = zz = xy = yz = zx = 0.0
         for k in range(edges[g], edges[g + 1]):

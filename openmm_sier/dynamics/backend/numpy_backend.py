@@ -135,8 +135,8 @@ class NumpyBackend:
             sites.collect(vectors, A, weights, total, moment)
         return bool(np.isfinite(total[:, sites.part]).all() and np.isfinite(moment[:, sites.part]).all())
 
-    def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, torques: ndarray, F: ndarray) -> None:
-        """Add forces (3, n) that turn each group of points rigidly, and exert the torques of its members.
+    def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, at: ndarray, F: ndarray) -> None:
+        """Add forces (3, n) that turn each group of points rigidly, and exert the torques of displaced forces.
 
         There is no such rotation about a line that the whole group lies on, and the torque of a single point is lost.
 
@@ -144,13 +144,13 @@ class NumpyBackend:
             edges: where each group begins in `part`, and where the last one ends.
             part: columns of the members, group by group, (k,).
             m: their masses, (k,).
-            q, torques: (3, n).
+            q, at: the points, and where the forces act, (3, n).
             F: (3, n), changed.
         """
         starts, group = edges[:-1], np.repeat(np.arange(len(edges) - 1), np.diff(edges))
         x, y, z = (row - (np.add.reduceat(m * row, starts) / np.add.reduceat(m, starts))[group] for row in q[:, part])
         products = m * np.array([x * x, y * y, z * z, x * y, y * z, z * x])
-        torque = np.add.reduceat(torques[:, part], starts, axis=1)
+        torque = np.add.reduceat(cross(at[:, part] - q[:, part], F[:, part]), starts, axis=1)
         turned, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
         line = determinant <= LINE * half**3
         rates = np.where(line, torque / half, np.array(turned) / np.where(line, 1.0, determinant))

@@ -97,6 +97,10 @@ class ExactEngine(Engine):
         return self._bodies or self._settle_by(Snapshot(self._context).positions)
 
     @property
+    def callers(self) -> tuple[Any, ...]:
+        return (self.forces, self._motion.solute) if self._bodies and self._motion.solute else (self.forces,)
+
+    @property
     def _reached(self) -> BodyState:
         """The bodies at the last completed step."""
         if self._state is None:

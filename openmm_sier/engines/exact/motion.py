@@ -36,6 +36,7 @@ class Motion:
 
     Attributes:
         fast: the fast forces, a function of the positions of flexible points; None where there are none.
+        solute: what computes them.
     """
 
     def __init__(
@@ -56,8 +57,8 @@ class Motion:
         self._bodies, self._rotation = bodies, rotation
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
-        self._solute = _solute(context, bodies, self._members, groups_of(fast_groups))
-        self.fast = None if self._solute is None else CachedForces(self._solute)
+        self.solute = _solute(context, bodies, self._members, groups_of(fast_groups))
+        self.fast = None if self.solute is None else CachedForces(self.solute)
         self._drift = operators.drift(bodies, rotation)
         self._outer = self._without_bath(forces)
         self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
@@ -87,8 +88,8 @@ class Motion:
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""
-        if self.fast is not None and self._solute is not None:
-            self._solute.follow(context)
+        if self.fast is not None and self.solute is not None:
+            self.solute.follow(context)
             self.fast.invalidate()
 
     def _nested_drift(self, forces: CachedForces, longest: float) -> Operator:

@@ -10,9 +10,6 @@ from numpy.typing import ArrayLike
 
 from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES, bonded_kind, bonded_terms
 
-# OpenMM's methods as they are before `hooks` replaces them: no integrator has to be told of these calls.
-set_positions, get_state = openmm.Context.setPositions, openmm.Context.getState
-
 
 class SoluteError(ValueError):
     """Fast forces that a Context of bonded forces cannot compute."""
@@ -87,7 +84,11 @@ class SoluteForces:
 
     Attributes:
         atoms: particle indices of the System, (m,).
+        get_state, set_positions: the methods of Context that are called, see `BodyForces`.
     """
+
+    get_state = staticmethod(openmm.Context.getState)
+    set_positions = staticmethod(openmm.Context.setPositions)
 
     def __init__(
         self,
@@ -122,8 +123,8 @@ class SoluteForces:
     def __call__(self, q: np.ndarray, A: np.ndarray | None = None) -> tuple[np.ndarray]:
         """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm, alone in a tuple."""
         self._positions[self._members] = q.T
-        set_positions(self._context, self._positions)
-        get_state(self._context, forces=True)._getVectorAsNumpy(openmm.State.Forces, self._values)
+        self.set_positions(self._context, self._positions)
+        self.get_state(self._context, forces=True)._getVectorAsNumpy(openmm.State.Forces, self._values)
         return (np.ascontiguousarray(self._values[self._members].T),)
 
     def follow(self, context: openmm.Context) -> bool:
