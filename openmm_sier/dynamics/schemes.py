@@ -119,15 +119,19 @@ class Scheme:
         """The largest magnitude of a drift's fraction of the step; 0 without drifts."""
         return max((abs(stage.fraction) for stage in self.stages if stage.operator == DRIFT), default=0.0)
 
-    @cached_property
+    @property
     def stability_limit(self) -> float:
         """Product of angular frequency and step below which a harmonic mode stays bounded, 2 for SIER2."""
-        return stability.stability_limit(self.stages)
+        return self._limits[0]
 
-    @cached_property
+    @property
     def accuracy_limit(self) -> float:
         """Product of angular frequency and step up to which the energies of a harmonic mode are right within 10 %."""
-        return stability.accuracy_limit(self.stages)
+        return self._limits[1]
+
+    @cached_property
+    def _limits(self) -> tuple[float, float]:
+        return stability.limits(self.stages)
 
     @cached_property
     def order(self) -> int:

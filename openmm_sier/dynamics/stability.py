@@ -1,84 +1,53 @@
 """The longest step of a splitting scheme for a harmonic mode, from the matrix by which it propagates the mode.
 
-In x = (omega h)^2 all entries of that matrix are polynomials: with (q, h p/m) as coordinates a kick of fraction t is
-[[1, 0], [-t x, 1]], a gradient kick of shift s is [[1, 0], [-t x (1 - s x), 1]], and a drift [[1, t], [0, 1]].
+With (q, h p/m) as coordinates and x = (omega h)^2 a kick of fraction t is [[1, 0], [-t x, 1]], a gradient kick of shift
+s is [[1, 0], [-t x (1 - s x), 1]], and a drift [[1, t], [0, 1]].
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from itertools import pairwise
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
 
-#: The mean kinetic energy of a mode may differ from its potential energy by this fraction at `accuracy_limit`. For
+#: The mean kinetic energy of a mode may differ from its potential energy by this fraction at the accuracy limit. For
 #: velocity Verlet that is at ten steps a period, a common rule of thumb.
 INEQUALITY = 0.1
 
-#: Two roots nearer than this fraction are one where a curve touches a limit, parted by the rounding of coefficients: a
-#: mode between them would grow by less than this in a step.
-TOUCHING = 1e-5
+#: Limits are looked for at multiples of this fraction of the largest omega h that is possible.
+RESOLUTION = 1e-5
+
+#: Where a curve touches a limit and turns back, rounding exceeds it by less than this.
+ROUNDING = 1e-12
 
 
-def stability_limit(stages: Sequence[Stage]) -> float:
-    """Largest omega h below which the amplitude of a harmonic mode stays bounded.
+def limits(stages: Sequence[Stage]) -> tuple[float, float]:
+    """Largest omega h below which a harmonic mode stays bounded, and below which its energies are about equal.
 
-    The matrix has the determinant 1, so that its eigenvalues are on the unit circle where |trace| < 2. Where the trace
-    touches 2 or -2 and turns back, the matrix is 1 or -1, and the mode is bounded there too.
+    The matrix [[a, b], [c, d]] has the determinant 1, so that its eigenvalues are on the unit circle where its trace is
+    within 2 and -2. It conserves b (h p/m)^2 + (a - d) q (h p/m) - c q^2. So the mean of the potential energy over that
+    of the kinetic one is -x b / c; the two are to agree within `INEQUALITY`. Where the trace touches 2 or -2 and turns
+    back, the matrix is 1 or -1: the mode is bounded there too, and b and c are both zero.
+
+    Infinite without kicks or drifts. Stages that are neither, such as a heat bath, are left out.
     """
-    (a, _), (_, d) = _propagation(stages)
-    x = _polynomial(0.0, 1.0)
-    trace = a + d
-    # The trace is 2 at x = 0, which is no limit.
-    roots = sorted([*_positive_roots((trace - 2) // x), *_positive_roots(trace + 2)])
-    return _first(roots, lambda at: abs(trace(at)) > 2)
-
-
-def accuracy_limit(stages: Sequence[Stage]) -> float:
-    """Largest omega h below which the mean kinetic and potential energies of a mode agree within `INEQUALITY`.
-
-    The matrix [[a, b], [c, d]] conserves b (h p/m)^2 + (a - d) q (h p/m) - c q^2. So the mean of the potential energy
-    over that of the kinetic one is -x b / c. Where both are zero the matrix is 1 or -1, which has no such ratio.
-    """
-    (_, b), (c, _) = _propagation(stages)
-    c = c // _polynomial(0.0, 1.0)
-    roots = sorted(root for factor in (1 - INEQUALITY, 1 + INEQUALITY) for root in _positive_roots(b + factor * c))
-    return min(stability_limit(stages), _first(roots, lambda at: abs(b(at) / c(at) + 1) > INEQUALITY))
-
-
-def _first(roots: Sequence[float], is_beyond: Callable[[float], bool]) -> float:
-    """Square root of the first of the sorted roots beyond which a limit is exceeded; infinity if there is none."""
-    for root, after in pairwise([*roots, math.inf]):
-        # Whether it is exceeded cannot change between two roots.
-        if after > root * (1 + TOUCHING) and is_beyond(0.5 * (root + min(after, 2 * root))):
-            return math.sqrt(root)
-    return math.inf
-
-
-def _propagation(stages: Sequence[Stage]) -> tuple[Any, Any]:
-    """Rows of the matrix. Stages that are neither kick nor drift, such as a heat bath, are left out."""
-    one, zero, x = _polynomial(1.0), _polynomial(0.0), _polynomial(0.0, 1.0)
-    q, p = (one, zero), (zero, one)
+    if not {KICK, DRIFT} <= {stage.flow for stage in stages}:
+        return np.inf, np.inf
+    # A trace that is a polynomial of degree n in x, with the slope of the exact one at 0, leaves -2 to 2 by omega h =
+    # 2 n: Chebyshev's polynomial stays there longest.
+    degree = sum(2 if stage.shift else 1 for stage in stages if stage.flow == KICK)
+    z = 2 * (degree + 1) * np.arange(RESOLUTION, 1, RESOLUTION)
+    x = z**2
+    a, b, c, d = np.ones_like(z), np.zeros_like(z), np.zeros_like(z), np.ones_like(z)
     for stage in stages:
         if stage.operator == DRIFT:
-            q = q[0] + stage.fraction * p[0], q[1] + stage.fraction * p[1]
+            a, b = a + stage.fraction * c, b + stage.fraction * d
         elif stage.flow == KICK:
             pull = stage.fraction * x * (1 - stage.shift * x)
-            p = p[0] - pull * q[0], p[1] - pull * q[1]
-    return q, p
-
-
-def _polynomial(*coefficients: float) -> Any:
-    # NumPy imports its polynomials when they are asked for, which takes a tenth of the time that this package does.
-    return np.polynomial.Polynomial(coefficients)
-
-
-def _positive_roots(polynomial: Any) -> list[float]:
-    roots = polynomial.roots()
-    # Roots of simple polynomials come with imaginary parts of rounding.
-    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 1e-9)]
-    return real.tolist()
+            c, d = c - pull * a, d - pull * b
+    unstable = np.abs(a + d) > 2 + ROUNDING
+    unequal = np.abs(x * b + c) > INEQUALITY * np.abs(c) + ROUNDING
+    stable, accurate = (float(z[beyond.argmax() - 1]) if beyond.any() else np.inf for beyond in (unstable, unequal))
+    return stable, min(stable, accurate)

@@ -243,10 +243,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 too long for a bond.
         """
         count = whole_number("steps", steps)
-        self._bound()
+        context = self._bound()._context
         if self._system is not None:
-            self._system.check()
-        self._watch.over(self._advance, count, self)
+            self._system.check(context.getSystem())
+        self._watch.over(self._advance, count, self, context)
 
     def _advance(self, count: int) -> None:
         engine = self._bound()
@@ -340,9 +340,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _bind(self, context: openmm.Context) -> None:
         checks.tell_of_frozen_atoms_that_move(context.getSystem())
-        self._watch = RunawayWatch(context)
+        self._watch = RunawayWatch(context.getSystem())
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
-        self._engine, self._system = None, UnchangedSystem(context)
+        self._engine, self._system = None, UnchangedSystem(context.getSystem())
         finds = self._settings.finds_fast_groups
         if finds and fast_force_groups(context.getSystem()) != self._settings.fast_groups:
             raise openmm.OpenMMException(

@@ -57,22 +57,14 @@ class SettingsError(openmm.OpenMMException):
 
 @dataclass(frozen=True)
 class Settings:
-    """All that an integrator was asked for.
+    """All that an integrator was asked for; see `SIERIntegrator`, also for errors.
 
     Attributes:
         kind: module and name of its class.
-        scheme: the splitting scheme.
         step: of the scheme, ps.
-        engine: "auto", "exact" or "native".
-        substeps: see `SIERIntegrator`; None leaves it to the engine.
         fast_groups: bit mask of the force groups that act within drifts.
         finds_fast_groups: whether those of a prepared System are found in it.
         bodies: as users give them.
-        rotation: free-rotation map.
-        ensemble: what happens between flows.
-
-    Raises:
-        ValueError, TypeError: see `SIERIntegrator`.
     """
 
     kind: str
@@ -276,11 +268,7 @@ def place_of(thing: Callable[..., Any] | type) -> str:
 
 
 def class_at(place: str, base: type) -> type:
-    """The class at a place that `place_of` gave; no module is imported for it.
-
-    Args:
-        place: module and name.
-        base: what it must be a subclass of.
+    """The subclass of a base at a place that `place_of` gave; no module is imported for it.
 
     Raises:
         SettingsError: there is no such class in a module that is imported.

@@ -116,8 +116,7 @@ def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[in
 
 def _numbers(parameters: Iterable[Any]) -> np.ndarray:
     """Charge, sigma and epsilon in e, nm and kJ/mol."""
-    md = unit.md_unit_system
-    return np.array([p.value_in_unit_system(md) if unit.is_quantity(p) else float(p) for p in parameters])
+    return np.array([p._value if unit.is_quantity(p) else p for p in parameters], dtype=float)
 
 
 def _close(edges: np.ndarray, particles: int) -> list[tuple[int, int]]:

@@ -81,12 +81,7 @@ def refuse_scaled_atoms(system: openmm.System) -> None:
 
 
 def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequence[int]], bodies: RigidBodies) -> None:
-    """Refuse a barostat that moves atoms of one body apart.
-
-    Args:
-        system: openmm.System.
-        molecules: particle indices of OpenMM's molecules, `Context.getMolecules()`.
-        bodies: the rigid bodies.
+    """Refuse a barostat that moves atoms of one body apart; molecules are those of `Context.getMolecules()`.
 
     Raises:
         RigidityError: a barostat scales atoms one by one, or moves apart molecules that share a body.
@@ -143,12 +138,7 @@ def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None
 def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
     """Warn of atoms that move by more than the rounding of a PDB file when bodies are fitted to them.
 
-    Args:
-        bodies: the rigid bodies.
-        misfit: for each body the largest distance of an atom from its place, (n,), nm.
-
-    Returns:
-        Whether there were any.
+    Returns whether there were any. The misfit of a body is the largest distance of an atom from its place, (n,), nm.
     """
     off = int(np.count_nonzero(misfit > RESOLUTION))
     if not off:

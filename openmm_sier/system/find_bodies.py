@@ -74,19 +74,13 @@ class RigidBodies(dynamics.RigidBodies):
 
 
 class BodyPlan:
-    """Which particles of a System form rigid bodies; see `RigidBodies.from_system` for the rules.
+    """Which particles of a System form rigid bodies; see `RigidBodies.from_system` for arguments, rules and errors.
 
     Attributes:
         kinds: the kinds of body.
     """
 
     def __init__(self, system: openmm.System, topology: openmm.app.Topology | None = None, rigid: Rigid = None):
-        """
-        Args:
-            system: openmm.System.
-            topology: openmm.app.Topology.
-            rigid: as in `RigidBodies.from_system`, which also lists the errors raised.
-        """
         n = system.getNumParticles()
         self._labels = None if topology is None else _residue_labels(topology, n)
         self._n = n
@@ -206,29 +200,17 @@ class BodyPlan:
                 )
 
 
-class KnownBodies:
-    """A plan of bodies that a user gave, with the methods of `BodyPlan`."""
-
-    needs_positions = False
-
-    def __init__(self, bodies: dynamics.RigidBodies):
-        self._bodies = bodies
-
-    def bodies(self, positions: np.ndarray | None = None, sites: np.ndarray | None = None) -> dynamics.RigidBodies:
-        """The bodies, whatever the positions."""
-        return self._bodies
-
-
-def plan_bodies(system: openmm.System, given: Bodies) -> BodyPlan | KnownBodies:
-    """The plan of a System's bodies, from what a user gave: `RigidBodies`, lists of particle indices, or None.
+def known_or_planned(system: openmm.System, given: Bodies) -> dynamics.RigidBodies | BodyPlan:
+    """A System's bodies from what a user gave; their plan if only positions can tell the geometry.
 
     Raises:
         ValueError: the System has another number of particles or other masses.
         RigidityError: see `BodyPlan` and `tied`.
     """
     if isinstance(given, dynamics.RigidBodies):
-        return KnownBodies(tied(system, given))
-    return BodyPlan(system, rigid=given)
+        return tied(system, given)
+    plan = BodyPlan(system, rigid=given)
+    return plan if plan.needs_positions else plan.bodies()
 
 
 # --- bodies that are named --------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -54,39 +53,32 @@ class RunawayWatch:
     It looks at the velocities in the Context every `INTERVAL` steps, at the end of a call of `step`.
     """
 
-    def __init__(self, context: openmm.Context):
-        # The Context owns its integrator, which holds this.
-        self._context = weakref.ref(context)
-        self._masses = tables.masses(context.getSystem())
+    def __init__(self, system: openmm.System):
+        self._masses = tables.masses(system)
         self._atoms = int(np.count_nonzero(self._masses))
-        self._held = len(tables.constraints(context.getSystem()).pairs)
-        self._stepping = False
+        self._held = len(tables.constraints(system).pairs)
         self.forget()
 
     def forget(self) -> None:
-        """Positions or velocities were set. Unless steps did so, what they are then is a new start."""
-        if not self._stepping:
-            self._start: float | None = None
-            self._steps, self._warned = 0, False
+        """Positions or velocities were set: what they are then is a new start."""
+        self._start: float | None = None
+        self._steps, self._warned = 0, False
 
-    def over(self, make: Callable[[int], None], steps: int, integrator: Any) -> None:
+    def over(self, make: Callable[[int], None], steps: int, integrator: Any, context: openmm.Context) -> None:
         """Make steps by a function of their number, and look; an integrator with a bath knows its temperature."""
         if self._atoms < FEWEST_ATOMS:
             return make(steps)
-        if self._start is None:
-            self._start = self._temperature()
-        self._stepping = True
-        try:
-            make(steps)
-        finally:
-            self._stepping = False
-        self._steps += steps
-        if self._steps < INTERVAL or self._warned:
+        start = self._temperature(context) if self._start is None else self._start
+        taken, warned = self._steps + steps, self._warned
+        make(steps)
+        # What the steps themselves set is no new start.
+        self._start, self._steps, self._warned = start, taken, warned
+        if taken < INTERVAL or warned:
             return None
         bath = integrator.getTemperature()._value if hasattr(integrator, "getTemperature") else 0.0
         # What a hot bath has heated may be cooled later.
-        self._start = max(self._start, bath)
-        self._steps, now = 0, self._temperature()
+        self._start = max(start, bath)
+        self._steps, now = 0, self._temperature(context)
         if now > max(HOTTEST, GROWTH * self._start):
             self._warned = True
             tell(
@@ -96,11 +88,8 @@ class RunawayWatch:
             )
         return None
 
-    def _temperature(self) -> float:
+    def _temperature(self, context: openmm.Context) -> float:
         """Of all atoms, K. Bodies that no constraint holds have fewer degrees of freedom, and are hotter by that."""
-        context = self._context()
-        if context is None:
-            return 0.0
         velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
         return float(2 * energy / (max(1, 3 * self._atoms - self._held) * GAS_CONSTANT))

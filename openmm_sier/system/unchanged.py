@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from typing import Any
 
 import openmm
@@ -15,20 +14,18 @@ class UnchangedSystem:
     #: at every Force at each call of `step` would take 5 to 10 us for each of them.
     changes = 0
 
-    def __init__(self, context: openmm.Context):
-        # The Context owns the integrator that holds this object.
-        self._context = weakref.ref(context)
-        self._then, self._seen = _outline(context.getSystem()), self._glance(context.getSystem())
+    def __init__(self, system: openmm.System):
+        self._then, self._seen = _outline(system), self._glance(system)
 
-    def check(self) -> None:
+    def check(self, system: openmm.System) -> None:
         """Compare particles, constraints, Forces, their groups and the parameters of PME.
 
         Raises:
             openmm.OpenMMException: the System was changed after its Context was made.
         """
-        if (context := self._context()) is None or (seen := self._glance(context.getSystem())) == self._seen:
+        if (seen := self._glance(system)) == self._seen:
             return
-        now = _outline(context.getSystem())
+        now = _outline(system)
         for name, value in self._then.items():
             if now.get(name) != value:
                 raise openmm.OpenMMException(

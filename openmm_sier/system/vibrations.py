@@ -86,19 +86,15 @@ class Motion(NamedTuple):
 class Vibrations:
     """The fastest unconstrained bonds and librations of a System, and whether a step is short enough for them.
 
-    Of bonded forces only the System's HarmonicBondForces are looked at, as they are when the Context is created. Each
-    bond is treated on its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms that share an
-    atom (CO2) vibrate up to a quarter faster. Angles are ignored: those of hydrogens are slower than bonds by a factor
-    of two. Of forces between molecules only the NonbondedForces are looked at. The energy of any other force is an
-    expression, from which no period can be read.
+    Bonds inside bodies do not count, nor do those that constraints hold. Of bonded forces only the System's
+    HarmonicBondForces are looked at, as they are when the Context is created. Each bond is treated on its own, which
+    gives its period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter
+    faster. Angles are ignored: those of hydrogens are slower than bonds by a factor of two. Of forces between molecules
+    only the NonbondedForces are looked at. The energy of any other force is an expression, from which no period can be
+    read.
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
-        """
-        Args:
-            system: openmm.System.
-            bodies: its bodies. Bonds inside them do not count, nor do those that constraints hold.
-        """
         self._bodies = bodies
         mobility = mobilities(bodies)
         constraints = tables.constraints(system)
@@ -110,12 +106,7 @@ class Vibrations:
         """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.
 
         The same holds for librations, whose frequencies are estimates: steps are refused for them only from twice the
-        stability limit on.
-
-        Args:
-            scheme: the scheme that makes the step.
-            h: the step, ps.
-            groups: bit mask of the force groups that act in it.
+        stability limit on. The step h is in ps, and `groups` is a bit mask of the force groups that act in it.
 
         Raises:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
@@ -139,12 +130,7 @@ class Vibrations:
 
         Kicks excite a bond if they come once or twice a period: schemes are unstable for steps in windows just below
         half a period and a whole one. The width of these windows is the share of the slow forces in the stiffness of
-        the bond.
-
-        Args:
-            inner, inner_step: the scheme within drifts, and its longest step, ps.
-            h: the step of the outer scheme, ps.
-            groups: bit mask of the fast force groups.
+        the bond. Fast forces are those of `groups`, and h is the step of the outer scheme.
 
         Raises:
             openmm.OpenMMException: the inner step is beyond the inner scheme's stability limit.
@@ -159,12 +145,9 @@ class Vibrations:
             )
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
-        """The longest step without a warning, ps; infinite where no bond vibrates.
+        """The longest step without a warning, ps, with inner steps that are short enough for the fast groups.
 
-        Args:
-            scheme: the scheme that makes the step.
-            groups: bit mask of the force groups that act in its kicks.
-            fast: bit mask of those that act within its drifts, with inner steps that are short enough.
+        Infinite where no bond vibrates. Both groups are bit masks.
         """
         slow = _fastest(self._bonds + self._librations, groups)
         within = _fastest(self._bonds, fast)

@@ -17,6 +17,9 @@ from openmm_sier.dynamics.stability import INEQUALITY
 every_scheme = pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE.keys())
 POSITION_VERLET = Scheme("position Verlet", (("drift", 0.5), ("kick", 1.0), ("drift", 0.5)))
 
+#: Limits are found to twice the resolution of the largest that is possible, which is up to twice SIER2's limit.
+FOUND = 4e-5
+
 
 def motion(scheme, z, steps):
     """q and p/(m omega) of a harmonic mode after each step of a point body, with omega h = z.
@@ -43,14 +46,14 @@ def motion(scheme, z, steps):
 
 def test_limits_that_are_known():
     """Velocity Verlet has the trace 2 - z^2, SIER4G 2 - z^2 + z^4/12 - z^6/432 = -2 - (z^2 - 12)^3/432."""
-    assert pytest.approx(2.0, rel=1e-14) == SIER2.stability_limit
-    assert pytest.approx(2.0, rel=1e-14) == POSITION_VERLET.stability_limit
-    # A triple root: rounding of 1e-16 moves it by the cube root of that.
-    assert pytest.approx(math.sqrt(12), rel=2e-5) == SIER4G.stability_limit
+    assert pytest.approx(2.0, rel=FOUND) == SIER2.stability_limit
+    assert pytest.approx(2.0, rel=FOUND) == POSITION_VERLET.stability_limit
+    # A triple root: an excess of 1e-12 in the trace moves z^2 by the cube root of 432e-12.
+    assert pytest.approx(math.sqrt(12), rel=1e-4) == SIER4G.stability_limit
     # The mean kinetic energy of velocity Verlet is 1 - z^2/4 of the potential one.
-    assert pytest.approx(math.sqrt(4 / 11), rel=1e-12) == SIER2.accuracy_limit
+    assert pytest.approx(math.sqrt(4 / 11), rel=1e-4) == SIER2.accuracy_limit
     # That of position Verlet is 1 / (1 - z^2/4) of it.
-    assert pytest.approx(math.sqrt(4 * INEQUALITY), rel=1e-12) == POSITION_VERLET.accuracy_limit
+    assert pytest.approx(math.sqrt(4 * INEQUALITY), rel=1e-4) == POSITION_VERLET.accuracy_limit
 
 
 def test_where_the_trace_touches_two_is_no_limit():
@@ -64,8 +67,8 @@ def test_where_the_trace_touches_two_is_no_limit():
     for stages in (2, 3, 4):
         fractions = [1 / (2 * stages), *[1 / stages] * (stages - 1)]
         steps = alternating("steps of Verlet", "kick", "drift", tuple(fractions))
-        assert steps.stability_limit == pytest.approx(2.0 * stages, rel=1e-6)
-        assert steps.accuracy_limit == pytest.approx(SIER2.accuracy_limit * stages, rel=1e-6)
+        assert steps.stability_limit == pytest.approx(2.0 * stages, rel=FOUND)
+        assert steps.accuracy_limit == pytest.approx(SIER2.accuracy_limit * stages, rel=1e-4)
     first, second, third, _ = (stage.fraction for stage in SIER2P3.stages[:4])
     assert alternating("off", "drift", "kick", (first, second - 1e-3, third)).stability_limit < 3
     # A million steps where it touches: no growth.
@@ -98,5 +101,11 @@ def test_energies_differ_by_a_tenth_at_the_accuracy_limit(scheme):
 
 @every_scheme
 def test_a_heat_bath_does_not_matter(scheme):
-    # Stages that the bath divides have the same product, to the rounding of coefficients of the sixth power in z.
-    assert scheme.with_bath().stability_limit == pytest.approx(scheme.stability_limit, rel=1e-9)
+    # Stages that the bath divides have the same product, to rounding that may move the limit by one place.
+    assert scheme.with_bath().stability_limit == pytest.approx(scheme.stability_limit, rel=FOUND)
+
+
+def test_without_kicks_or_drifts_there_is_no_limit():
+    for operator in ("kick", "drift"):
+        scheme = Scheme(operator, ((operator, 1.0),))
+        assert scheme.stability_limit == scheme.accuracy_limit == math.inf

@@ -28,7 +28,7 @@ from openmm_sier.engines.updates import updating_context
 from openmm_sier.engines.variables import DRAWS, HEAT, SITES, STATE_VARIABLES
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
-from openmm_sier.system.find_bodies import plan_bodies
+from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.vibrations import Vibrations
 
 
@@ -59,14 +59,14 @@ class ExactEngine(Engine):
             integrator: holds the variables in which the state travels.
             context: openmm.Context.
             flow: what will be followed.
-            bodies: as users give them, see `find_bodies.plan_bodies`.
+            bodies: as users give them, see `find_bodies.known_or_planned`.
 
         Raises:
             RigidityError, openmm.OpenMMException: the System or the step is refused, as the message says.
         """
         super().__init__(integrator, context, flow)
         system = context.getSystem()
-        plan = plan_bodies(system, bodies)
+        found = known_or_planned(system, bodies)
         forces = system.getForces()
         acting = [force for force in forces if not checks.is_passive(force)]
         self._is_updated = bool(acting)
@@ -84,10 +84,9 @@ class ExactEngine(Engine):
         self._bodies: RigidBodies | None = None
         self._motion: Motion
         self._reconciliation: Reconciliation
-        # Bodies that need no positions are made now. The plan is dropped, since it takes more memory than they do.
-        self._plan: Any = plan if plan.needs_positions else None
-        if self._plan is None:
-            self._settle(plan.bodies(None))
+        self._plan: Any = found if isinstance(found, BodyPlan) else None
+        if not isinstance(found, BodyPlan):
+            self._settle(found)
 
     @property
     def evaluations(self) -> int:  # type: ignore[override]

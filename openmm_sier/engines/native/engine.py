@@ -29,7 +29,7 @@ from openmm_sier.engines.temperature import (
 from openmm_sier.engines.variables import DRAWS, HEAT
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
-from openmm_sier.system.find_bodies import plan_bodies
+from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.vibrations import Vibrations
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
@@ -92,9 +92,9 @@ class NativeEngine(Engine):
         self._constraints = tables.constraints(system)
         self._points = refusals.points(system)
         try:
-            self._plan: Any = plan_bodies(system, bodies)
+            self._found: Any = known_or_planned(system, bodies)
         except RigidityError as error:
-            self._plan = error
+            self._found = error
         self._vibrations = Vibrations(system, self._points)
         self._check_step()
         self._masses = tables.masses(system)
@@ -115,9 +115,9 @@ class NativeEngine(Engine):
         Raises:
             RigidityError: the System has constraints that do not form rigid bodies.
         """
-        if isinstance(self._plan, RigidityError):
-            raise self._plan
-        return self._plan.bodies(self.positions() if self._plan.needs_positions else None)
+        if isinstance(self._found, RigidityError):
+            raise self._found
+        return self._found.bodies(self.positions()) if isinstance(self._found, BodyPlan) else self._found
 
     @property
     def _movers(self) -> RigidBodies:
@@ -341,7 +341,7 @@ class NativeEngine(Engine):
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""
         conserved = self.conserves_momentum()
-        if not isinstance(self._plan, RigidityError):
+        if not isinstance(self._found, RigidityError):
             return temperatures(self.bodies, self.state(), conserved)
         kinetic = sum(thermal_energies(self._points, self._state_of(self._points), conserved))
         dof = self._points.dof - len(self._constraints.pairs) - (3 if conserved else 0)
