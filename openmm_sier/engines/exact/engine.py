@@ -24,8 +24,7 @@ from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import Temperatures, temperatures
-from openmm_sier.engines.updates import updating_context
-from openmm_sier.engines.variables import DRAWS, HEAT, SITES, STATE_VARIABLES
+from openmm_sier.engines.variables import DRAWS, HEAT, PART, SITES, STATE_VARIABLES
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
@@ -246,8 +245,16 @@ class ExactEngine(Engine):
         return replace(state, q=q, p=self.bodies.constraints.project(q, state.p), A=A)
 
     def _let_openmm_act(self) -> None:
-        with updating_context(self._integrator, self._flow.step):
-            openmm.CustomIntegrator.step(self._integrator, 1)
+        """Let the System's barostats and thermostats act, as in a step of this length, and do nothing else."""
+        plain, integrator = openmm.CustomIntegrator, self._integrator
+        native_step = plain.getStepSize(integrator)
+        try:
+            integrator.setGlobalVariableByName(PART, -1)
+            plain.setStepSize(integrator, self._flow.step)
+            plain.step(integrator, 1)
+        finally:
+            plain.setStepSize(integrator, native_step)
+            integrator.setGlobalVariableByName(PART, 0)
 
     def start_anew(self) -> None:
         self._starts_anew = self._remembers_list

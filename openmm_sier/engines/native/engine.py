@@ -46,6 +46,9 @@ OFF = 1e-7
 #: Atoms still further off than this afterwards, in nm, have not converged.
 NOT_CONVERGED = 1e-4
 
+# OpenMM's methods before `hooks` replaces them: after them forces and energy are still known.
+set_velocities, draw_velocities = openmm.Context.setVelocities, openmm.Context.setVelocitiesToTemperature
+
 
 class _Memory(NamedTuple):
     """What `remember` gives."""
@@ -273,10 +276,8 @@ class NativeEngine(Engine):
         return 0.5 * float(self._masses @ (Snapshot(self._context).velocities ** 2).sum(axis=1))
 
     def _set_velocities(self, velocities: np.ndarray, gained_since: float) -> None:
-        """Set velocities (N, 3); what is gained since a kinetic energy is heat. Forces and energy remain valid."""
-        kept = self._potential, self._is_fresh
-        self._context.setVelocities(velocities)
-        self._potential, self._is_fresh = kept
+        """Set velocities (N, 3); what is gained since a kinetic energy is heat."""
+        set_velocities(self._context, velocities)
         self.add_heat(self.kinetic_energy() - gained_since)
 
     def positions(self) -> np.ndarray:
@@ -286,14 +287,12 @@ class NativeEngine(Engine):
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
         if self._is_fresh:
             self._start_anew()
-        context, potential = self._context, self._potential
-        old, before = Snapshot(context).velocities, self.kinetic_energy()
+        old, before = Snapshot(self._context).velocities, self.kinetic_energy()
         # OpenMM replaces a zero by a seed of its own choice.
         seed = int(generator(bath.seed, self.draws).integers(1, 2**31 - 1))
-        context.setVelocitiesToTemperature(bath.temperature, seed)
-        self._potential, self._is_fresh = potential, False
+        draw_velocities(self._context, bath.temperature, seed)
         kept = math.exp(-bath.friction * time)
-        self._set_velocities(kept * old + math.sqrt(1 - kept**2) * Snapshot(context).velocities, before)
+        self._set_velocities(kept * old + math.sqrt(1 - kept**2) * Snapshot(self._context).velocities, before)
         self.draws += 1
 
     def remember(self) -> _Memory:
