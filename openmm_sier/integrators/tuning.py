@@ -130,8 +130,8 @@ def tune(
 
     All of this is part of the equilibration: while step and length depend on the outcome of trials, these are not
     samples, and must not enter averages. Equilibrate roughly beforehand. Afterwards step and length are fixed, and
-    `trials` and `accepted` count from zero. An
-    interrupt or error restores the step and length that the integrator had.
+    `trials` and `accepted` count from zero. An interrupt or error restores the step and length that the
+    integrator had.
 
     The same seed gives the same result if the platform's forces are deterministic.
 
