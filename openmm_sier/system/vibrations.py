@@ -248,9 +248,7 @@ def mobilities(bodies: RigidBodies) -> np.ndarray:
     """
     mobility = np.zeros(bodies.n_particles)
     for species in bodies.species:
-        x, y, z = species.sites
-        zero = np.zeros_like(x)
-        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+        cross = np.cross(np.eye(3), species.sites.T[:, None])
         inverse = np.divide(1.0, species.moments, out=np.zeros(3), where=species.moments > 0)
         turning = np.einsum("kax,a,kay->kxy", cross, inverse, cross)
         mobility[species.atoms] = 1 / species.mass + np.linalg.eigvalsh(turning)[:, -1]
