@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import body_frame, combine, cross
+from openmm_sier.dynamics.backend.formulas import body_frame, combine, cross, rotation_matrix, turned
 from openmm_sier.dynamics.rotation.arguments import checked, demand_finite
 from openmm_sier.dynamics.rotation.exact import exact
 
@@ -41,20 +41,8 @@ def sej4(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[n
     times = GAUSS_NODE * h, (1 - GAUSS_NODE) * h, h
     first, second, end = (body_frame(axes.sort(exact(A, L, moments, time)[0]), L) for time in times)
     turn1, turn2 = h * rates * first, h * rates * second
-    omega = 0.5 * (turn1 + turn2) + math.sqrt(3) / 12 * _cross(turn1, turn2)
-    new = _rotated(omega, rows)
+    omega = 0.5 * (turn1 + turn2) + math.sqrt(3) / 12 * np.stack(cross(turn1, turn2))
+    half = 0.5 * np.sqrt((omega * omega).sum(axis=0))
+    # The lab, seen from the body, turns back. NumPy's sinc(x) is sin(pi x)/(pi x), regular at 0.
+    new = turned(rotation_matrix(np.cos(half), *(-0.5 * np.sinc(half / np.pi) * omega)), rows)
     return axes.unsort(new), combine(end, *new)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.stack(cross(a, b))
-
-
-def _rotated(omega: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """exp(-[Omega]x) A by Rodrigues' formula; regular at Omega = 0."""
-    angle = np.sqrt((omega * omega).sum(axis=0))
-    sine = np.sinc(angle / np.pi)  # sin(angle)/angle
-    half = np.sinc(angle / (2 * np.pi))
-    once = _cross(omega[:, None, :], rows)
-    twice = _cross(omega[:, None, :], once)
-    return rows - sine * once + (0.5 * half * half) * twice
