@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import combine, displacing_rotation
+from openmm_sier.dynamics.backend.formulas import displacing_rotation, turned
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 
@@ -87,6 +87,4 @@ def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -
 
 def _turned(A: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Attitudes turned by lab vectors (3, n), up to the third order."""
-    x, y, z = A
-    rows = displacing_rotation(x, y, z, angle, (1.0, 1.0, 1.0), 1.0)
-    return np.stack([combine(row, x, y, z) for row in rows])
+    return turned(displacing_rotation(A[0], A[1], A[2], angle, (1.0, 1.0, 1.0), 1.0), A)

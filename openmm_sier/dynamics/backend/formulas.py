@@ -7,6 +7,8 @@ rotations are quaternions (w, i, j, k) of any norm.
 
 from __future__ import annotations
 
+import numpy as np
+
 #: Largest angle of `small_sine_cosine`, up to which its truncation error is below 2e-17.
 SMALL_ANGLE = 0.75
 
@@ -41,6 +43,11 @@ def body_frame(A, L):
 def angular_velocity(A, L, inverse_moments):
     """Angular velocities in the lab frame, (3, n); zero about the axis of a line and for a point."""
     return combine(body_frame(A, L) * inverse_moments, A[0], A[1], A[2])
+
+
+def turned(rows, A):
+    """Attitudes A (3, 3, n) after rotations in the body frames, given by rows; a new array."""
+    return np.stack([combine(row, *A) for row in rows])
 
 
 def small_sine_cosine(x):

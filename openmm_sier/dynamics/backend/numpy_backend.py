@@ -14,11 +14,11 @@ from openmm_sier.dynamics.backend.formulas import (
     LINE,
     angular_velocity,
     body_frame,
-    combine,
     cross,
     displacing_rotation,
     rotation_matrix,
     spin,
+    turned,
 )
 from openmm_sier.dynamics.backend.short_steps import free_rotation
 from openmm_sier.dynamics.backend.sites import Sites
@@ -102,9 +102,8 @@ class NumpyBackend:
             inverse_masses: (n,).
             inverse_moments: (3, n).
         """
-        x, y, z = A
-        rows = displacing_rotation(x, y, z, tau, inverse_moments, shift)
-        return q + (shift * inverse_masses) * F, np.stack([combine(row, x, y, z) for row in rows])
+        rows = displacing_rotation(A[0], A[1], A[2], tau, inverse_moments, shift)
+        return q + (shift * inverse_masses) * F, turned(rows, A)
 
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
         """Write the positions (N, 3) of atoms, see `Sites.place`; returns whether all are finite."""
@@ -150,10 +149,15 @@ class NumpyBackend:
         starts, group = edges[:-1], np.repeat(np.arange(len(edges) - 1), np.diff(edges))
         x, y, z = (row - (np.add.reduceat(m * row, starts) / np.add.reduceat(m, starts))[group] for row in q[:, part])
         products = m * np.array([x * x, y * y, z * z, x * y, y * z, z * x])
+<<<<<<< HEAD
         torque = np.add.reduceat(cross(at[:, part] - q[:, part], F[:, part]), starts, axis=1)
         turned, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
+=======
+        torque = np.add.reduceat(torques[:, part], starts, axis=1)
+        turns, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
+>>>>>>> a24291914b5c674b24af4120d14b994cf0fbc327
         line = determinant <= LINE * half**3
-        rates = np.where(line, torque / half, np.array(turned) / np.where(line, 1.0, determinant))
+        rates = np.where(line, torque / half, np.array(turns) / np.where(line, 1.0, determinant))
         F[:, part] += m * np.array(cross(rates[:, group], (x, y, z)))
 
     def execute(self, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -177,4 +181,4 @@ def rotated(rates: ndarray, A: ndarray, L: ndarray, h: float, numbers: Sequence[
                 raise ValueError(f"the {name} of body {numbers[far[finite.argmin()]]} is not finite")
         turn = np.stack(turn)
         turn[:, far] = long_steps.turn(body_L[:, far], np.broadcast_to(rates.reshape(3, -1), L.shape)[:, far], h)
-    return np.stack([combine(row, A[0], A[1], A[2]) for row in rotation_matrix(*turn)])
+    return turned(rotation_matrix(*turn), A)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.backend.formulas import body_frame, rotation_matrix, turned
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.rotation.arguments import checked, demand_finite
 
@@ -39,10 +39,8 @@ def rattle(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple
     _, A, L, h = checked(A, L, moments, h)
     demand_finite(L)
     g = _half_turn(body_frame(A, L), np.reshape(np.asarray(moments, dtype=float), (3, -1)), h)
-    # Components of the lab's axes in the body's frame, each turned back by the body's rotation.
-    turned = np.stack([np.cross(g, A[:, k], axis=0) for k in range(3)], axis=1)
-    twice = np.stack([np.cross(g, turned[:, k], axis=0) for k in range(3)], axis=1)
-    return A - 2 * (turned - twice) / (1 + (g * g).sum(axis=0)), L.copy()
+    # The lab, seen from the body, turns back.
+    return turned(rotation_matrix(1.0, *-g), A), L.copy()
 
 
 def _half_turn(body_L: np.ndarray, moments: np.ndarray, h: float) -> np.ndarray:
