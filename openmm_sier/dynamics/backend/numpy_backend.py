@@ -149,13 +149,8 @@ class NumpyBackend:
         starts, group = edges[:-1], np.repeat(np.arange(len(edges) - 1), np.diff(edges))
         x, y, z = (row - (np.add.reduceat(m * row, starts) / np.add.reduceat(m, starts))[group] for row in q[:, part])
         products = m * np.array([x * x, y * y, z * z, x * y, y * z, z * x])
-<<<<<<< HEAD
         torque = np.add.reduceat(cross(at[:, part] - q[:, part], F[:, part]), starts, axis=1)
-        turned, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
-=======
-        torque = np.add.reduceat(torques[:, part], starts, axis=1)
         turns, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
->>>>>>> a24291914b5c674b24af4120d14b994cf0fbc327
         line = determinant <= LINE * half**3
         rates = np.where(line, torque / half, np.array(turns) / np.where(line, 1.0, determinant))
         F[:, part] += m * np.array(cross(rates[:, group], (x, y, z)))
