@@ -109,7 +109,7 @@ class Engine(ABC):
 
     @property
     def callers(self) -> tuple[Any, ...]:
-        """What asks OpenMM for forces in a step: first for those in the kicks, then for fast ones; see `ForceClock`."""
+        """What asks OpenMM for forces in a step, for those in the kicks and then for fast ones; see `ForceClock`."""
         return ()
 
     @property
