@@ -106,9 +106,10 @@ class NumpyBackend:
         return q + (shift * inverse_masses) * F, turned(rows, A)
 
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
-        """Write the positions (N, 3) of atoms, see `Sites.place`; returns whether all are finite."""
+        """Write the positions (N, 3) of the atoms of bodies; returns whether all are finite."""
         with np.errstate(invalid="ignore"):
-            sites.place(q, A, positions)
+            for column, arm in sites.arms(A):
+                positions[column] = (q[:, sites.part] + arm).T
         return bool(np.isfinite(q[:, sites.part]).all() and np.isfinite(A[:, :, sites.part]).all())
 
     def move(
@@ -123,16 +124,29 @@ class NumpyBackend:
     ) -> None:
         """Write the velocities (N, 3) of the atoms of bodies with momenta and angular momenta, (3, n)."""
         part = sites.part
-        omega = angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part])
-        sites.move(p[:, part] * inverse_masses[part], A, omega, velocities)
+        v, omega = (
+            p[:, part] * inverse_masses[part],
+            angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part]),
+        )
+        for column, arm in sites.arms(A):
+            velocities[column] = (v + cross(omega, arm)).T
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
     ) -> bool:
-        """Write sums over atoms, see `Sites.collect`; returns whether all are finite."""
+        """Write sums (3, n) over the atoms of weighted vectors (N, 3), and of their moments; whether all are finite.
+
+        The weights are those of the sites, (k,).
+        """
+        sums, moments = np.zeros((2, 3, len(sites.atoms)))
         with np.errstate(invalid="ignore"):
-            sites.collect(vectors, A, weights, total, moment)
-        return bool(np.isfinite(total[:, sites.part]).all() and np.isfinite(moment[:, sites.part]).all())
+            for weight, (column, arm) in zip(weights, sites.arms(A), strict=True):
+                weighted = np.ascontiguousarray(vectors[column].T)
+                weighted *= weight
+                sums += weighted
+                moments += cross(arm, weighted)
+        total[:, sites.part], moment[:, sites.part] = sums, moments
+        return bool(np.isfinite(sums).all() and np.isfinite(moments).all())
 
     def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, at: ndarray, F: ndarray) -> None:
         """Add forces (3, n) that turn each group of points rigidly, and exert the torques of displaced forces.

@@ -1,4 +1,4 @@
-"""Which atoms make up bodies, where in the bodies they are, and sums over them.
+"""Which atoms make up bodies, and where in the bodies they are.
 
 Bodies have centres q, momenta p and angular momenta L, (3, n), and attitudes A, (3, 3, n). With small sets of bodies
 the number of calls determines the cost, so that sites are handled one by one, and all bodies at once.
@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import combine, cross
+from openmm_sier.dynamics.backend.formulas import combine
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,36 +34,11 @@ class Sites:
         """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
         return [_as_slice(column) for column in self.atoms.T]
 
-    def _arms(self, A: np.ndarray) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
+    def arms(self, A: np.ndarray) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
         """For each site what picks its atoms, and their places relative to the centres, (3, m)."""
         x, y, z = A[:, :, self.part]
         for column, place in zip(self._columns, self.places.T, strict=True):
             yield column, combine(place, x, y, z)
-
-    def place(self, q: np.ndarray, A: np.ndarray, positions: np.ndarray) -> None:
-        """Write the positions (N, 3) of the atoms."""
-        for column, arm in self._arms(A):
-            positions[column] = (q[:, self.part] + arm).T
-
-    def move(self, v: np.ndarray, A: np.ndarray, omega: np.ndarray, velocities: np.ndarray) -> None:
-        """Write the velocities (N, 3) of the atoms of these bodies, at velocities and angular velocities, (3, m)."""
-        for column, arm in self._arms(A):
-            velocities[column] = (v + cross(omega, arm)).T
-
-    def collect(
-        self, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray, total: np.ndarray, moment: np.ndarray
-    ) -> None:
-        """Write sums (3, n) over the atoms of weighted vectors (N, 3), and sums of their moments.
-
-        The weights are those of the sites, (k,).
-        """
-        sums, moments = np.zeros((2, 3, len(self.atoms)))
-        for weight, (column, arm) in zip(weights, self._arms(A), strict=True):
-            weighted = np.ascontiguousarray(vectors[column].T)
-            weighted *= weight
-            sums += weighted
-            moments += cross(arm, weighted)
-        total[:, self.part], moment[:, self.part] = sums, moments
 
 
 def _as_slice(indices: np.ndarray) -> slice | np.ndarray:
