@@ -56,6 +56,8 @@ class CachedForces:
 
     def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
         if state.q is not self._q or state.A is not self._A:
+            # Memory of the old ones is free before the new ones need it.
+            self._q, self._A, self._value = None, None, ()
             self._value = self.at(state.q, state.A)
             self._q, self._A = state.q, state.A
         return self._value

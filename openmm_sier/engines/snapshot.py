@@ -17,7 +17,8 @@ class Snapshot:
 
     def __init__(self, context: openmm.Context) -> None:
         state = context.getState(positions=True, velocities=True, parameters=True)
-        self.positions, self.velocities = np.empty((2, state._getNumParticles(), 3))
+        # Two arrays, since one of twice the size seldom fits where that of an older snapshot was.
+        self.positions, self.velocities = (np.empty((state._getNumParticles(), 3)) for _ in range(2))
         # Like getPositions(asNumpy=True), but without its overhead for names and units.
         state._getVectorAsNumpy(openmm.State.Positions, self.positions)
         state._getVectorAsNumpy(openmm.State.Velocities, self.velocities)
