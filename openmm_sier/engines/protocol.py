@@ -18,7 +18,7 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.temperature import MomentumConservation, Temperatures
+from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.system import checks
 from openmm_sier.system.vibrations import Vibrations
 
@@ -236,9 +236,9 @@ class Engine(ABC):
     def state(self) -> BodyState:
         """The bodies' phase point, brought up to date with the Context."""
 
-    @abstractmethod
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`."""
+        return temperatures(self.bodies, self.state(), self.conserves_momentum())
 
     @cached_property
     def _momentum(self) -> MomentumConservation:

@@ -11,6 +11,7 @@ class Snapshot:
 
     Attributes:
         positions, velocities: (N, 3), nm and nm/ps.
+        box: periodic box vectors, nm.
         time: ps.
         steps: the step count.
     """
@@ -23,7 +24,7 @@ class Snapshot:
         state._getVectorAsNumpy(openmm.State.Positions, self.positions)
         state._getVectorAsNumpy(openmm.State.Velocities, self.velocities)
         self.time, self.steps = state.getTime()._value, state.getStepCount()
-        self._environment = state.getPeriodicBoxVectors()._value, dict(state.getParameters())
+        self.box, self._parameters = state.getPeriodicBoxVectors()._value, dict(state.getParameters())
 
     def same_positions(self, other: Snapshot | None) -> bool:
         return other is not None and np.array_equal(self.positions, other.positions)
@@ -33,4 +34,4 @@ class Snapshot:
 
     def same_environment(self, other: Snapshot | None) -> bool:
         """Whether box and parameters are the same. Changes of a Force itself leave no trace here."""
-        return other is not None and self._environment == other._environment
+        return other is not None and (self.box, self._parameters) == (other.box, other._parameters)

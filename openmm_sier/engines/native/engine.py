@@ -20,12 +20,7 @@ from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import WORK, Program, longest_inner_step
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.temperature import (
-    Temperatures,
-    temperature,
-    temperatures,
-    thermal_energies,
-)
+from openmm_sier.engines.temperature import Temperatures, temperature, thermal_energies
 from openmm_sier.engines.variables import DRAWS, HEAT
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
@@ -54,7 +49,6 @@ class _Memory(NamedTuple):
     """What `remember` gives."""
 
     now: Snapshot
-    box: Any
     potential: float | None
     heat: float
     draws: int
@@ -175,8 +169,8 @@ class NativeEngine(Engine):
             # Steps of zero length are only counted: the program would divide by zero.
             self.clock = Clock(clock.time, clock.steps + steps)
             return
-        if steps and self._is_fresh:
-            self._start_anew()
+        if steps:
+            self._settle()
         self._potential = None
         evaluations = flow.scheme.force_evaluations
         for _ in range(steps):
@@ -213,7 +207,10 @@ class NativeEngine(Engine):
     def atoms_moved(self) -> None:
         self._is_fresh, self._potential = True, None
 
-    def _start_anew(self) -> None:
+    def _settle(self) -> None:
+        """After news from outside, make what follows depend on nothing but what the Context holds."""
+        if not self._is_fresh:
+            return
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
         self._satisfy_constraints()
@@ -264,8 +261,7 @@ class NativeEngine(Engine):
     # --- between flows ---
 
     def potential_energy(self) -> float:
-        if self._is_fresh:
-            self._start_anew()
+        self._settle()
         if self._potential is None:
             groups = self._integrator.getIntegrationForceGroups()
             state = self._context.getState(energy=True, groups=groups)
@@ -285,8 +281,7 @@ class NativeEngine(Engine):
 
     def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
-        if self._is_fresh:
-            self._start_anew()
+        self._settle()
         old, before = Snapshot(self._context).velocities, self.kinetic_energy()
         # OpenMM replaces a zero by a seed of its own choice.
         seed = int(generator(bath.seed, self.draws).integers(1, 2**31 - 1))
@@ -296,14 +291,12 @@ class NativeEngine(Engine):
         self.draws += 1
 
     def remember(self) -> _Memory:
-        context = self._context
-        box = context.getState().getPeriodicBoxVectors()
-        return _Memory(Snapshot(context), box, self._potential, self._counted_heat, self.draws)
+        return _Memory(Snapshot(self._context), self._potential, self._counted_heat, self.draws)
 
     def go_back(self, memory: _Memory, reverse: bool = False) -> None:
         context, now = self._context, memory.now
-        if context.getState().getPeriodicBoxVectors() != memory.box:
-            context.setPeriodicBoxVectors(*memory.box)
+        if context.getState().getPeriodicBoxVectors()._value != now.box:
+            context.setPeriodicBoxVectors(*now.box)
         context.setPositions(now.positions)
         context.setVelocities(-now.velocities if reverse else now.velocities)
         self._integrator.setGlobalVariableByName(HEAT, memory.heat)
@@ -339,9 +332,9 @@ class NativeEngine(Engine):
 
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""
-        conserved = self.conserves_momentum()
         if not isinstance(self._found, RigidityError):
-            return temperatures(self.bodies, self.state(), conserved)
+            return super().temperatures()
+        conserved = self.conserves_momentum()
         kinetic = sum(thermal_energies(self._points, self._state_of(self._points), conserved))
         dof = self._points.dof - len(self._constraints.pairs) - (3 if conserved else 0)
         return Temperatures(temperature(kinetic, dof), math.nan, math.nan)
