@@ -115,7 +115,6 @@ def _refuse_parts(integrator: openmm.Integrator) -> None:
 
 
 def _bind_again(method: Callable, context: openmm.Context, preserveState: bool = False) -> None:
-    """Bind the integrator again, since the System may have changed."""
     method(context, preserveState)
     if (integrator := _integrator_of(context)) is not None:
         # OpenMM clears the per-atom variables without the state, but not the global ones.
@@ -125,7 +124,6 @@ def _bind_again(method: Callable, context: openmm.Context, preserveState: bool =
 
 
 def _revive(method: Callable, source: Any) -> openmm.Integrator:
-    """Read or clone an integrator from its serialized form."""
     return revived(method(source), SIERIntegrator)
 
 
@@ -133,7 +131,6 @@ def _revive(method: Callable, source: Any) -> openmm.Integrator:
 
 
 def _go_on_as_a_restart(method: Callable, context: openmm.Context) -> bytes:
-    """Create a checkpoint; afterwards the run goes on from the same values as a restart would."""
     found = method(context)
     if (engine := _engine_of(context)) is not None:
         engine.start_anew()
@@ -169,10 +166,8 @@ def _load_checkpoint(method: Callable, context: openmm.Context, checkpoint: byte
 def _set_state(method: Callable, context: openmm.Context, state: openmm.State) -> None:
     """Set a State as users of OpenMM's integrators know it.
 
-    A State saved by another kind of integrator, for example after an equilibration, is accepted. OpenMM would set all
-    of it and then fail on the parameters of that integrator. As with OpenMM's integrators, a State does not bring back
-    noise that was already used: runs with different seeds from one State differ, and so do replicas that share a
-    Context.
+    OpenMM would set all of a State of another kind of integrator and then fail on its parameters. Runs with different
+    seeds from one State differ, and so do replicas that share a Context.
     """
     integrator = _integrator_of(context)
     if integrator is None:
@@ -232,7 +227,6 @@ def _tell_of_moved_atoms(method: Callable, context: openmm.Context, *args: Any, 
 
 
 def _tell_of_new_forces(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
-    """Update a Force: forces computed earlier are no longer valid."""
     method(force, context, *args, **kwargs)
     if (engine := _engine_of(context)) is not None:
         engine.forces_changed()
@@ -250,7 +244,6 @@ def _keep_bodies(
     maxIterations: int = 0,
     reporter: Any = None,
 ) -> None:
-    """Minimize the energy; OpenMM would deform bodies that are rigid without constraints."""
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     integrator = _integrator_of(context)
     if integrator is None:

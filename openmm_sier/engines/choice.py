@@ -25,15 +25,7 @@ def engine_for(
     bodies: Bodies,
     program: Program,
 ) -> Engine:
-    """The engine of a Context.
-
-    Args:
-        wanted: "exact", "native" or "auto".
-        integrator, context: what it is bound to.
-        flow: what will be followed.
-        bodies: as users give them.
-        program: of the flow.
-    """
+    """The engine of a Context, "exact", "native" or "auto" as wanted; the program is that of the flow."""
     on_host = context.getPlatform().getName() in EXACT_PLATFORMS
     if wanted == "exact" or (wanted == "auto" and on_host):
         return ExactEngine(integrator, context, flow, bodies)

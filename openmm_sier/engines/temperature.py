@@ -89,7 +89,7 @@ class MomentumConservation:
     def of_system(cls, system: openmm.System, bodies: RigidBodies) -> MomentumConservation:
         """From a System and the choice of bodies; a particle that belongs to no body is fixed."""
         forces = system.getForces()
-        fixed = any(not system.isVirtualSite(i) for i in _outside(bodies))
+        fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
         return cls(
             removed=any(isinstance(force, openmm.CMMotionRemover) for force in forces),
             fixed=fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces),
@@ -102,10 +102,6 @@ class MomentumConservation:
             return True
         groups = integrator.getIntegrationForceGroups() & ALL_GROUPS
         return not (self.fixed or self.external_groups & groups or _has_friction(integrator))
-
-
-def _outside(bodies: RigidBodies) -> list[int]:
-    return np.flatnonzero(bodies.owners < 0).tolist()
 
 
 def _has_friction(integrator: openmm.Integrator) -> bool:
@@ -127,12 +123,7 @@ def _is_external(force: openmm.Force) -> bool:
 
 
 def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom:
-    """Degrees of freedom that share the heat.
-
-    Args:
-        bodies: the bodies.
-        conserved: whether the total momentum is conserved, see `MomentumConservation`.
-    """
+    """Degrees of freedom that share the heat; `conserved` tells whether the total momentum is conserved."""
     rigid = ~bodies.flexible
     count = int(rigid.sum())
     share = float(bodies.masses[rigid].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
@@ -146,10 +137,7 @@ def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom
 def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> tuple[float, float, float]:
     """Kinetic energies in kJ/mol that count as heat, in the order of `DegreesOfFreedom`.
 
-    Args:
-        bodies: the bodies.
-        state: their phase point.
-        conserved: whether the total momentum is conserved; the motion with the centre of mass is left out then.
+    Where the total momentum is `conserved`, the motion with the centre of mass is left out.
     """
     p = state.p
     if conserved and bodies.n:
@@ -161,13 +149,7 @@ def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> 
 
 
 def temperatures(bodies: RigidBodies, state: BodyState, conserved: bool) -> Temperatures:
-    """Temperatures of a phase point.
-
-    Args:
-        bodies: the bodies.
-        state: their phase point.
-        conserved: whether the total momentum is conserved, see `MomentumConservation`.
-    """
+    """Temperatures of a phase point; `conserved` tells whether the total momentum is conserved."""
     energies = thermal_energies(bodies, state, conserved)
     dof = degrees_of_freedom(bodies, conserved)
     return Temperatures(temperature(sum(energies), sum(dof)), *map(temperature, energies, dof))
