@@ -182,7 +182,7 @@ class Engine(ABC):
     @property
     def mass(self) -> float:
         """Mass of all that moves, dalton."""
-        return float(self._movers.masses.sum())
+        return self._movers.mass
 
     @abstractmethod
     def centre_velocity(self) -> np.ndarray:

@@ -123,7 +123,7 @@ def _is_external(force: openmm.Force) -> bool:
 
 
 def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom:
-    """Degrees of freedom that share the heat; `conserved` tells whether the total momentum is conserved."""
+    """Degrees of freedom that share the heat; `conserved` is what `MomentumConservation.holds` tells."""
     rigid = ~bodies.flexible
     count = int(rigid.sum())
     share = float(bodies.masses[rigid].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
@@ -149,7 +149,7 @@ def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> 
 
 
 def temperatures(bodies: RigidBodies, state: BodyState, conserved: bool) -> Temperatures:
-    """Temperatures of a phase point; `conserved` tells whether the total momentum is conserved."""
+    """Temperatures of a phase point, K; `conserved` is what `MomentumConservation.holds` tells."""
     energies = thermal_energies(bodies, state, conserved)
     dof = degrees_of_freedom(bodies, conserved)
     return Temperatures(temperature(sum(energies), sum(dof)), *map(temperature, energies, dof))

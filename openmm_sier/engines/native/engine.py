@@ -303,7 +303,7 @@ class NativeEngine(Engine):
         self.clock, self.draws, self._potential = Clock(now.time, now.steps), memory.draws, memory.potential
 
     def centre_velocity(self) -> np.ndarray:
-        return self._masses @ Snapshot(self._context).velocities / self._masses.sum()
+        return self._masses @ Snapshot(self._context).velocities / self.mass
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
         old = Snapshot(self._context).velocities

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
@@ -193,7 +194,8 @@ def write(
     def drift(fraction: float) -> Line:
         if not fast:
             return _drift(fraction, number)
-        within = _lines(WITHIN_DRIFTS, "e", [("+", name) for name in fast], _inner_drift)
+        inner_drift = partial(_drift, substeps=INNER_SUBSTEPS, unit="d/e")
+        within = _lines(WITHIN_DRIFTS, "e", [("+", name) for name in fast], inner_drift)
         return Line(f"inner steps of {WITHIN_DRIFTS.name}", (), (fraction / number,) * number, "e/h", tuple(within))
 
     lines = [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))] if updates_context else []
@@ -251,10 +253,6 @@ def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
         Statement("v", f"v + (x - {KEPT})/d"),
     )
     return Line("drift", statements, tuple(fraction * weight for weight in weights), unit)
-
-
-def _inner_drift(fraction: float) -> Line:
-    return _drift(fraction, INNER_SUBSTEPS, "d/e")
 
 
 def _summed(target: str, start: str, time: str, force: Force) -> list[Statement]:
