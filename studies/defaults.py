@@ -80,7 +80,7 @@ def percent(liquid: Liquid, method: Method, settings: DefaultsSettings, report: 
         # This is what is measured here.
         warnings.filterwarnings("ignore", "PME is split as OpenMM does it")
         series = follow(liquid, method, settings.dt, settings.time, report=report).series
-    return 100 * energy_error(series.time, series.total, series.potential)
+    return 100 * energy_error(series.total, series.potential)
 
 
 def run_missing(settings: DefaultsSettings, path: Path, report: Report) -> None:

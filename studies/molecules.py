@@ -34,9 +34,9 @@ from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines.temperature import MomentumConservation, temperatures
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.forcefields import Box
-from openmm_sier.measure.observables import energy_error, energy_fluctuation
+from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import block_means, mean_and_error, slope_and_error
+from openmm_sier.measure.statistics import block_means, mean_and_error, rms, slope_and_error
 from studies import boxes
 from studies.command import BoxSettings, execute
 from studies.report import SILENT, Report
@@ -155,12 +155,12 @@ def energy(settings: MoleculeSettings, report: Report) -> None:
                 V, K = (e._value for e in (state.getPotentialEnergy(), state.getKineticEnergy()))
                 rows.append((state.getTime()._value, V + K, V))
             time, total, potential = np.array(rows).T
-            error = 100 * energy_error(time, total, potential)
+            error = 100 * energy_error(total, potential)
             reference.setdefault(per_force, error)
             drift, uncertainty, _ = slope_and_error(time, total)
             report.note(
                 f"{name:8} {per_force:4g} fs per force: rms(H)/rms(V) {error:.4f} %, Verlet's over it "
-                f"{reference[per_force] / error:.1f}, rms(H) {energy_fluctuation(time, total):.4f} kJ/mol, "
+                f"{reference[per_force] / error:.1f}, rms(H) {rms(total):.4f} kJ/mol, "
                 f"drift {drift:+.3f} +- {uncertainty:.3f} kJ/mol/ps",
             )
             del context, integrator
@@ -224,7 +224,7 @@ def _kinds(rows: np.ndarray, conserves: bool) -> str:
     if conserves:
         drift, uncertainty, _ = slope_and_error(time, total)
         told.append(f"drift {drift:+.3f} +- {uncertainty:.3f} kJ/mol/ps")
-        told.append(f"rms(H) {energy_fluctuation(time, total):.3f} kJ/mol")
+        told.append(f"rms(H) {rms(total):.3f} kJ/mol")
     return f"{time[-1]:.1f} ps: {', '.join(told)}"
 
 

@@ -129,9 +129,15 @@ class Followed(NamedTuple):
 
 
 def follow(
-    liquid: Liquid, method: Method, dt: float, time: float, settle: float = 0.0, report: Report = SILENT
+    liquid: Liquid,
+    method: Method,
+    dt: float,
+    time: float,
+    settle: float = 0.0,
+    report: Report = SILENT,
+    interval: float = INTERVAL,
 ) -> Followed:
-    """Run a method from the start of a liquid, with a sample every `INTERVAL`.
+    """Run a method from the start of a liquid, with a sample every so often.
 
     Args:
         liquid: what is run.
@@ -140,6 +146,7 @@ def follow(
         time: of the run, ps.
         settle: ps before it.
         report: gets progress.
+        interval: between samples, fs.
 
     Raises:
         Unstable: the run broke down.
@@ -154,7 +161,7 @@ def follow(
             raise
         raise Unstable(f"a step of {step:g} fs is refused") from error
     steps = max(1, round(1e3 * time / step))
-    every = min(steps, max(1, round(INTERVAL / step)))
+    every = min(steps, max(1, round(interval / step)))
     try:
         # Lists and meshes are set up before the time is taken.
         context.setState(liquid.start)

@@ -154,7 +154,7 @@ def _run(liquid: Liquid, method: Method, dt: float, time: float, report: Report)
         series = follow(liquid, method, dt, time, report=report).series
     except Unstable as error:
         return run | {"broken": str(error)}
-    run["percent"] = 100 * energy_error(series.time, series.total, series.potential)
+    run["percent"] = 100 * energy_error(series.total, series.potential)
     run["drift"] = slope_and_error(series.time, series.total).value
     return run
 

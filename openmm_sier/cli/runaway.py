@@ -17,7 +17,7 @@ from openmm_sier.cli.plan import Plan
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.temperature import DegreesOfFreedom
-from openmm_sier.measure.observables import energy_error, number_of_windows
+from openmm_sier.measure.observables import blocks, energy_error_within_1_ps
 from openmm_sier.measure.statistics import rms
 from openmm_sier.system.runaway import hottest
 
@@ -86,8 +86,7 @@ def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None
 
     Hybrid Monte Carlo draws none: too long a step costs acceptance there, not exactness.
 
-    H is taken about a straight line in each window, so that neither a slow drift counts nor the random walk that a heat
-    bath causes; see `energy_fluctuation`.
+    Only what H does within 1 ps counts, so that neither a drift does nor the random walk that a heat bath causes.
 
     Args:
         plan: of the run.
@@ -99,9 +98,9 @@ def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None
         return None
     bound = LARGEST_FLUCTUATION[2 if plan.method.order == 2 else 4]
     if plan.ensemble != "nve":
-        # The random walk goes further in the longer windows of sparse rows.
-        bound *= math.sqrt(max(1.0, (t[-1] - t[0]) / number_of_windows(t)))
-    found = energy_error(t, H, V)
+        # The random walk goes further in the longer blocks of sparse rows.
+        bound *= math.sqrt(max(1.0, (t[-1] - t[0]) / len(blocks(t, t))))
+    found = energy_error_within_1_ps(t, H, V)
     if found <= bound:
         return None
     return f"{100 * found:.2g} %, more than the {100 * bound:.2g} % of a good step; {likely_cause(plan)}"

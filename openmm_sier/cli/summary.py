@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from openmm_sier.measure.observables import energy_error, energy_fluctuation
+from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.report import duration
-from openmm_sier.measure.statistics import Estimate, mean_and_error, slope_and_error
+from openmm_sier.measure.statistics import Estimate, mean_and_error, rms, slope_and_error
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ class Cost:
 def rows(log: dict[str, np.ndarray], moves_volume: bool) -> list[tuple[str, str]]:
     """Names and values for the table at the end.
 
-    H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added.
+    H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added. Its
+    rms and that of V are about their means over the whole run.
 
     Args:
         log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
@@ -80,8 +81,8 @@ def _energy_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
         return [("conserved energy H", "not known: OpenMM does not count the heat of its baths")]
     return [
         ("drift of the conserved energy H", _value(slope_and_error(time, H), "kJ/mol/ps")),
-        ("fluctuation rms(H)", _value(energy_fluctuation(time, H), "kJ/mol")),
-        ("rms(H)/rms(V)", _value(100 * energy_error(time, H, V), "%")),
+        ("fluctuation rms(H)", _value(rms(H) if len(H) > 2 else math.nan, "kJ/mol")),
+        ("rms(H)/rms(V)", _value(100 * energy_error(H, V), "%")),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Energy conservation of a run: its fluctuation, defined once. The drift is `statistics.slope_and_error`.
+"""Energy conservation of a run: its error, defined once. The drift is `statistics.slope_and_error`.
 
 Temperatures are in `openmm_sier.engines.temperature`, since integrators report them too.
 """
@@ -11,53 +11,73 @@ import numpy as np
 
 from openmm_sier.measure.statistics import rms
 
-#: Length in ps of the windows for the energy's fluctuation, so that it does not depend on the length of the run.
-WINDOW = 1.0
+#: Length in ps of the blocks whose means show how far the energy walks. It is far above the periods of librations and
+#: of hydrogen bonds, with which the energy of a step oscillates.
+BLOCK = 1.0
 
-#: Fewest values in a window. A straight line through fewer values would take away the fluctuation itself.
-LEAST = 8
-
-
-def number_of_windows(time: np.ndarray) -> int:
-    """Number of windows of about `WINDOW` for times (n,) in ps; each window has at least `LEAST` of them."""
-    return max(1, min(round((time[-1] - time[0]) / WINDOW), len(time) // LEAST))
+#: Fewest values in a block.
+FEWEST = 8
 
 
-def energy_fluctuation(time: np.ndarray, total: np.ndarray) -> float:
-    """rms(H) in kJ/mol.
+def energy_error(total: np.ndarray, potential: np.ndarray) -> float:
+    """rms(H)/rms(V), the measure of energy conservation. H and V are taken about their means over the whole run.
 
-    H is taken about a straight line in each window of `WINDOW`, since what accumulates is the drift. Windows are longer
-    where they would have fewer than `LEAST` values. Van Zon and Schofield (2007, section IV) take H about its mean, in
-    runs of 1 ps: that is `rms`.
+    Source: van Zon and Schofield (2007), section IV.
 
     Args:
-        time: ps, (n,).
-        total: what is conserved, kJ/mol, (n,).
-
-    Returns:
-        NaN for fewer than three values.
-    """
-    if len(total) < 3:
-        return math.nan
-    time, total = np.asarray(time, dtype=float), np.asarray(total, dtype=float)
-    number = number_of_windows(time)
-    rest = []
-    for x, y in zip(np.array_split(time, number), np.array_split(total, number), strict=True):
-        x = x - x.mean()
-        rest.append(y - np.polyval(np.polyfit(x, y, 1), x))
-    return rms(np.concatenate(rest))
-
-
-def energy_error(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
-    """rms(H)/rms(V), the measure of energy conservation; V is taken about its mean over the run.
-
-    Args:
-        time: ps, (n,).
         total: what is conserved, kJ/mol, (n,).
         potential: kJ/mol, (n,).
 
     Returns:
         NaN for fewer than three values, or where the potential energy is constant.
     """
-    spread = rms(potential)
-    return energy_fluctuation(time, total) / spread if spread > 0 else math.nan
+    spread = rms(potential) if len(potential) > 2 else 0.0
+    return rms(total) / spread if spread > 0 else math.nan
+
+
+def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
+    """The energy error without what accumulates: H is taken about a straight line in each block of 1 ps.
+
+    It tells a step that is too long where H may drift or walk for good reasons, as it does with a heat bath. Blocks are
+    longer where they would have fewer than `FEWEST` values.
+
+    Args:
+        time: ps, (n,), evenly spaced.
+        total: what is conserved, kJ/mol, (n,).
+        potential: kJ/mol, (n,), about its mean over the whole run.
+
+    Returns:
+        NaN for fewer than three values, or where the potential energy is constant.
+    """
+    spread = rms(potential) if len(potential) > 2 else 0.0
+    return fluctuation_within_1_ps(time, total) / spread if spread > 0 else math.nan
+
+
+def fluctuation_within_1_ps(time: np.ndarray, total: np.ndarray) -> float:
+    """rms(H) as `energy_error_within_1_ps` takes it, kJ/mol."""
+    rest = []
+    for t, h in zip(blocks(time, time), blocks(time, total), strict=True):
+        rest.append(h - np.polyval(np.polyfit(t - t.mean(), h, 1), t - t.mean()))
+    return rms(np.concatenate(rest))
+
+
+def blocks(time: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
+    """Values in blocks of about `BLOCK`, each of at least `FEWEST` of them."""
+    number = min(round((time[-1] - time[0]) / BLOCK), len(values) // FEWEST)
+    return np.array_split(np.asarray(values, dtype=float), max(1, number))
+
+
+def energy_walk(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
+    """Scatter of the means of H over 1 ps, over rms(V): what is left of the energy error when oscillations average out.
+
+    Args:
+        time: ps, (n,), evenly spaced.
+        total: what is conserved, kJ/mol, (n,).
+        potential: kJ/mol, (n,).
+
+    Returns:
+        NaN for a run of fewer than three blocks, or where the potential energy is constant.
+    """
+    spread = rms(potential) if len(potential) > 2 else 0.0
+    means = np.array([block.mean() for block in blocks(time, total)])
+    return rms(means) / spread if len(means) > 2 and spread > 0 else math.nan

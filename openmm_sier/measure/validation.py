@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.measure.observables import energy_fluctuation, number_of_windows
+from openmm_sier.measure.observables import blocks, fluctuation_within_1_ps
 from openmm_sier.measure.statistics import FEWEST, Estimate, inefficiency, of_independent
 from openmm_sier.observe.conservation import TEMPERATURES
 
@@ -239,13 +239,11 @@ def _data(pv: Any, sample: Sampled) -> Any:
 
 
 def fluctuation(logs: Sequence[Mapping[str, np.ndarray]]) -> Estimate:
-    """rms of the conserved energy of runs at constant energy, kJ/mol, from windows of 1 ps of all of them."""
+    """rms of the conserved energy within 1 ps of runs at constant energy, kJ/mol; over longer times it walks."""
     squares = []
     for log in logs:
-        time, energy = log["Time (ps)"], log["Conserved Energy (kJ/mole)"]
-        windows = max(4, number_of_windows(time))
-        for t, e in zip(np.array_split(time, windows), np.array_split(energy, windows), strict=True):
-            squares.append(energy_fluctuation(t, e) ** 2)
+        time, energy = (blocks(log["Time (ps)"], log[name]) for name in ("Time (ps)", "Conserved Energy (kJ/mole)"))
+        squares += [fluctuation_within_1_ps(t, e) ** 2 for t, e in zip(time, energy, strict=True)]
     square = of_independent(np.array(squares))
     root = math.sqrt(square.value)
     return Estimate(root, square.error / (2 * root))

@@ -82,7 +82,7 @@ def _point(method: str, dt: float, run: Callable[[], Measured], report: Report) 
     except (Unstable, peers.PeerError) as error:
         report.note(f"{method} at {dt:g} fs per force: {error}")
         return point
-    point["percent"] = 100 * energy_error(energies.time, energies.total, energies.potential)
+    point["percent"] = 100 * energy_error(energies.total, energies.potential)
     report.note(f"{method} at {dt:g} fs per force: {point['percent']:.4f} %")
     return point
 

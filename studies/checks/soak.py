@@ -145,12 +145,12 @@ def study(settings: SoakSettings, report: Report = SILENT) -> Record:
     found = pd.DataFrame(looks)
     slope, error = drift(parts)
     thermal = 2 * float(np.mean([part.kinetic.mean() for part in parts]))
-    conserved = 100 * float(np.mean([energy_error(p.time, p.total, p.potential) for p in parts]))
+    total, potential = (np.concatenate([getattr(part, name) for part in parts]) for name in ("total", "potential"))
     momenta, memories = found["momentum"], found["memory"]
     rows = {
         "energy drift": f"{slope:+.2e} ± {error:.1e} kJ/mol/ps",
         "the same in kT per degree of freedom": f"{1e3 * slope / thermal:+.2e} ± {1e3 * error / thermal:.1e} per ns",
-        "rms(H)/rms(V)": f"{conserved:.3f} %",
+        "rms(H)/rms(V)": f"{100 * energy_error(total, potential):.3f} %",
         "largest |A A^T - 1|": f"{found['orthogonality'].max():.1e}",
         "largest error of a distance in a molecule": f"{found['deformation'].max():.1e} nm",
         "total momentum, first and last": f"{momenta.iloc[0]:.1e}, {momenta.iloc[-1]:.1e} dalton nm/ps",
