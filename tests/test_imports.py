@@ -15,12 +15,7 @@ import pytest
             "import openmm_sier",
             {"numba", "matplotlib", "h5py", "rich", "mdtraj", "scipy", "numpy.polynomial", "numpy.random"},
         ),
-        ("import openmm_sier.cli.main", {"numba", "mdtraj", "rich"}),
-        # They take longer to import than all else that --help does.
-        (
-            "from openmm_sier_command import arguments, start; arguments.build_parser()",
-            {"openmm", "numpy", "openmm_sier"},
-        ),
+        ("from openmm_sier.cli import arguments, main; arguments.build_parser()", {"numba", "mdtraj", "rich"}),
     ],
 )
 def test_imports_are_lean(code, absent):

@@ -12,6 +12,8 @@ from openmm_sier.cli import runaway
 from openmm_sier.cli.console import REPORT, note
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.info import rigid_bodies
+from openmm_sier.cli.methods import METHODS
+from openmm_sier.cli.options import RECOMMENDED
 from openmm_sier.cli.plan import Options, Plan, RunError, noted_plan
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
 from openmm_sier.dynamics.schemes import SIER4G
@@ -22,7 +24,6 @@ from openmm_sier.measure.forcefields import Box, describe, first_line, read_box
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.observe import stock
 from openmm_sier.prepare.preparation import prepare_system
-from openmm_sier_command.options import RECOMMENDED, USUAL_STEPS
 
 
 def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | None]:
@@ -106,7 +107,8 @@ class Simulated:
             Runaway: the equilibration broke down.
         """
         plan, options = self.plan, self.options
-        stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED, dt=USUAL_STEPS[RECOMMENDED])
+        usual = METHODS[RECOMMENDED].usual_step(plan.ensemble)
+        stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED, dt=usual)
         begun = make_context(self.box.system, self.integrator(stand_in), options.platform)
         positions, minimize = self.box.positions, options.minimize
         if state is not None:

@@ -13,10 +13,10 @@ from typing import Any
 
 from openmm_sier.cli.console import REPORT, note, table
 from openmm_sier.cli.files.locks import FileLocks
+from openmm_sier.cli.options import OPTIONS, Options, check_table
 from openmm_sier.cli.plan import RunError, new_plan
 from openmm_sier.measure.ensemble import EnsembleError, Member, Outcome, ensemble, is_complete
 from openmm_sier.measure.forcefields import SHIPPED
-from openmm_sier_command.options import OPTIONS, Options, check_table
 
 if sys.version_info >= (3, 11):
     import tomllib

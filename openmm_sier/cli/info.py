@@ -11,12 +11,12 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.cli.console import note, table
+from openmm_sier.cli.options import OPTIONS
 from openmm_sier.dynamics.species import Species
 from openmm_sier.measure.forcefields import Box, read_box
 from openmm_sier.observe.conservation import density
 from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import RigidBodies
-from openmm_sier_command.options import OPTIONS
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6

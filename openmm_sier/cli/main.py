@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
@@ -11,22 +10,18 @@ from importlib import import_module
 from typing import Any
 
 from openmm_sier.cli import streams
+from openmm_sier.cli.arguments import MISUSED as MISUSED
+from openmm_sier.cli.arguments import parse
 from openmm_sier.cli.stopping import interrupt_behind
 from openmm_sier.dynamics.backend.threads import cores
-from openmm_sier_command.arguments import MISUSED as MISUSED
-from openmm_sier_command.arguments import parse
 
 #: Exit codes. An error may have its own `exit_code`, and after signal n the code is 128 + n.
 FAILED, SIGNALLED = 1, 128
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Execute a command line and return the exit code."""
-    return carry_out(parse(arguments))
-
-
-def carry_out(options: argparse.Namespace) -> int:
-    """Execute a command with parsed arguments and return the exit code."""
+    """Execute a command line, that of this process unless given, and return the exit code."""
+    options = parse(arguments)
     if sys.stdout is None:
         streams.complain("standard output is closed; send it to a file, or to /dev/null")
         return FAILED

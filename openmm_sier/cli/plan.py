@@ -6,20 +6,11 @@ import os
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
+from openmm_sier.cli.methods import METHODS, Method
+from openmm_sier.cli.options import CONTINUED, NOTED, OF_THE_SYSTEM, OPTIONS, Options, check_table
 from openmm_sier.measure.forcefields import Interactions
-from openmm_sier_command.options import (
-    CONTINUED,
-    ENSEMBLES,
-    NOTED,
-    OF_THE_SYSTEM,
-    OPTIONS,
-    USUAL_STEPS,
-    Options,
-    check_table,
-)
 
 #: K; the temperature of the systems that come with the project.
 DEFAULT_TEMPERATURE = 297.0
@@ -35,37 +26,6 @@ FILES = tuple(name for name in NOTED if OPTIONS[name].kind.file and not OPTIONS[
 
 #: Those of them that a run writes.
 OUTPUTS = tuple(name for name in FILES if OPTIONS[name].kind.file == "output")
-
-
-class Method(NamedTuple):
-    """What moves the molecules of a run.
-
-    Attributes:
-        name: for titles and messages.
-        usual_step: for rigid water, fs.
-        order: of its energy error in the step.
-        ensembles: in which it can run, the default first.
-        scheme: of this package's integrators; None where the integrator is one of OpenMM's own.
-        leapfrog: whether velocities are half a step behind positions.
-    """
-
-    name: str
-    usual_step: float
-    order: int = 2
-    ensembles: tuple[str, ...] = ENSEMBLES
-    scheme: Scheme | None = None
-    leapfrog: bool = False
-
-
-#: Methods by the names that `--scheme` takes.
-METHODS = {
-    "verlet": Method("OpenMM Verlet", USUAL_STEPS["verlet"], ensembles=("nve", "nvt", "npt"), leapfrog=True),
-    "langevinmiddle": Method("OpenMM LangevinMiddle", USUAL_STEPS["langevinmiddle"], ensembles=("nvt", "npt")),
-} | {
-    key: Method(CATALOGUE[key].name, step, CATALOGUE[key].order, scheme=CATALOGUE[key])
-    for key, step in USUAL_STEPS.items()
-    if key in CATALOGUE
-}
 
 
 class RunError(ValueError):
@@ -147,7 +107,7 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     method = METHODS[values["scheme"]]
     ensemble = values.setdefault("ensemble", method.ensembles[0])
     _check_given(options, ensemble)
-    values.setdefault("dt", method.usual_step)
+    values.setdefault("dt", method.usual_step(ensemble))
     values.setdefault("friction", 0.0 if ensemble == "hmc" else 1.0)
     if ensemble == "npt":
         values.setdefault("pressure", 1.0)

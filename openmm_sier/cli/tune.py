@@ -7,10 +7,10 @@ from typing import Any
 
 from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import note, table
+from openmm_sier.cli.options import OF_TUNING, OPTIONS
 from openmm_sier.cli.plan import Options, Plan, new_plan
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.integrators.tuning import Tuning, tune
-from openmm_sier_command.options import OF_TUNING, OPTIONS
 
 
 def run(acceptance: float, trials: int, samples: int, **given: Any) -> None:

@@ -7,7 +7,7 @@ A `Scheme` is a list of (operator, fraction of the step). Operators are only nam
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from openmm_sier.dynamics import stability
@@ -23,6 +23,9 @@ class Scheme:
         name: for messages and output.
         stages: each a `Stage`, or a tuple (operator name, fraction of the step) that becomes one.
         source: publication of the scheme.
+        constant_energy_step: the usual step for rigid water at constant energy, ps, at which the energy holds over runs
+            of any length (docs/accuracy.md); None where nobody has looked.
+        bath_step: the usual step in a heat bath or by hybrid Monte Carlo, ps, where the energy need not hold.
 
     Raises:
         ValueError: there are no stages, the fractions of a flow do not sum to 1, or a plain operator has a shift.
@@ -31,6 +34,8 @@ class Scheme:
     name: str
     stages: tuple[Stage, ...]
     source: str = ""
+    constant_energy_step: float | None = field(default=None, compare=False)
+    bath_step: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
@@ -93,7 +98,7 @@ class Scheme:
                 stages[-1] = Stage(stage.operator, stages[-1].fraction + stage.fraction)
             else:
                 stages.append(stage)
-        return Scheme(self.name, tuple(stages), self.source)
+        return replace(self, stages=tuple(stages))
 
     def with_bath(self) -> Scheme:
         """This scheme with a heat bath, placed so that averages keep the scheme's order.
@@ -112,7 +117,7 @@ class Scheme:
             stages = (*self.stages[:middle], half, Stage(BATH, 1.0), half, *self.stages[middle + 1 :])
         else:
             stages = (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5))
-        return Scheme(self.name, stages, self.source)
+        return replace(self, stages=stages)
 
     @property
     def longest_drift(self) -> float:
@@ -139,7 +144,9 @@ class Scheme:
         return order_of(self.stages)
 
 
-def alternating(name: str, first: str, second: str, half: tuple[float, ...], source: str = "") -> Scheme:
+def alternating(
+    name: str, first: str, second: str, half: tuple[float, ...], source: str = "", **usual_steps: float
+) -> Scheme:
     """The palindrome that alternates two operators.
 
     Args:
@@ -149,14 +156,23 @@ def alternating(name: str, first: str, second: str, half: tuple[float, ...], sou
         half: fractions from the outermost stage to the last one before the middle. The middle stage, which follows,
             makes the fractions of its operator sum to 1.
         source: publication of the scheme.
+        usual_steps: `constant_energy_step` and `bath_step` of `Scheme`, ps.
     """
     operators = [(first, second)[i % 2] for i in range(len(half) + 1)]
     wings = [Stage(operator, fraction) for operator, fraction in zip(operators, half, strict=False)]
     middle = 1 - 2 * math.fsum(stage.fraction for stage in wings if stage.operator == operators[-1])
-    return Scheme(name, (*wings, Stage(operators[-1], middle), *reversed(wings)), source)
+    return Scheme(name, (*wings, Stage(operators[-1], middle), *reversed(wings)), source, **usual_steps)
 
 
-SIER2 = alternating("SIER2", KICK, DRIFT, (0.5,), "van Zon and Schofield (2007), Eq. 7 (Verlet)")
+SIER2 = alternating(
+    "SIER2",
+    KICK,
+    DRIFT,
+    (0.5,),
+    "van Zon and Schofield (2007), Eq. 7 (Verlet)",
+    constant_energy_step=0.002,
+    bath_step=0.002,
+)
 
 _H1, _H2, _H3 = 0.1720865590295143, 0.5915620307551568, -0.1616217622107222
 
@@ -167,6 +183,8 @@ SIER4 = alternating(
     DRIFT,
     (_H1, _H2, _H3, 0.5 - _H2),
     "van Zon and Schofield (2007), Eq. 8 (EFRL); Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
+    constant_energy_step=0.004,
+    bath_step=0.004,
 )
 
 #: The best scheme per force evaluation in liquid water of those without a gradient, which are symplectic to rounding.
@@ -176,6 +194,8 @@ SIER4V = alternating(
     DRIFT,
     (0.08398315262876693, 0.2539785108410595, 0.6822365335719091, -0.03230286765269967, -0.26621968620067603),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eqs. 63 and 71",
+    constant_energy_step=0.005,
+    bath_step=0.005,
 )
 
 SIER4G = Scheme(
@@ -188,6 +208,8 @@ SIER4G = Scheme(
         Stage(KICK, 1 / 6),
     ),
     "Chin, Phys. Lett. A 226, 344 (1997), algorithm A",
+    constant_energy_step=0.0045,
+    bath_step=0.006,
 )
 
 #: The scheme of inner steps, within drifts that have fast forces.
@@ -206,6 +228,8 @@ SIER4P = Scheme(
     "SIER4P",
     (*_WING, Stage(GRADIENT_KICK, 1 - 2 * _SHARE, 2 * _BRACKET / (1 - 2 * _SHARE)), *reversed(_WING)),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44",
+    constant_energy_step=0.006,
+    bath_step=0.006,
 )
 
 #: Two stages with the least sum of squares of their two errors of second order: for 3 fs per force evaluation.
@@ -215,6 +239,8 @@ SIER2V2 = alternating(
     DRIFT,
     (0.1931833275037836, 0.5),
     "McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); Omelyan, Mryglod and Folk, Phys. Rev. E 65, 056706 (2002)",
+    constant_energy_step=0.006,
+    bath_step=0.006,
 )
 
 #: Of the family of three stages that no harmonic mode makes unstable near half its period: there the trace of a step
@@ -229,6 +255,8 @@ SIER2P3 = alternating(
     KICK,
     (_FIRST, (0.5 - _FIRST) / (2 - 6 * _FIRST), 0.5 - _FIRST),
     "Blanes, Casas and Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), three stages",
+    constant_energy_step=0.012,
+    bath_step=0.012,
 )
 
 #: The schemes that users can name. Which one conserves the energy of liquid water best depends on the simulated time

@@ -12,7 +12,10 @@ from openmm_sier.system.arguments import Bodies
 
 
 class IntegratorOfOneScheme(SIERIntegrator):
-    """A `SIERIntegrator` whose class fixes its scheme."""
+    """A `SIERIntegrator` whose class fixes its scheme.
+
+    The usual steps in water are `SCHEME.constant_energy_step` and, for hybrid Monte Carlo, `SCHEME.bath_step`, in ps.
+    """
 
     SCHEME: ClassVar[Scheme]
 
@@ -35,7 +38,7 @@ class IntegratorOfOneScheme(SIERIntegrator):
 class SIER2Integrator(IntegratorOfOneScheme):
     """Second order, one force evaluation a step: the counterpart of Verlet for rigid molecules.
 
-    It is stable for steps up to 2/w for a mode of angular frequency w. Usual in water: 2 fs.
+    It is stable for steps up to 2/w for a mode of angular frequency w.
 
     Source: van Zon and Schofield (2007), Eq. Verlet.
     """
@@ -46,7 +49,7 @@ class SIER2Integrator(IntegratorOfOneScheme):
 class SIER4Integrator(IntegratorOfOneScheme):
     """Fourth order, four force evaluations a step: the paper's scheme.
 
-    It is stable for steps up to 3.0/w for a mode of angular frequency w. Usual in water: 4 fs.
+    It is stable for steps up to 3.0/w for a mode of angular frequency w.
 
     Source: van Zon and Schofield (2007), Eq. EFRL.
     """
@@ -58,7 +61,7 @@ class SIER4GIntegrator(IntegratorOfOneScheme):
     """Fourth order with a force gradient, three force evaluations a step: the choice for most work.
 
     It is stable for steps up to 3.46/w for a mode of angular frequency w, the longest per force evaluation of the
-    fourth-order schemes. Usual in water: 6 fs, that is 2 fs per force evaluation.
+    fourth-order schemes.
 
     Source: Chin, Phys. Lett. A 226, 344 (1997), algorithm A.
     """
@@ -69,8 +72,7 @@ class SIER4GIntegrator(IntegratorOfOneScheme):
 class SIER4PIntegrator(IntegratorOfOneScheme):
     """Fourth order with a force gradient, four force evaluations a step: the most accurate below 2 fs per force.
 
-    It is stable for steps up to 3.1/w for a mode of angular frequency w. Usual in water: 6 fs, that is 1.5 fs per force
-    evaluation.
+    It is stable for steps up to 3.1/w for a mode of angular frequency w.
 
     Source: Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44.
     """

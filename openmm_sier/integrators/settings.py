@@ -39,7 +39,7 @@ from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, ste
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: The version of what is stored, and the name of the function that stores it.
-LAYOUT, NAME = 2, "sier settings"
+LAYOUT, NAME = 3, "sier settings"
 
 #: Bytes of text in each value: a double holds whole numbers of six bytes exactly.
 WIDTH = 6

@@ -72,5 +72,10 @@ def test_default_scheme_is_that_of_the_integrators(box):
     run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1")
     plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
     assert CATALOGUE[plan["scheme"]] == SIERIntegrator(0.001).scheme == SIER4G
-    # The README's recommendation.
-    assert plan["dt"] == 6.0
+    assert plan["dt"] == pytest.approx(1000 * SIER4G.constant_energy_step)
+
+
+def test_usual_steps_are_those_of_the_scheme(box):
+    run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--ensemble", "nvt")
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
+    assert plan["dt"] == pytest.approx(1000 * SIER4G.bath_step) != pytest.approx(1000 * SIER4G.constant_energy_step)

@@ -7,14 +7,8 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier.cli.main import main
-from openmm_sier.measure import forcefields
-from openmm_sier_command.options import CONSTRAINTS
 from tests.support.commands import log
 from tests.support.peptides import capped_alanine_box
-
-
-def test_choices_are_those_of_the_force_fields():
-    assert tuple(forcefields.CONSTRAINTS) == CONSTRAINTS
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from openmm_sier.cli.arguments import parse
 from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.options import OPTIONS, Options
 from openmm_sier.cli.tune import run_line
 from openmm_sier.integrators.tuning import Tuning
-from openmm_sier_command.arguments import parse
-from openmm_sier_command.options import OPTIONS, Options
 from tests.support.commands import complaint, log, run
 
 FOUND = Tuning(0.0080234, 4, 0.9, (), (), 100)

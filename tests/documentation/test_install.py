@@ -47,7 +47,7 @@ class Environment:
                     (needed / entry.name).symlink_to(entry)
         (self.packages / "needed.pth").write_text(f"{needed}\n")
         self.sources.mkdir()
-        for name in ("openmm_sier", "openmm_sier_command", "systems", "pyproject.toml", "README.md", "LICENSE"):
+        for name in ("openmm_sier", "systems", "pyproject.toml", "README.md", "LICENSE"):
             if (ROOT / name).is_dir():
                 shutil.copytree(ROOT / name, self.sources / name, ignore=shutil.ignore_patterns("__pycache__"))
             else:

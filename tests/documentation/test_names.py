@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent.parent
 #: A changelog names what is gone.
 PAGES = sorted({*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("systems/*.md")} - {ROOT / "CHANGELOG.md"})
 
-FOLDERS = "docs|examples|openmm_sier|openmm_sier_command|studies|systems|tests"
+FOLDERS = "docs|examples|openmm_sier|studies|systems|tests"
 
 
 def missing_files(text: str) -> list[str]:

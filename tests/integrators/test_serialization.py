@@ -288,7 +288,7 @@ def test_xml_of_another_version(monkeypatch):
     monkeypatch.setattr(settings, "LAYOUT", 7)
     xml = serialize(SIER2Integrator(0.001))
     monkeypatch.undo()
-    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 2 is read"):
+    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 3 is read"):
         deserialize(xml)
 
 

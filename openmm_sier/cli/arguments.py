@@ -9,8 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
 
-from openmm_sier_command.options import OF_TUNING, OPTIONS, Option, add_options
-from openmm_sier_command.values import COUNT, SWITCH, file, number, several, whole, word
+from openmm_sier.cli.options import OF_TUNING, OPTIONS, Option, add_options
+from openmm_sier.cli.values import COUNT, SWITCH, file, number, several, whole, word
 
 PROGRAM = "openmm-sier"
 

@@ -14,29 +14,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from openmm_sier_command.values import SWITCH, TIME, Kind, WrongValueError, choice, file, number, several, whole, word
+from openmm_sier.cli.methods import ENSEMBLES, METHODS, Method
+from openmm_sier.cli.values import SWITCH, TIME, Kind, WrongValueError, choice, file, number, several, whole, word
+from openmm_sier.measure.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
 
-#: What moves the molecules, by the names that `--scheme` takes, and the usual step for rigid water, fs: the schemes of
-#: this package and, to compare them with, OpenMM's own integrators. The first scheme is the default.
-USUAL_STEPS = {
-    "sier4g": 6.0,
-    "sier2": 2.0,
-    "sier2v2": 6.0,
-    "sier2p3": 12.0,
-    "sier4": 4.0,
-    "sier4v": 5.0,
-    "sier4p": 6.0,
-    "verlet": 2.0,
-    "langevinmiddle": 2.0,
-}
-
-#: The default method.
-RECOMMENDED = next(iter(USUAL_STEPS))
-
-ENSEMBLES = ("nve", "nvt", "npt", "hmc")
-
-#: What may be constrained besides water, the keys of `openmm_sier.measure.forcefields.CONSTRAINTS`.
-CONSTRAINTS = ("none", "hbonds", "allbonds", "hangles")
+#: The default scheme, by the name that `--scheme` takes.
+RECOMMENDED = "sier4g"
 
 #: Most steps of a run: doubles count them exactly, with room.
 MOST_STEPS = 10**15
@@ -104,8 +87,14 @@ def _option(kind: Kind, help: str, default: Any = None, otherwise: str = "", **m
     return field(default=None, metadata=known)
 
 
-def _steps() -> str:
-    return ", ".join(f"{step:g} for {name}" for name, step in USUAL_STEPS.items())
+def _usual_steps() -> str:
+    """The default of `--dt` for each method, where two are given at constant energy and with a bath or trials."""
+
+    def told(method: Method) -> str:
+        return " or ".join(dict.fromkeys(f"{method.usual_step(ensemble):g}" for ensemble in ("nve", "nvt")))
+
+    each = ", ".join(f"{told(method)} for {name}" for name, method in METHODS.items())
+    return f"{each}; of two the first at constant energy"
 
 
 @dataclass(frozen=True)
@@ -139,7 +128,7 @@ class Options:
     cutoff: float | None = _option(
         number("nm", 0.2, 10),
         "where the direct sum of PME and Lennard-Jones end",
-        otherwise="0.9, less in a box that is too small for it",
+        otherwise=f"{CUTOFF:g}, less in a box that is too small for it",
         empty=True,
     )
     switch: float | None = _option(
@@ -149,7 +138,7 @@ class Options:
         empty=True,
     )
     tolerance: float | None = _option(
-        number("", 1e-10, 1e-3), "error tolerance of the sums of PME, which are balanced", 1e-4, empty=True
+        number("", 1e-10, 1e-3), "error tolerance of the sums of PME, which are balanced", EWALD_TOLERANCE, empty=True
     )
     hydrogen_mass: float | None = _option(
         number("dalton", 1, 4),
@@ -158,12 +147,12 @@ class Options:
         empty=True,
     )
     scheme: str = _option(
-        choice(*USUAL_STEPS),
+        choice(*METHODS),
         "scheme of this package, or for comparison one of OpenMM's own integrators: verlet, with an AndersenThermostat "
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
         RECOMMENDED,
     )
-    dt: float = _option(number("fs", 1e-3, 1e3), "step", otherwise=_steps())
+    dt: float = _option(number("fs", 1e-3, 1e3), "step", otherwise=_usual_steps())
     ensemble: str = _option(
         choice(*ENSEMBLES), "what is constant; hmc is hybrid Monte Carlo", otherwise="nve; nvt for langevinmiddle"
     )
