@@ -38,6 +38,7 @@ class Flow:
         substeps: number of steps into which a drift is divided; None leaves it to the engine.
         fast_groups: bit mask of the force groups that act within drifts.
         bath: executes the scheme's bath; None for a scheme without one.
+        constant_energy: whether the energy is to be conserved, so that a step at which it walks is worth a word.
         updates_context: whether Forces that change velocities, positions or the box act before each step.
     """
 
@@ -47,6 +48,7 @@ class Flow:
     substeps: int | None = None
     fast_groups: int = 0
     bath: OrnsteinUhlenbeck | None = None
+    constant_energy: bool = False
     updates_context: bool = True
 
 
@@ -125,6 +127,8 @@ class Engine(ABC):
             self._vibrations.check(flow.scheme, flow.step, groups & ~flow.fast_groups)
             inner, fast = self._inner_step(), groups & flow.fast_groups
             self._vibrations.check_nested(WITHIN_DRIFTS, inner, flow.step, fast)
+            if flow.constant_energy:
+                self._vibrations.tell_of_walk(flow.scheme, flow.step, groups & ~flow.fast_groups)
             self._checked = checked
 
     @abstractmethod

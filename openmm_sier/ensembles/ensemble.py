@@ -28,11 +28,13 @@ class Ensemble:
         updates_context: whether Forces that change velocities, positions or the box may act before each step of the
             scheme.
         needs_package: whether the program of the scheme alone would do less.
+        constant_energy: whether nothing but rounding and the step changes the energy.
     """
 
     record: ClassVar[tuple[str, ...]] = ()
     is_random: ClassVar[bool] = False
     updates_context: ClassVar[bool] = True
+    constant_energy: ClassVar[bool] = False
 
     @property
     def steps(self) -> int:
@@ -68,6 +70,8 @@ class Ensemble:
 @dataclass(frozen=True)
 class ConstantEnergy(Ensemble):
     """Nothing but the flow."""
+
+    constant_energy: ClassVar[bool] = True
 
 
 def move_volume(engine: Engine, move: MonteCarloVolumeMove, temperature: float, seed: int) -> None:

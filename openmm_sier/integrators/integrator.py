@@ -149,6 +149,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             substeps=given.substeps,
             fast_groups=given.fast_groups,
             bath=ensemble.bath(int(self.getGlobalVariableByName(SEED))),
+            constant_energy=ensemble.constant_energy,
             updates_context=ensemble.updates_context,
         )
 

@@ -19,7 +19,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import harmonic_bonds
+from openmm_sier.system.bonded_terms import BAROSTATS, harmonic_bonds
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
 from openmm_sier.system.notices import tell
 
@@ -61,6 +61,17 @@ LENNARD_JONES = 4 * 72 / 2 ** (1 / 3)
 #: So many bodies of one kind are looked at, since charges of one kind of body are most often the same.
 SAMPLED = 100
 
+#: ps. The period that the estimate above gives for the fastest librations of water, for which usual steps are known.
+WATER = 0.03154
+
+#: By the study of whole runs (`python -m studies.whole_run`, docs/accuracy.md) the energy error of a scheme of fourth
+#: order is some 0.04 % at its usual step of constant energy. For longer steps h it grows as exp(-1.5 T/h), where T is
+#: the period of the fastest librations.
+AT_USUAL_STEP, RESONANCE_DECAY = 4e-4, 1.5
+
+#: Steps up to this multiple of the usual one draw no notice; the error is then up to twice that at the usual step.
+TOLERATED = 1.06
+
 SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
 MORE_SUBSTEPS = "Take more substeps or a shorter step"
 CONSTRAIN = (
@@ -100,6 +111,9 @@ class Vibrations:
         constraints = tables.constraints(system)
         self._bonds = list(_fastest_bonds(system, bodies, constraints, mobility))
         self._librations = list(_fastest_librations(system, bodies, constraints, mobility))
+        self._isolated = not any(
+            isinstance(force, (openmm.AndersenThermostat, *BAROSTATS)) for force in system.getForces()
+        )
         self._warned = False
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
@@ -143,6 +157,26 @@ class Vibrations:
                 f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
                 f"{_fs(RESONANCE * bond.period)}, or {CONSTRAIN}"
             )
+
+    def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
+        """Say, once, where a step at constant energy is so long that the energy walks at random over a run.
+
+        A scheme of fourth order whose step, h in ps, resonates with a harmonic of the librations gives and takes energy
+        at random. Nothing is said of schemes of second order, whose energy oscillates further than it walks, or where a
+        thermostat or barostat of the System acts.
+        """
+        libration, usual = _fastest(self._librations, groups), scheme.constant_energy_step
+        if libration is None or usual is None or scheme.order < 4 or not self._isolated:
+            return
+        good = usual * libration.period / WATER
+        if h <= TOLERATED * good:
+            return
+        error = AT_USUAL_STEP * math.exp(RESONANCE_DECAY * libration.period * (1 / good - 1 / h))
+        self._tell_once(
+            f"At constant energy a step of {_fs(h)} makes the energy walk: expect rms(H)/rms(V) of some "
+            f"{_percent(min(error, 1.0))} over a whole run, where {scheme.name} at {_fs(good)} has "
+            f"{_percent(AT_USUAL_STEP)}. Take {_fs(good)}; in a heat bath or by hybrid Monte Carlo steps may be longer"
+        )
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
         """The longest step without a warning, ps, with inner steps that are short enough for the fast groups.
@@ -190,6 +224,10 @@ def _limits(scheme: Scheme, period: float) -> tuple[float, float]:
 
 def _fs(time: float) -> str:
     return f"{1000 * time:.3g} fs" if time < 1 else f"{time:.4g} ps"
+
+
+def _percent(fraction: float) -> str:
+    return f"{100 * fraction:.1g} %"
 
 
 def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:

@@ -7,7 +7,17 @@ import warnings
 import openmm
 import pytest
 
-from openmm_sier import SIER2, SIER4G, RigidBodies, SIER2Integrator, SIER4GIntegrator, SIERIntegrator
+from openmm_sier import (
+    SIER2,
+    SIER2V2,
+    SIER4G,
+    RigidBodies,
+    SIER2Integrator,
+    SIER4GIntegrator,
+    SIERHMCIntegrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+)
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.system.vibrations import HOPELESS, Vibrations
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, platform, relaxed
@@ -28,13 +38,41 @@ def longest(system, scheme=SIER4G):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("model", ["tip3p", "spce", "tip4pew", "tip5p"])
 def test_steps_in_use_are_taken(model, engine):
-    """README's 6 fs and the studies' 9 fs without a word, and Verlet's 3 fs; 4 and 12 fs are spoken of."""
+    """The usual step, in a bath 9 fs, and Verlet's 3 fs without a word; 4 and 12 fs are spoken of."""
     _, _, system = cluster_system(3, model)
-    for integrator in (SIER4GIntegrator(0.009, engine=engine), SIER2Integrator(0.003, engine=engine)):
+    for integrator in (
+        SIER4GIntegrator(SIER4G.constant_energy_step, engine=engine),
+        SIERLangevinIntegrator(297, 1, 0.009, engine=engine),
+        SIER2Integrator(0.003, engine=engine),
+    ):
         silently(system, integrator)
     for integrator in (SIER4GIntegrator(0.012, engine=engine), SIER2Integrator(0.004, engine=engine)):
         with pytest.warns(UserWarning, match=r"is long: other molecules can make .* swing with a period of 31\.5 fs"):
             openmm.Context(system, integrator, platform())
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_step_at_which_the_energy_walks(engine):
+    """It is told once, with what to expect and what to take; nothing is said where the energy need not hold."""
+    _, positions, system = cluster_system(3)
+    told = r"a step of 6 fs makes the energy walk: expect .* 0\.6 % over a whole run, where SIER4G at 4\.5 fs has 0\.0"
+    integrator = SIER4GIntegrator(0.006, engine=engine)
+    with pytest.warns(UserWarning, match=told):
+        context = context_at(system, integrator, (positions, 0 * positions))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        integrator.setStepSize(0.007)
+        integrator.step(1)
+    assert context.getStepCount() == 1
+    silently(system, SIERLangevinIntegrator(297, 1, 0.006, engine=engine))
+    silently(system, SIERHMCIntegrator(297, 0.006, engine=engine))
+    silently(system, SIERIntegrator(0.006, SIER2V2, engine=engine))
+    with_collisions = openmm.XmlSerializer.clone(system)
+    with_collisions.addForce(openmm.AndersenThermostat(297, 1))
+    silently(with_collisions, SIER4GIntegrator(0.006, engine=engine))
+    for i in range(9):
+        system.setParticleMass(i, 4 * system.getParticleMass(i))
+    silently(system, SIER4GIntegrator(0.009, engine=engine))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
