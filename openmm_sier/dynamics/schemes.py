@@ -228,7 +228,7 @@ SIER4P = Scheme(
     "SIER4P",
     (*_WING, Stage(GRADIENT_KICK, 1 - 2 * _SHARE, 2 * _BRACKET / (1 - 2 * _SHARE)), *reversed(_WING)),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44",
-    constant_energy_step=0.006,
+    constant_energy_step=0.005,
     bath_step=0.006,
 )
 

@@ -67,9 +67,10 @@ def test_a_step_at_which_the_energy_walks(engine):
     silently(system, SIERLangevinIntegrator(297, 1, 0.006, engine=engine))
     silently(system, SIERHMCIntegrator(297, 0.006, engine=engine))
     silently(system, SIERIntegrator(0.006, SIER2V2, engine=engine))
-    with_collisions = openmm.XmlSerializer.clone(system)
-    with_collisions.addForce(openmm.AndersenThermostat(297, 1))
-    silently(with_collisions, SIER4GIntegrator(0.006, engine=engine))
+    if engine == "exact":  # the native one takes no AndersenThermostat
+        with_collisions = openmm.XmlSerializer.clone(system)
+        with_collisions.addForce(openmm.AndersenThermostat(297, 1))
+        silently(with_collisions, SIER4GIntegrator(0.006, engine=engine))
     for i in range(9):
         system.setParticleMass(i, 4 * system.getParticleMass(i))
     silently(system, SIER4GIntegrator(0.009, engine=engine))
