@@ -5,6 +5,8 @@ from __future__ import annotations
 #: Modules that are studies, with what they take on two cores where that was measured.
 STUDIES = {
     "studies.paper": "2 min with --quick, else 70 min",
+    "studies.whole_run": "3 h of two cores for all runs of docs/accuracy.md",
+    "studies.processed": "5 min of one core",
     "studies.schemes": "3 to 10 min of one core a liquid",
     "studies.equipartition": "",
     "studies.defaults": "13 min, as two commands with one thread each",

@@ -42,12 +42,12 @@ def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
 
 @pytest.mark.slow
 def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys):
-    """The default step resonates with bonds to hydrogen, which only a user who asks for it has."""
+    """Steps of 6 fs resonate with bonds to hydrogen, which only a user who asks for it has."""
     monkeypatch.chdir(tmp_path)
-    short = ["--platform", "Reference", "--equilibrate", "0", "--no-minimize", "--steps", "1"]
+    short = ["--platform", "Reference", "--equilibrate", "0", "--no-minimize", "--steps", "1", "--overwrite"]
     assert main(["run", str(box), *FILES, *short]) == 0
     assert "warning" not in capsys.readouterr().out
-    assert main(["run", str(box), *FILES, *short, "--constraints", "none", "--overwrite"]) == 0
+    assert main(["run", str(box), *FILES, *short, "--constraints", "none", "--dt", "6"]) == 0
     out = capsys.readouterr().out
     assert "resonates with fast forces" in out
     assert "hold the bond by --constraints hbonds" in out
