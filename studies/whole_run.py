@@ -5,9 +5,10 @@
     python -m studies.whole_run --molecules 512 --time 100 --methods sier4g --steps 4.5
 
 The energy error is rms(H)/rms(V) about the mean of the whole run. The walk is the scatter of the means of H over 1 ps,
-over rms(V). Each run is kept in whole-run.jsonl as soon as it is done, and is not repeated: a command that was stopped
-goes on where it was, and commands with other liquids, methods, steps, sizes or lengths and one `--out` add to the same
-table. Runs take turns on `--processes` processes of one thread each. Writes whole-run.json, whole-run.md and
+over rms(V). Verlet is compared with SIER4G at the same simulated time per force. Each run is kept in whole-run.jsonl as
+soon as it is done, and is not repeated: a command that was stopped goes on where it was, and commands with other
+liquids, methods, steps, sizes or lengths and one `--out` add to the same tables. Runs take turns on `--processes`
+processes of one thread each. Writes whole-run.json, its tables as whole-run.md and whole-run-gains.md, and
 whole-run.png from all runs there.
 """
 
@@ -29,16 +30,18 @@ import openmm
 import pandas as pd
 
 from openmm_sier import prepare_system
+from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.observables import energy_error, energy_walk
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.measure.statistics import slope_and_error
 from openmm_sier.system import find_bodies
+from openmm_sier.system.vibrations import WATER
 from studies import boxes, records, style
 from studies.command import SYSTEMS, Settings, chosen, claim, execute
 from studies.methods import CONSTANT_ENERGY
 from studies.records import Record
-from studies.report import SILENT, Report
+from studies.report import SILENT, Report, Table
 from studies.sampling import Liquid, Unstable, follow
 
 
@@ -75,8 +78,27 @@ COLUMNS = {
     "starts": "{starts}",
     "rms(H)/rms(V)/%": "{percent:.3g} ± {percent_error:.1g}",
     "walk/%": "{walk:.2g} ± {walk_error:.1g}",
-    "drift of the box/kJ/mol/ps": "{drift:.4f} ± {drift_error:.4f}",
+    "drift of the box/kJ/mol/ps": "{drift:+.4f} ± {its_error:.4f}",
 }
+
+
+GAINS = {
+    "liquid": "{liquid}",
+    "molecules": "{molecules}",
+    "ps": "{time:g}",
+    "fs per force": "{per_force:.3g}",
+    "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
+    "SIER4G/%": "{percent:.3f} ± {percent_error:.1g}",
+    "gain": "{gain:.1f}",
+    "drift, Verlet/kJ/mol/ps": "{drift_verlet:+.4f} ± {its_error_verlet:.4f}",
+    "drift, SIER4G/kJ/mol/ps": "{drift:+.4f} ± {its_error:.4f}",
+}
+
+VERLET = CONSTANT_ENERGY["verlet"].name
+
+#: Schemes whose walk follows one law, and the walks in % to which it is fitted: above the floor of single precision.
+FOURTH_ORDER = [scheme.name for scheme in CATALOGUE.values() if scheme.order == 4]
+FITTED = (0.025, 5.0)
 
 
 @dataclass(frozen=True)
@@ -178,7 +200,7 @@ def run(task: Task) -> dict[str, Any]:
     """The energy error of a run, its walk and drift; why it ended early, if it did, is in `broken`."""
     method = CONSTANT_ENERGY[task.method]
     found = task.point | {"forces": method.forces, "fs_per_force": task.step / method.forces, "broken": ""}
-    unknown = dict.fromkeys(("percent", "walk", "within_1_ps", "drift"), math.nan)
+    unknown = dict.fromkeys(("percent", "walk", "drift", "its_error"), math.nan)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -219,6 +241,7 @@ def points(runs: pd.DataFrame) -> pd.DataFrame:
 def _point(runs: pd.DataFrame) -> dict[str, Any]:
     starts = len(runs)
     point = {name: runs.iloc[0][name] for name in (*POINT, "forces", "fs_per_force")} | {"starts": starts}
+    point["its_error"] = math.sqrt((runs["its_error"] ** 2).sum()) / starts
     for name in ("percent", "walk", "drift"):
         point[name] = runs[name].mean(skipna=False)
         point[f"{name}_error"] = runs[name].std(skipna=False) / math.sqrt(starts)
@@ -233,24 +256,90 @@ def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
     run_missing(settings, path, report)
     runs = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan})
     rows = points(runs).sort_values([*POINT[:3], "method", "step"], kind="stable")
-    table = records.table("Conservation of energy over whole runs", rows, COLUMNS, left=1)
-    report.table(table)
-    record = Record(shared, {"rows": rows, "runs": runs}, {})
+    record = Record(shared, {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)})
+    for table in tables(record):
+        report.table(table)
     record.write(settings.out / "whole-run.json")
-    (settings.out / "whole-run.md").write_text(records.markdown(table))
+    write_tables(record, settings.out)
     figure(record, settings.out / "whole-run.png")
     return record
 
 
+def tables(record: Record) -> list[Table]:
+    """Every point; and Verlet beside SIER4G where both had as many forces."""
+    return [
+        records.table("Conservation of energy over whole runs", record.tables["rows"], COLUMNS, left=1),
+        records.table("Gain over Verlet with as many forces", record.tables["gains"], GAINS, left=1),
+    ]
+
+
+def write_tables(record: Record, directory: Path) -> None:
+    """The tables for a page of the documentation."""
+    for name, table in zip(("whole-run.md", "whole-run-gains.md"), tables(record), strict=True):
+        (directory / name).write_text(records.markdown(table))
+
+
+def gains(rows: pd.DataFrame) -> pd.DataFrame:
+    """Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation."""
+    same = ["liquid", "molecules", "time"]
+    rows = rows.assign(per_force=rows["fs_per_force"].round(4))
+    ours, theirs = rows[rows["method"] == SIER4G.name], rows[rows["method"] == VERLET]
+    pairs = ours.merge(theirs, on=[*same, "per_force"], suffixes=("", "_verlet"))
+    return pairs.assign(gain=pairs["percent_verlet"] / pairs["percent"])
+
+
+def law(rows: pd.DataFrame) -> dict[str, Any]:
+    """How fast the walk of schemes of fourth order dies out with a shorter step.
+
+    The walk is A exp(-c T/h) with an A for each scheme and one c, fitted to the logarithms where the walk is above the
+    floor of forces in single precision and the run is still one of a liquid. T is the period of the fastest librations
+    by the package's estimate.
+    """
+    rows = first_box(rows)
+    rows = rows[rows["method"].isin(FOURTH_ORDER) & rows["walk"].between(*FITTED)]
+    names = sorted(set(rows["method"]))
+    if len(rows) <= len(names):
+        return {}
+    inverse = WATER / (rows["step"].to_numpy(dtype=float) / 1000)
+    columns = np.column_stack([rows["method"] == name for name in names] + [-inverse]).astype(float)
+    found, *_ = np.linalg.lstsq(columns, np.log(rows["walk"].to_numpy(dtype=float)), rcond=None)
+    return {"period": WATER, "decay": found[-1], "at_infinity": dict(zip(names, np.exp(found[:-1]), strict=True))}
+
+
+def first_box(rows: pd.DataFrame) -> pd.DataFrame:
+    """The points of the box and the length of run that have the most of them."""
+    return max((mine for _, mine in rows.groupby(POINT[:3], sort=False)), key=len)
+
+
 def figure(record: Record, path: Path) -> None:
-    """The walk of the energy against the step, one line for each scheme."""
-    rows = record.tables["rows"]
-    first = rows[["liquid", "molecules", "time"]].iloc[0]
-    rows = rows[(rows[["liquid", "molecules", "time"]] == first).all(axis=1)]
-    with style.figure(path, 1) as (made, (axes,)):
-        style.curves(axes, rows, "step", "walk")
-        axes.set(yscale="log", xlabel="step (fs)", ylabel="scatter of means over 1 ps (% of rms(V))")
-        style.shared_legend(made, axes)
+    """The walk against the step, with its law; and the energy of Verlet and SIER4G over the longest run."""
+    with style.figure(path, 2) as (_, (walks, energies)):
+        rows = first_box(record.tables["rows"])
+        style.curves(walks, rows.assign(walk_error=rows["walk_error"].fillna(0)), "step", "walk")
+        found = record.notes["law"]
+        for name, scale in found.get("at_infinity", {}).items():
+            mine = rows[(rows["method"] == name) & rows["walk"].between(*FITTED)]["step"]
+            steps = np.linspace(mine.min() - 0.7, mine.max() + 0.5)
+            curve = scale * np.exp(-found["decay"] * 1000 * found["period"] / steps)
+            walks.plot(steps, curve, color=style.of_method(name)["color"], lw=3, alpha=0.25)
+        walks.set(yscale="log", xlabel="step (fs)", ylabel="scatter of 1 ps means of H (% of rms(V))")
+        walks.set_title("Fourth order: the walk dies out with the step")
+        walks.legend(fontsize="small")
+        _energies(energies, record)
+
+
+def _energies(axes: Any, record: Record) -> None:
+    """Means over 1 ps of H, over rms(V), of the longest runs."""
+    runs = record.tables["runs"]
+    runs = runs[runs["time"] == runs["time"].max()].drop_duplicates(["method", "step"])
+    for _, run in runs.iterrows():
+        means = np.array(run["means"])
+        look = style.of_method(run["method"]) | {"marker": "", "lw": 1}
+        label = f"{run['method']}, {run['step']:g} fs"
+        axes.plot(np.arange(len(means)), 100 * (means - means.mean()) / run["rms_V"], label=label, **look)
+    axes.set(xlabel="time (ps)", ylabel="H, means over 1 ps (% of rms(V))")
+    axes.set_title("With as many forces, the energy stays put")
+    axes.legend(fontsize="small")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

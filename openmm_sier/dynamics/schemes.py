@@ -183,8 +183,8 @@ SIER4 = alternating(
     DRIFT,
     (_H1, _H2, _H3, 0.5 - _H2),
     "van Zon and Schofield (2007), Eq. 8 (EFRL); Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
-    constant_energy_step=0.004,
-    bath_step=0.004,
+    constant_energy_step=0.005,
+    bath_step=0.005,
 )
 
 #: The best scheme per force evaluation in liquid water of those without a gradient, which are symplectic to rounding.
@@ -194,8 +194,8 @@ SIER4V = alternating(
     DRIFT,
     (0.08398315262876693, 0.2539785108410595, 0.6822365335719091, -0.03230286765269967, -0.26621968620067603),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eqs. 63 and 71",
-    constant_energy_step=0.005,
-    bath_step=0.005,
+    constant_energy_step=0.0065,
+    bath_step=0.0065,
 )
 
 SIER4G = Scheme(
@@ -228,7 +228,7 @@ SIER4P = Scheme(
     "SIER4P",
     (*_WING, Stage(GRADIENT_KICK, 1 - 2 * _SHARE, 2 * _BRACKET / (1 - 2 * _SHARE)), *reversed(_WING)),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44",
-    constant_energy_step=0.005,
+    constant_energy_step=0.006,
     bath_step=0.006,
 )
 
