@@ -157,7 +157,7 @@ class ExactEngine(Engine):
     def follow(self, steps: int) -> None:
         flow = self._flow
         step = operators.stepper(flow.scheme, self._motion.operators(flow), flow.step)
-        if steps and self._starts_anew:
+        if steps:
             self._forget_past()
         for _ in range(steps):
             if flow.updates_context and self._is_updated:
@@ -260,13 +260,16 @@ class ExactEngine(Engine):
         self._starts_anew = self._remembers_list
 
     def _forget_past(self) -> None:
-        neighbour_list.forget(self._context)
-        self._forget_forces()
-        self._starts_anew = False
+        """After a restart point, let forces and energies depend on nothing but the Context's state."""
+        if self._starts_anew:
+            neighbour_list.forget(self._context)
+            self._forget_forces()
+            self._starts_anew = False
 
     # --- forces ---
 
     def potential_energy(self) -> float:
+        self._forget_past()
         return self.forces.energy(self._reached)
 
     def _forget_forces(self) -> None:

@@ -202,10 +202,9 @@ class NativeEngine(Engine):
         self.publish()
 
     def start_anew(self) -> None:
-        self._is_fresh = True
-
-    def atoms_moved(self) -> None:
         self._is_fresh, self._potential = True, None
+
+    atoms_moved = start_anew
 
     def _settle(self) -> None:
         """After news from outside, make what follows depend on nothing but what the Context holds."""
