@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from openmm import app
 
 from openmm_sier.cli import main
 from openmm_sier.cli.files import body_states, checkpoints, trajectories
@@ -255,3 +256,45 @@ def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, 
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", checkpoint]) == 0
     assert Path("made.h5").exists()
     assert not Path(frames_in).exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["--out", "--bodies"])
+def test_hdf5_file_that_is_cut_off_without_an_error_keeps_its_frames(box, capsys, monkeypatch, option):
+    """As PyTables leaves it on a disk that fills while it closes the file."""
+    pytest.importorskip("h5py")
+    kind = trajectories.HDF5Trajectory if option == "--out" else body_states.BodyStates
+    make = kind._make
+
+    def cut_off(self, path):
+        make(self, path)
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+    with monkeypatch.context() as patch:
+        patch.setattr(kind, "_make", cut_off)
+        message = complaint(capsys, "run", box, *SMALL, "--steps", "10", option, "made.h5")
+    frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
+    assert f"made.h5 could not be written. Its frames are kept in {frames_in}" in message
+    assert not Path("made.h5").exists()
+    checkpoint = "made.chk" if option == "--out" else "box.chk"
+    assert main.main(["run", str(box), "--platform", "Reference", "--restart", checkpoint]) == 0
+    assert Path("made.h5").exists()
+
+
+@pytest.mark.slow
+def test_xtc_frame_that_is_cut_off_stops_the_run(box, capsys, monkeypatch):
+    """As OpenMM leaves it, without an error, where the temporary directory is full."""
+    write = app.XTCFile.writeModel
+
+    def cut_off(self, *args, **kwargs):
+        write(self, *args, **kwargs)
+        if self._firstStep > 6:
+            path = Path(self._filename)
+            path.write_bytes(path.read_bytes()[:100])
+
+    with monkeypatch.context() as patch:
+        patch.setattr(app.XTCFile, "writeModel", cut_off)
+        message = complaint(capsys, "run", box, *SMALL, "--steps", "40", "--out", "made.xtc")
+    assert "a frame of made.xtc could not be written: OpenMM left it incomplete in the temporary directory" in message
+    assert main.main(["run", str(box), "--platform", "Reference", "--restart", "made.chk", "--steps", "40"]) == 0
+    assert frames(Path("made.xtc"), box).n_frames == 8

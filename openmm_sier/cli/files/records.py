@@ -196,18 +196,25 @@ class MadeAtTheEnd(GrowingFile):
     def _make(self, path: Path) -> None:
         """Write the output to a path."""
 
+    @abstractmethod
+    def _read_back(self, path: Path) -> int:
+        """Read all frames of an output that was written to a path, and return their number."""
+
     def finish(self) -> None:
-        """Make the output and remove the growing file.
+        """Make the output, read it back, and remove the growing file.
 
         Raises:
-            RecordError: the output could not be written. The growing file stays.
+            RecordError: the output could not be written, or not be read back. The growing file stays.
         """
         super().finish()
         try:
             with replacing(self.target) as made:
                 self._make(made)
-        # PyTables and h5py raise RuntimeErrors of their own where the disk is full.
-        except (OSError, RuntimeError) as error:
+                # On a full disk PyTables may report nothing and leave a file that nothing can read.
+                if (found := self._read_back(made)) != self.count:
+                    raise OSError(f"{found} of {self.count} frames can be read back")
+        # PyTables and h5py have errors of many kinds for files that are cut off.
+        except Exception as error:
             message = f"{self.target} could not be written. Its frames are kept in {self.path}: {error}"
             raise RecordError(message) from error
         self.path.unlink()

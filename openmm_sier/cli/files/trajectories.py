@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import tempfile
+import warnings
 from abc import abstractmethod
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,6 +19,9 @@ from openmm_sier.cli.files.records import CHANGING, GrowingFile, MadeAtTheEnd, N
 
 #: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
 DCD_HEADER, DCD_TIME = 276, slice(180, 260)
+
+#: Frames that are read at a time.
+CHUNK = 100
 
 
 class Trajectory(GrowingFile):
@@ -73,7 +77,25 @@ class XTCTrajectory(Trajectory):
             # Steps have 32 bits, which long runs exceed: frames are counted in their place, and times are right.
             file = app.XTCFile(str(frame), self._topology, self._dt * self._interval, self.count + 1)
             file.writeModel(positions, periodicBoxVectors=box)
+            # OpenMM's writer says nothing where the temporary directory is full.
+            if not _is_frame(frame, len(positions)):
+                raise RecordError(
+                    f"a frame of {self.path} could not be written: OpenMM left it incomplete in the temporary "
+                    f"directory {tempfile.gettempdir()}. Is that full? Another one can be named by TMPDIR"
+                )
             self.append(frame.read_bytes())
+
+
+def _is_frame(path: Path, atoms: int) -> bool:
+    """Whether an XTC file has one whole frame of so many atoms."""
+    import mdtraj
+
+    try:
+        with mdtraj.formats.XTCTrajectoryFile(str(path)) as file:
+            return file.read()[0].shape == (1, atoms, 3)
+    # MDTraj has errors of several kinds for files that are cut off.
+    except Exception:
+        return False
 
 
 class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
@@ -111,6 +133,16 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
                 time = (np.arange(done, done + len(chunk)) + 1) * self._interval * self._dt
                 file.write(chunk.xyz, time, cell_lengths=chunk.unitcell_lengths, cell_angles=chunk.unitcell_angles)
                 done += len(chunk)
+
+    def _read_back(self, path: Path) -> int:
+        import mdtraj
+
+        with warnings.catch_warnings():
+            # It recommends the ending .h5, which a temporary file does not have.
+            warnings.simplefilter("ignore")
+            file = mdtraj.formats.HDF5TrajectoryFile(str(path))
+        with file:
+            return sum(len(file.read(n_frames=CHUNK).coordinates) for _ in range(0, len(file), CHUNK))
 
 
 FORMATS: dict[str, type[Trajectory]] = {
