@@ -152,7 +152,7 @@ class Options:
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
         RECOMMENDED,
     )
-    dt: float = _option(number("fs", 1e-3, 1e3), "step", otherwise=_usual_steps())
+    dt: float = _option(number("fs", 0.05, 1e3, hint="; 0.006 ps are 6 fs"), "step", otherwise=_usual_steps())
     ensemble: str = _option(
         choice(*ENSEMBLES), "what is constant; hmc is hybrid Monte Carlo", otherwise="nve; nvt for langevinmiddle"
     )

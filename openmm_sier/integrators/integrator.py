@@ -28,10 +28,18 @@ from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators import settings
 from openmm_sier.integrators.settings import Settings
-from openmm_sier.prepare.close_pairs import fast_force_groups
+from openmm_sier.prepare.close_pairs import fast_force_groups, refuse_regrouped
 from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.system import checks
-from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, groups_of, step_size, whole_number
+from openmm_sier.system.arguments import (
+    Bodies,
+    checked_bodies,
+    checked_scheme,
+    group_mask,
+    groups_of,
+    step_size,
+    whole_number,
+)
 from openmm_sier.system.runaway import RunawayWatch
 from openmm_sier.system.unchanged import UnchangedSystem
 
@@ -54,7 +62,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def __init__(
         self,
         stepSize: Any,
-        scheme: Scheme = SIER4G,
+        scheme: Scheme | str = SIER4G,
         bodies: Bodies = None,
         rotation: Rotation = exact,
         engine: str = "auto",
@@ -65,7 +73,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
-            scheme: splitting scheme, see `openmm_sier.dynamics.schemes`.
+            scheme: splitting scheme, see `openmm_sier.dynamics.schemes`, or the name of one, such as "SIER4G".
             bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices define
                 further rigid bodies, with the geometry that they have at the first step.
             rotation: free-rotation map, such as `rotation.exact`.
@@ -90,7 +98,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         given = Settings(
             kind=settings.place_of(type(self)),
-            scheme=scheme,
+            scheme=checked_scheme(scheme),
             step=step_size(stepSize),
             engine=engine,
             substeps=None if substeps is None else whole_number("substeps", substeps),
@@ -349,6 +357,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             raise openmm.OpenMMException(
                 "The System was prepared after the integrator was given to its Context: create a new Context"
             )
+        if finds:
+            refuse_regrouped(context.getSystem())
         given = self._settings
         engine = engine_for(given.engine, self, context, self._flow(), given.bodies, self._program)
         self._ensemble.check(context.getSystem(), engine)

@@ -17,7 +17,7 @@ from openmm_sier.integrators.constant_temperature import (
     per_picosecond,
     volume_move,
 )
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.arguments import Bodies, checked_scheme
 
 
 class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
@@ -41,7 +41,7 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
         temperature: Any,
         frictionCoeff: Any,
         stepSize: Any,
-        scheme: Scheme = SIER4G,
+        scheme: Scheme | str = SIER4G,
         bodies: Bodies = None,
         rotation: Rotation = exact,
         rotationalFriction: Any = None,
@@ -69,13 +69,13 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
-        scheme = scheme.with_bath() if isinstance(scheme, Scheme) else scheme
         ensemble = Langevin(
             in_kelvin(temperature),
             per_picosecond("frictionCoeff", frictionCoeff),
             None if rotationalFriction is None else per_picosecond("rotationalFriction", rotationalFriction),
             volume_move(pressure, barostatInterval),
         )
+        scheme = checked_scheme(scheme).with_bath()
         super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
 
     def setFriction(self, coeff: Any) -> None:

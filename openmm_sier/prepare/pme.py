@@ -57,8 +57,9 @@ def tell_of_pme(system: openmm.System, scheme: str) -> None:
     if loose:
         tell(
             f"PME is split as OpenMM does it, and its jump at the cut-off limits {scheme}: at OpenMM's defaults "
-            "rms(H)/rms(V) of water is 1.2 to 1.6 %, hardly better than with Verlet. After prepare_system(system) it "
-            f"is 0.1 % at the same cost (this System has ewaldErrorTolerance={loose[0].getEwaldErrorTolerance():g})"
+            "the energy error of water within 1 ps is 1.2 to 1.6 %, hardly better than with Verlet. After "
+            "prepare_system(system) it is 0.1 % at the same cost "
+            f"(this System has ewaldErrorTolerance={loose[0].getEwaldErrorTolerance():g})"
         )
 
 

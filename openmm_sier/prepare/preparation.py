@@ -11,7 +11,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import GROUPS, whole_number
+from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
 from openmm_sier.system.find_bodies import BodyPlan, Links, tied
 
@@ -37,7 +37,7 @@ class Preparation:
         return "\n".join(self.done + self.limits)
 
 
-def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fastForceGroup: int = 1) -> Preparation:
+def prepare_system(system: openmm.System, bodies: Bodies = None, fastForceGroup: int | None = None) -> Preparation:
     """Prepare a System, of water alone or with solutes, for long steps.
 
     The potential energy stays what it is, but for the accuracy of PME:
@@ -60,19 +60,20 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
 
     Args:
         system: openmm.System; its force groups and PME parameters are changed, and two Forces may be added.
-        bodies: the bodies that the integrator will be given; None: those of the System's constraints.
-        fastForceGroup: force group for the fast forces, from 0 to 31.
+        bodies: the bodies that the integrator will be given, as it takes them: `RigidBodies`, or lists of particle
+            indices for bodies besides those of the System's constraints; None: those of its constraints.
+        fastForceGroup: force group for the fast forces, from 0 to 31; None: the first one from 1 on that is free.
 
     Returns:
         The fast force groups, what was done, and what still limits the energy; print it.
 
     Raises:
+        TypeError: an argument is of the wrong type, for example a Simulation in place of its System.
         ValueError: the group is out of range or already has other forces, or `balance_pme` refuses. The System is
             unchanged then.
         RigidityError: see `RigidBodies.from_system`; the System is unchanged then too.
     """
-    if (group := whole_number("fastForceGroup", fastForceGroup)) >= GROUPS:
-        raise ValueError(f"fastForceGroup must be from 0 to {GROUPS - 1}, got {group}")
+    checked_system(system)
     own = close_pairs.own_forces(system)
     forces = [force for i, force in enumerate(system.getForces()) if i not in own]
     acting = [force for force in forces if not isinstance(force, WITHOUT_FORCES)]
@@ -81,12 +82,7 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
     bonded = [(force, between) for force in acting if len(between := _between(force, owner))]
     fast = [force for force, between in bonded if point[between].all()]
-    for force in acting:
-        if force.getForceGroup() == group and force not in fast:
-            raise ValueError(
-                f"{force.getName()} is in force group {group}, which is to be that of the fast forces: give another "
-                "fastForceGroup or, if it was prepared for other bodies, prepare a new System"
-            )
+    group = _group_for(fast, acting, fastForceGroup)
     done = []
     if meshed_forces(system):
         balance_pme(system)
@@ -114,14 +110,36 @@ def prepare_system(system: openmm.System, bodies: RigidBodies | None = None, fas
     return Preparation(frozenset({group} if fast else ()), tuple(done), _energy_limits(system))
 
 
-def _owners(system: openmm.System, bodies: RigidBodies | None) -> tuple[np.ndarray, np.ndarray]:
+def _group_for(fast: list[openmm.Force], acting: list[openmm.Force], asked: int | None) -> int:
+    """The group for the fast forces of those that act, as it is asked for or free.
+
+    Raises:
+        ValueError: there is no such group, or others of the forces are in it.
+    """
+    taken = {force.getForceGroup(): force for force in reversed(acting) if force not in fast}
+    if asked is None:
+        free = next((group for group in range(1, GROUPS) if group not in taken), None)
+        if free is None:
+            raise ValueError(f"no force group from 1 to {GROUPS - 1} is free for the fast forces: put others together")
+        return free
+    if (group := whole_number("fastForceGroup", asked)) >= GROUPS:
+        raise ValueError(f"fastForceGroup must be from 0 to {GROUPS - 1}, got {group}")
+    if group in taken:
+        raise ValueError(
+            f"{taken[group].getName()} is in force group {group}, which is to be that of the fast forces: give another "
+            "fastForceGroup or, if it was prepared for other bodies, prepare a new System"
+        )
+    return group
+
+
+def _owners(system: openmm.System, bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
     """For each particle the number of its body, and whether that is a point."""
-    if bodies is not None:
+    if isinstance(bodies := checked_bodies(bodies), RigidBodies):
         found = tied(system, bodies)
         return found.owners, found.point_particles
     owner, point = np.full(system.getNumParticles(), -1), np.zeros(system.getNumParticles(), dtype=bool)
     number = 0
-    for kind in BodyPlan(system).kinds:
+    for kind in BodyPlan(system, rigid=bodies).kinds:
         for cluster in kind.clusters:
             owner[cluster], point[cluster], number = number, len(cluster) == 1, number + 1
     return owner, point
@@ -140,15 +158,15 @@ def _energy_limits(system: openmm.System) -> tuple[str, ...]:
     """A sentence for each limit that another way to create the System would remove, see docs/accuracy.md."""
     found = [
         f"{force.getName()} ends with a jump of the energy at {(cutoff := force.getCutoffDistance()._value):.3g} nm, "
-        "which in water at 0.9 nm leaves SIER4G 0.2 to 0.3 % of rms(H)/rms(V) in place of 0.1 %: create the System "
-        f"with switchDistance={5 / 6 * cutoff:.2g}*nanometer."
+        "which in water at 0.9 nm leaves SIER4G an energy error of 0.2 to 0.3 % within 1 ps in place of 0.1 %: create "
+        f"the System with switchDistance={5 / 6 * cutoff:.2g}*nanometer."
         for force in system.getForces()
         if _jumps(force)
     ]
     if any(force.getEwaldErrorTolerance() > TOLERANCE for force in meshed_forces(system)):
         found.append(
-            f"This ewaldErrorTolerance serves SIER4G. For SIER4P take {TOLERANCE:g}, which in water at 6 fs has "
-            "0.0145 % in place of 0.056 %."
+            f"This ewaldErrorTolerance serves SIER4G. For SIER4P take {TOLERANCE:g}, with which its energy error in "
+            "water at 6 fs is 0.0145 % in place of 0.056 % within 1 ps."
         )
     return tuple(dict.fromkeys(found))
 

@@ -8,9 +8,11 @@ import operator
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 
 #: Values of the argument `bodies` of integrators.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
@@ -33,6 +35,32 @@ def checked_bodies(bodies: Bodies) -> Bodies:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
 
 
+def checked_scheme(scheme: Scheme | str) -> Scheme:
+    """A scheme, or the one of the catalogue that has a name, such as "SIER4G", in any case of letters.
+
+    Raises:
+        TypeError: it is neither.
+    """
+    if isinstance(scheme, str) and scheme.lower() in CATALOGUE:
+        return CATALOGUE[scheme.lower()]
+    if not isinstance(scheme, Scheme):
+        names = ", ".join(each.name for each in CATALOGUE.values())
+        raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, or one of {names}, got {scheme!r}")
+    return scheme
+
+
+def checked_system(system: openmm.System) -> openmm.System:
+    """A System.
+
+    Raises:
+        TypeError: it is something else.
+    """
+    if isinstance(system, openmm.System):
+        return system
+    hint = ": give simulation.system, before the Simulation is made" if hasattr(system, "context") else ""
+    raise TypeError(f"system must be an openmm.System, got {type(system).__name__}{hint}")
+
+
 def step_size(size: Any) -> float:
     """A step in ps, from a quantity or a number; see `quantity_to_float`."""
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
@@ -48,6 +76,8 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
             raise TypeError(f"{name} must be in units like {symbol}, got {value}")
         value = value.value_in_unit(of)
     try:
+        if isinstance(value, str):
+            raise TypeError
         value = float(value)
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}") from None

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
 
 from openmm_sier import (
+    SIER4,
     SIER2Integrator,
     SIER4Integrator,
+    SIERHMCIntegrator,
+    SIERIntegrator,
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
@@ -320,3 +325,24 @@ def test_barostats_need_no_velocities(box, barostat):
         volumes.append(context.getState().getPeriodicBoxVolume()._value)
     assert np.array_equal(*ends)
     assert volumes[1] == volumes[3] != volumes[0]
+
+
+@pytest.mark.parametrize(
+    "make", [SIERIntegrator, partial(SIERLangevinIntegrator, 297, 1), partial(SIERHMCIntegrator, 297)]
+)
+def test_schemes_may_be_named(make):
+    """As the command names them, in any case of letters; what is no scheme is refused alike by all."""
+    for scheme in ("sier4", "SIER4"):
+        assert openmm.XmlSerializer.serialize(make(0.002, scheme=scheme)) == openmm.XmlSerializer.serialize(
+            make(0.002, scheme=SIER4)
+        )
+    for wrong in ("sier5", 4, None):
+        with pytest.raises(TypeError, match=f"scheme must be a Scheme, .* or one of SIER2, .* got {wrong!r}"):
+            make(0.002, scheme=wrong)
+
+
+def test_text_is_no_number():
+    with pytest.raises(TypeError, match=r"temperature must be a quantity or a number in K, got '300'"):
+        SIERLangevinIntegrator("300", 1, 0.002)
+    with pytest.raises(TypeError, match=r"stepSize must be a quantity or a number in ps, got '0\.002'"):
+        SIERIntegrator("0.002")

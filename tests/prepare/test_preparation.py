@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import openmm
 import pytest
+from openmm import app
 
 from openmm_sier import (
     RigidBodies,
@@ -166,6 +167,53 @@ def test_a_group_in_use_is_refused():
     assert system.getForce(0).getForceGroup() == 0
     with pytest.raises(ValueError, match="from 0 to 31, got 32"):
         prepare_system(system, fastForceGroup=32)
+
+
+def test_a_free_group_is_taken():
+    """As openmmtools' alchemical factory and others leave Systems: every force in a group of its own."""
+    system, positions = system_of(chains(), waters=1)
+    for i, force in enumerate(system.getForces()):
+        force.setForceGroup(i)
+    assert prepare_system(system).fastForceGroups.isdisjoint(
+        {force.getForceGroup() for force in system.getForces() if isinstance(force, openmm.NonbondedForce)} | {0}
+    )
+    integrator = SIER4GIntegrator(0.003)
+    started(system, integrator, positions)
+    assert integrator.fastForceGroups == groups_with(system, openmm.HarmonicBondForce)
+
+
+def groups_with(system, kind):
+    return {force.getForceGroup() for force in system.getForces() if isinstance(force, kind)}
+
+
+def test_groups_that_are_changed_after_preparing_are_refused():
+    """Everybody writes these two lines to split energies."""
+    system, positions = system_of(chains(), waters=1)
+    prepare_system(system)
+    for i, force in enumerate(system.getForces()):
+        force.setForceGroup(i)
+    with pytest.raises(openmm.OpenMMException, match=r"changed after prepare_system.* call prepare_system\(system\)"):
+        started(system, SIER4GIntegrator(0.003), positions)
+    prepare_system(system)
+    context = started(system, SIER4GIntegrator(0.003), positions)
+    context.getIntegrator().step(1)
+    assert context.getStepCount() == 1
+
+
+def test_arguments_are_taken_as_integrators_take_them():
+    system, _ = system_of(chains(), waters=2)
+    with pytest.raises(TypeError, match=r"must be an openmm\.System, got CustomIntegrator"):
+        prepare_system(openmm.CustomIntegrator(0.001))
+    simulation = app.Simulation(app.Topology(), system, openmm.VerletIntegrator(0.001))
+    with pytest.raises(TypeError, match=r"got Simulation: give simulation\.system, before the Simulation is made"):
+        prepare_system(simulation)
+    with pytest.raises(TypeError, match="bodies must be RigidBodies or lists of particle indices, got 3"):
+        prepare_system(system, bodies=3)
+    whole = copy.deepcopy(system)
+    atoms = list(range(system.getNumParticles() - 6))
+    # All bonded terms are inside a body then, and none is fast.
+    assert prepare_system(whole, bodies=[atoms]).fastForceGroups == frozenset()
+    assert prepare_system(system, bodies=[]).fastForceGroups == {FAST}
 
 
 def test_water_is_prepared_and_told_of_what_limits_it():
