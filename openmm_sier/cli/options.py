@@ -142,7 +142,7 @@ class Options:
     )
     hydrogen_mass: float | None = _option(
         number("dalton", 1, 4),
-        "mass of hydrogens outside water, taken from the atoms that they are bonded to",
+        "mass of hydrogens, in water too, taken from the atoms that they are bonded to; it slows motion, not averages",
         otherwise="that of the force field",
         empty=True,
     )

@@ -16,6 +16,7 @@ from openmm.unit import Quantity
 from openmm_sier.measure.pdb_files import first_line, read_pdb
 from openmm_sier.measure.water_models import ForceFieldError, recognize
 from openmm_sier.observe.body_states import wrapped
+from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
@@ -53,7 +54,7 @@ class Interactions:
         cutoff: of the direct sum of PME and of Lennard-Jones, nm.
         switch: where Lennard-Jones starts to be switched off, nm; 0 for a jump at the cut-off.
         tolerance: of the sums of PME.
-        hydrogen_mass: of hydrogens outside water, dalton, taken from the atoms that they are bonded to.
+        hydrogen_mass: of hydrogens, in water too, dalton, taken from the atoms that they are bonded to.
     """
 
     cutoff: float | None = None
@@ -150,16 +151,16 @@ def pme_system(
     Raises:
         ForceFieldError: the force field has no template for a residue, or the interactions do not fit the box.
     """
-    mass = interactions.hydrogen_mass
     settings = {
         "constraints": CONSTRAINTS[constraints or "none"],
-        "hydrogenMass": None if mass is None else mass * unit.dalton,
         **_cut_off(topology.getPeriodicBoxVectors(), interactions),
     }
     try:
         system = forcefield.createSystem(topology, rigidWater=True, removeCMMotion=False, **settings)
     except Exception as error:
         raise ForceFieldError(first_line(error)) from error
+    if interactions.hydrogen_mass is not None:
+        set_hydrogen_masses(system, interactions.hydrogen_mass)
     if meshed_forces(system):
         balance_pme(system)
     _refuse_huge_meshes(system)

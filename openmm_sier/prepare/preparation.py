@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
+from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
@@ -37,7 +39,9 @@ class Preparation:
         return "\n".join(self.done + self.limits)
 
 
-def prepare_system(system: openmm.System, bodies: Bodies = None, fastForceGroup: int | None = None) -> Preparation:
+def prepare_system(
+    system: openmm.System, bodies: Bodies = None, fastForceGroup: int | None = None, hydrogenMass: Any = None
+) -> Preparation:
     """Prepare a System, of water alone or with solutes, for long steps.
 
     The potential energy stays what it is, but for the accuracy of PME:
@@ -64,13 +68,18 @@ def prepare_system(system: openmm.System, bodies: Bodies = None, fastForceGroup:
             indices for bodies besides those of the System's constraints; None: those of its constraints.
         fastForceGroup: force group for the fast forces, from 0 to 31; None: the first one from 1 on that is free.
 
+        hydrogenMass: of all hydrogens, in water too, a quantity or a number in dalton, see `set_hydrogen_masses`; None
+            leaves them as they are. Four dalton let steps be 1.6 times as long. Averages of positions do not change,
+            but motion does: diffusion and relaxation of water are some 10 to 20 % slower. Do not use it where dynamics
+            is what you want, as at constant energy.
+
     Returns:
         The fast force groups, what was done, and what still limits the energy; print it.
 
     Raises:
         TypeError: an argument is of the wrong type, for example a Simulation in place of its System.
-        ValueError: the group is out of range or already has other forces, or `balance_pme` refuses. The System is
-            unchanged then.
+        ValueError: the group is out of range or already has other forces, `hydrogenMass` is out of range or given with
+            bodies that have masses already, or `balance_pme` refuses. The System is unchanged then.
         RigidityError: see `RigidBodies.from_system`; the System is unchanged then too.
     """
     checked_system(system)
@@ -83,10 +92,15 @@ def prepare_system(system: openmm.System, bodies: Bodies = None, fastForceGroup:
     bonded = [(force, between) for force in acting if len(between := _between(force, owner))]
     fast = [force for force, between in bonded if point[between].all()]
     group = _group_for(fast, acting, fastForceGroup)
+    heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
+    if heavy is not None and isinstance(bodies, RigidBodies):
+        raise ValueError("hydrogenMass changes masses that these bodies have: prepare first, then make the bodies")
     done = []
     if meshed_forces(system):
         balance_pme(system)
         done.append("The sums of PME are balanced.")
+    if heavy is not None:
+        done.append(set_hydrogen_masses(system, heavy))
     for i in reversed(own):
         system.removeForce(i)
     for force in fast:

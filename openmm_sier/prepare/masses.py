@@ -1,0 +1,101 @@
+"""Heavy hydrogens: averages of positions do not depend on masses, and the fastest motions become slower.
+
+Source: Bennett, J. Comput. Phys. 19, 267 (1975); Feenstra, Hess and Berendsen, J. Comput. Chem. 20, 786 (1999), who
+make the hydrogens of water heavier too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import openmm
+from openmm import unit
+
+from openmm_sier.system import tables
+from openmm_sier.system.arguments import quantity_to_float
+from openmm_sier.system.find_bodies import Links
+
+#: Dalton. The most that hydrogens may weigh, also those that were made heavier before.
+HEAVIEST_HYDROGEN = 4.5
+
+#: Dalton, below which no atom is made lighter for its hydrogens. A methyl's carbon has it with hydrogens of 3. Its
+#: bonds to other carbons are then 1.2 times as fast as they were; with hydrogens of 4 they would be 1.6 times as fast,
+#: and LangevinMiddle fails with steps of 5 fs.
+LIGHTEST_CENTRE = 6.0
+
+
+def checked_mass(mass: Any) -> float:
+    """A mass of hydrogens in dalton, from a quantity or a number.
+
+    Raises:
+        ValueError: it is not above 0 and up to `HEAVIEST_HYDROGEN`.
+        TypeError: it is no mass.
+    """
+    found = quantity_to_float("hydrogenMass", mass, unit.dalton, "dalton")
+    if not 0 < found <= HEAVIEST_HYDROGEN:
+        raise ValueError(f"hydrogenMass must be above 0 and up to {HEAVIEST_HYDROGEN:g} dalton, got {found:g}")
+    return found
+
+
+def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
+    """Give all hydrogens a mass, in water too, and take it from the atoms that they are bonded to.
+
+    The mass of every molecule stays. Hydrogens of an atom that would become lighter than `LIGHTEST_CENTRE` get less;
+    what is heavier already is then left as it is. It does not matter which masses hydrogens had before.
+
+    Args:
+        system: openmm.System; its masses are changed.
+        mass: dalton, as `checked_mass` gives it.
+
+    Returns:
+        What was done, in a sentence.
+    """
+    masses, lighter, count = tables.masses(system), 0, 0
+    for centre, found in hydrogens(system).items():
+        total = masses[centre] + masses[found].sum()
+        share = min(mass, (total - LIGHTEST_CENTRE) / len(found))
+        count += len(found)
+        if share < mass:
+            lighter += len(found)
+            share = max(share, masses[found].mean())
+        masses[found] = share
+        masses[centre] = total - share * len(found)
+        for atom in (centre, *found):
+            system.setParticleMass(int(atom), float(masses[atom]))
+    less = f", {lighter} of them less, so that no atom becomes lighter than {LIGHTEST_CENTRE:g}" if lighter else ""
+    return f"{count} hydrogens have {mass:g} dalton{less}: averages stay, motion becomes slower."
+
+
+def hydrogens(system: openmm.System) -> dict[int, list[int]]:
+    """Hydrogens of a System, which knows no elements, by the atom that each is bonded to.
+
+    A hydrogen is an atom of no more than `HEAVIEST_HYDROGEN`. Of the atoms that bonds and constraints join to it the
+    nearest is heavier or has more such neighbours, and all the others are neighbours of that one. So a methyl's carbon,
+    which heavy hydrogens may have made lighter than they are, is none. Frozen atoms, virtual sites, Drude particles and
+    H2 are left out.
+    """
+    masses, partners = tables.masses(system), _partners(system)
+    found: dict[int, list[int]] = {}
+    for atom, joined in sorted(partners.items()):
+        centre = min(joined, key=lambda other: joined[other])
+        is_centre = masses[centre] > masses[atom] or len(partners[centre]) > len(joined)
+        if masses[atom] <= HEAVIEST_HYDROGEN and is_centre and joined.keys() <= {centre, *partners[centre]}:
+            found.setdefault(centre, []).append(atom)
+    return found
+
+
+def _partners(system: openmm.System) -> dict[int, dict[int, float]]:
+    """What bonds and constraints join to each particle that moves, with distances in nm; that of custom bonds is 0."""
+    masses, links = tables.masses(system), Links(system)
+    pairs = [(*pair, length) for pair, length in links.constraints.by_pair().items()]
+    for force in system.getForces():
+        if isinstance(force, openmm.HarmonicBondForce):
+            terms = (force.getBondParameters(i) for i in range(force.getNumBonds()))
+            pairs += [(first, second, length.value_in_unit(unit.nanometer)) for first, second, length, _ in terms]
+    pairs += [(first, second, 0.0) for first, second in links.custom.tolist()]
+    found: dict[int, dict[int, float]] = {}
+    for first, second, length in pairs:
+        if masses[first] > 0 and masses[second] > 0:
+            found.setdefault(first, {})[second] = length
+            found.setdefault(second, {})[first] = length
+    return found

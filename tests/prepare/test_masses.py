@@ -1,0 +1,106 @@
+"""Heavy hydrogens, in water and in solutes: masses of molecules stay, and only hydrogens and their centres change."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import RigidBodies, SIER4GIntegrator, prepare_system
+from openmm_sier.prepare.masses import LIGHTEST_CENTRE
+from openmm_sier.system.tables import masses
+from tests.support.peptides import capped_alanine_box
+from tests.support.waters import cluster_system, platform
+
+
+@pytest.fixture(scope="module")
+def alanine():
+    topology, _ = capped_alanine_box(waters=2)
+    return topology, app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
+
+
+def hydrogens_of(topology):
+    return [atom.index for atom in topology.atoms() if atom.element is app.element.hydrogen]
+
+
+def centres_of(topology):
+    """The atom that each hydrogen is bonded to."""
+    joined = {}
+    for first, second in topology.bonds():
+        for one, other in ((first, second), (second, first)):
+            if one.element is app.element.hydrogen:
+                joined.setdefault(other.index, []).append(one.index)
+    return joined
+
+
+@pytest.mark.parametrize("constraints", [None, app.HBonds, app.AllBonds, app.HAngles])
+@pytest.mark.parametrize("before", [None, 1.5, 3.0, 4.0])
+def test_hydrogens_of_water_and_solutes(alanine, constraints, before):
+    """What was given to createSystem before does not matter."""
+    topology, forcefield = alanine
+    usual = forcefield.createSystem(topology, constraints=constraints)
+    system = forcefield.createSystem(topology, constraints=constraints, hydrogenMass=before)
+    said = str(prepare_system(system, hydrogenMass=4 * unit.dalton))
+    old, new = masses(usual), masses(system)
+    for centre, found in centres_of(topology).items():
+        # Sums of a few doubles of 15 dalton.
+        assert new[[centre, *found]].sum() == pytest.approx(old[[centre, *found]].sum(), rel=1e-14)
+        share = min(4, (old[[centre, *found]].sum() - LIGHTEST_CENTRE) / len(found))
+        lightened = before == 4.0 and share < 4
+        assert new[found] == pytest.approx(4.0 if lightened else share, rel=1e-14)
+    others = sorted(set(range(len(new))) - set(hydrogens_of(topology)) - set(centres_of(topology)))
+    np.testing.assert_array_equal(new[others], old[others])
+    assert f"{len(hydrogens_of(topology))} hydrogens have 4 dalton, 9 of them less" in said
+
+
+@pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p"])
+def test_water_with_and_without_virtual_sites(model):
+    _, _, system = cluster_system(3, model)
+    prepare_system(system, hydrogenMass=4)
+    found = masses(system)
+    assert sorted(found[found > 0].round(9)) == sorted([4.0] * 6 + [found[0].round(9)] * 3)
+    assert found[found > 0].sum() == pytest.approx(3 * 18.01528, rel=1e-5)  # waters of 15.99943 + 2 * 1.007947
+    back = copy.deepcopy(system)
+    prepare_system(back, hydrogenMass=1.007947)
+    assert masses(back).max() == pytest.approx(15.99943, rel=1e-5)
+
+
+def test_frozen_atoms_stay_frozen_and_systems_without_hydrogens_as_they_are():
+    system = openmm.System()
+    bonds = openmm.HarmonicBondForce()
+    for mass in (12.0, 0.0, 12.0, 1.0, 0.0, 1.0, 1.0, 1.0, 40.0):
+        system.addParticle(mass)
+    # Two carbons with a frozen hydrogen each, one with another; a frozen atom with hydrogen; H2; argon.
+    for first, second in ((0, 1), (0, 2), (2, 3), (4, 5), (6, 7)):
+        bonds.addBond(first, second, 0.1, 1e5)
+    system.addForce(bonds)
+    prepare_system(system, hydrogenMass=3)
+    assert masses(system).tolist() == [12, 0, 10, 3, 0, 1, 1, 1, 40]
+
+
+@pytest.mark.parametrize("mass", [0, -1, 5, float("nan"), "4", 4 * unit.kelvin])
+def test_masses_that_are_refused(alanine, mass):
+    topology, forcefield = alanine
+    system = forcefield.createSystem(topology, constraints=app.HBonds)
+    before = openmm.XmlSerializer.serialize(system)
+    with pytest.raises((ValueError, TypeError), match="hydrogenMass must be"):
+        prepare_system(system, hydrogenMass=mass)
+    assert openmm.XmlSerializer.serialize(system) == before
+    with pytest.raises(ValueError, match="prepare first, then make the bodies"):
+        prepare_system(system, RigidBodies.from_system(system), hydrogenMass=4)
+    assert openmm.XmlSerializer.serialize(system) == before
+
+
+def test_a_heavy_system_runs():
+    """The bodies have the new masses and moments, and energy is conserved."""
+    _, positions, system = cluster_system(3)
+    prepare_system(system, hydrogenMass=4)
+    integrator = SIER4GIntegrator(0.004)
+    context = openmm.Context(system, integrator, platform())
+    context.setPositions(positions)
+    assert integrator.bodies.masses == pytest.approx(18.01532, rel=1e-5)
+    integrator.step(5)
+    assert context.getStepCount() == 5
