@@ -348,6 +348,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._store()
 
     def _bind(self, context: openmm.Context) -> None:
+        checks.refuse_drude_particles(context.getSystem())
         checks.tell_of_frozen_atoms_that_move(context.getSystem())
         self._watch = RunawayWatch(context.getSystem())
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.

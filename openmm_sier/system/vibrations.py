@@ -114,7 +114,7 @@ class Vibrations:
         self._isolated = not any(
             isinstance(force, (openmm.AndersenThermostat, *BAROSTATS)) for force in system.getForces()
         )
-        self._warned = False
+        self._told: set[str] = set()
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
         """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.
@@ -137,7 +137,7 @@ class Vibrations:
             f"{_fs(max(accurate, HEATING * stable))} on. Take a shorter step"
         )
         slip = f". A number is a time in ps: for {h:g} fs give {h:g}*unit.femtoseconds" if h >= SLIP else ""
-        self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described + slip)
+        self._judge("librations", f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described + slip)
 
     def check_nested(self, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
         """The same for fast forces within drifts, which must also not resonate with the kicks.
@@ -153,9 +153,10 @@ class Vibrations:
         bond = _fastest(self._bonds, groups)
         if bond is not None and h > RESONANCE * bond.period:
             self._tell_once(
+                "resonance",
                 f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
                 f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
-                f"{_fs(RESONANCE * bond.period)}, or {CONSTRAIN}"
+                f"{_fs(RESONANCE * bond.period)}, or {CONSTRAIN}",
             )
 
     def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
@@ -166,16 +167,17 @@ class Vibrations:
         thermostat or barostat of the System acts.
         """
         libration, usual = _fastest(self._librations, groups), scheme.constant_energy_step
-        if libration is None or usual is None or scheme.order < 4 or not self._isolated:
+        if libration is None or usual is None or scheme.order < 4 or not self._isolated or "librations" in self._told:
             return
         good = usual * libration.period / WATER
         if h <= TOLERATED * good:
             return
         error = AT_USUAL_STEP * math.exp(RESONANCE_DECAY * libration.period * (1 / good - 1 / h))
         self._tell_once(
+            "walk",
             f"At constant energy a step of {_fs(h)} makes the energy walk: expect rms(H)/rms(V) of some "
             f"{_percent(min(error, 1.0))} over a whole run, where {scheme.name} at {_fs(good)} has "
-            f"{_percent(AT_USUAL_STEP)}. Take {_fs(good)}; in a heat bath or by hybrid Monte Carlo steps may be longer"
+            f"{_percent(AT_USUAL_STEP)}. Take {_fs(good)}; in a heat bath or by hybrid Monte Carlo steps may be longer",
         )
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
@@ -198,22 +200,23 @@ class Vibrations:
             f"accurately with steps of up to {_fs(accurate)}, and is unstable from {_fs(stable)} on. {remedy}, or "
             f"{CONSTRAIN}"
         )
-        self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
+        self._judge(what, f"{what} of {_fs(h)}", h, stable, accurate, described)
 
-    def _judge(self, what: str, h: float, refused: float, accurate: float, described: str) -> None:
+    def _judge(self, kind: str, what: str, h: float, refused: float, accurate: float, described: str) -> None:
         if h >= refused:
             raise openmm.OpenMMException(f"{what} is too long: {described}")
         if h > accurate:
-            self._tell_once(f"{what} is long: {described}")
+            self._tell_once(kind, f"{what} is long: {described}")
 
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels
         residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in bond.atoms))})"
         return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}"
 
-    def _tell_once(self, message: str) -> None:
-        if not self._warned:
-            self._warned = True
+    def _tell_once(self, kind: str, message: str) -> None:
+        """Warn of each kind of trouble once."""
+        if kind not in self._told:
+            self._told.add(kind)
             tell(message)
 
 

@@ -346,3 +346,14 @@ def test_text_is_no_number():
         SIERLangevinIntegrator("300", 1, 0.002)
     with pytest.raises(TypeError, match=r"stepSize must be a quantity or a number in ps, got '0\.002'"):
         SIERIntegrator("0.002")
+
+
+def test_drude_particles_are_refused():
+    system = openmm.System()
+    for mass in (15.6, 0.4):
+        system.addParticle(mass)
+    drude = openmm.DrudeForce()
+    drude.addParticle(1, 0, -1, -1, -1, -1.7, 0.001, 1, 1)
+    system.addForce(drude)
+    with pytest.raises(openmm.OpenMMException, match="take OpenMM's DrudeLangevinIntegrator or DrudeSCFIntegrator"):
+        openmm.Context(system, SIERLangevinIntegrator(297, 1, 0.001), platform())

@@ -162,3 +162,21 @@ def test_a_bond_at_a_body_moves_the_body(rng):
     (bond,) = Vibrations(system, bodies)._bonds
     assert bond.period == pytest.approx(2 * math.pi / math.sqrt(1e5 * inverse), rel=1e-10)
     assert bond.atoms == (2, 4)
+
+
+def test_every_kind_of_trouble_is_told():
+    """A step that is long for the librations of water and resonates with a bond in inner steps: both, once each."""
+    _, _, system = cluster_system(3)
+    bond, nonbonded = openmm.HarmonicBondForce(), next(f for f in system.getForces() if hasattr(f, "addException"))
+    for mass in (12.0, 1.0):
+        system.addParticle(mass)
+        nonbonded.addParticle(0, 0.1, 0)
+    bond.addBond(9, 10, 0.1, 3e5)
+    bond.setForceGroup(1)
+    system.addForce(bond)
+    with pytest.warns(UserWarning) as told:
+        openmm.Context(system, SIERIntegrator(0.0055, SIER2, fastForceGroups={1}), platform())
+    messages = sorted(str(each.message) for each in told)
+    assert len(messages) == 2
+    assert "is long: other molecules can make" in messages[0]
+    assert "resonates with fast forces" in messages[1]
