@@ -18,7 +18,7 @@ from openmm_sier.integrators.constant_temperature import (
     per_picosecond,
     volume_move,
 )
-from openmm_sier.system.arguments import Bodies, step_size, whole_number
+from openmm_sier.system.arguments import Bodies, checked_scheme, step_size, whole_number
 
 
 class SIERHMCIntegrator(ConstantTemperatureIntegrator):
@@ -52,7 +52,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         self,
         temperature: Any,
         stepSize: Any,
-        scheme: Scheme = SIER4G,
+        scheme: Scheme | str = SIER4G,
         stepsPerTrial: int = 10,
         frictionCoeff: Any = None,
         pressure: Any = None,
@@ -67,7 +67,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         Args:
             temperature: a quantity or a number in K, above zero.
             stepSize: step of the scheme, a time quantity or a number in ps.
-            scheme: splitting scheme without a bath; it must be a palindrome.
+            scheme: splitting scheme without a bath, or its name; it must be a palindrome.
             stepsPerTrial: steps of the scheme in each trial.
             frictionCoeff: a quantity or a number in 1/ps. Momenta keep a factor exp(-friction t) in a trial of length
                 t, and the rest is drawn anew; None draws all of them anew.
@@ -79,13 +79,11 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
             TypeError: a quantity has the wrong dimension.
         """
-        if isinstance(scheme, Scheme):
-            if BATH in scheme.operators:
-                raise ValueError(
-                    f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone"
-                )
-            if not scheme.is_palindrome:
-                raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")
+        scheme = checked_scheme(scheme)
+        if BATH in scheme.operators:
+            raise ValueError(f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone")
+        if not scheme.is_palindrome:
+            raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")
         ensemble = Metropolis(
             in_kelvin(temperature),
             _friction(frictionCoeff),

@@ -17,7 +17,7 @@ from openmm_sier.integrators.constant_temperature import (
     per_picosecond,
     volume_move,
 )
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.arguments import Bodies, checked_scheme
 
 
 class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
@@ -41,7 +41,7 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
         temperature: Any,
         frictionCoeff: Any,
         stepSize: Any,
-        scheme: Scheme = SIER4G,
+        scheme: Scheme | str = SIER4G,
         bodies: Bodies = None,
         rotation: Rotation = exact,
         rotationalFriction: Any = None,
@@ -56,7 +56,7 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             temperature: of the bath, a quantity or a number in K.
             frictionCoeff: coupling to the bath, a quantity or a number in 1/ps.
             stepSize: step, a time quantity or a number in ps.
-            scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
+            scheme: splitting scheme or its name; one without a bath gets one by `Scheme.with_bath`.
             bodies: see `SIERIntegrator`.
             rotation: free-rotation map, such as `rotation.exact`.
             rotationalFriction: friction of the rotation, if it differs from `frictionCoeff`.
@@ -69,7 +69,7 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
-        scheme = scheme.with_bath() if isinstance(scheme, Scheme) else scheme
+        scheme = checked_scheme(scheme).with_bath()
         ensemble = Langevin(
             in_kelvin(temperature),
             per_picosecond("frictionCoeff", frictionCoeff),

@@ -8,9 +8,11 @@ import operator
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 
 #: Values of the argument `bodies` of integrators.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
@@ -33,6 +35,37 @@ def checked_bodies(bodies: Bodies) -> Bodies:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
 
 
+def checked_system(system: Any) -> openmm.System:
+    """An openmm.System.
+
+    Raises:
+        TypeError: it is something else, such as a Simulation.
+    """
+    if isinstance(system, openmm.System):
+        return system
+    remedy = ""
+    if hasattr(system, "system") or hasattr(system, "getSystem"):
+        remedy = ": OpenMM reads a System when it makes a Context, so give simulation.system before that is made"
+    raise TypeError(f"system must be an openmm.System, got a {type(system).__name__}{remedy}")
+
+
+def checked_scheme(scheme: Any) -> Scheme:
+    """A scheme, from itself or from its name, in letters of any case.
+
+    Raises:
+        ValueError: no scheme has that name.
+        TypeError: it is neither.
+    """
+    if isinstance(scheme, Scheme):
+        return scheme
+    if not isinstance(scheme, str):
+        raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, or the name of one, got {scheme!r}")
+    if (found := CATALOGUE.get(scheme.lower())) is None:
+        known = ", ".join(each.name for each in CATALOGUE.values())
+        raise ValueError(f"scheme must be one of {known}, got {scheme!r}")
+    return found
+
+
 def step_size(size: Any) -> float:
     """A step in ps, from a quantity or a number; see `quantity_to_float`."""
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
@@ -47,10 +80,14 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
         if not value.unit.is_compatible(of):
             raise TypeError(f"{name} must be in units like {symbol}, got {value}")
         value = value.value_in_unit(of)
+    # Python would read a number from a text, which hides that somebody forgot to.
+    wrong = TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}")
+    if isinstance(value, str | bytes):
+        raise wrong
     try:
         value = float(value)
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}") from None
+        raise wrong from None
     if not math.isfinite(value):
         raise ValueError(f"{name} must be finite, got {value} {symbol}")
     return value

@@ -8,8 +8,11 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import (
+    SIER2P3,
     SIER2Integrator,
     SIER4Integrator,
+    SIERHMCIntegrator,
+    SIERIntegrator,
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
@@ -320,3 +323,27 @@ def test_barostats_need_no_velocities(box, barostat):
         volumes.append(context.getState().getPeriodicBoxVolume()._value)
     assert np.array_equal(*ends)
     assert volumes[1] == volumes[3] != volumes[0]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda scheme: SIERIntegrator(0.001, scheme),
+        lambda scheme: SIERLangevinIntegrator(300, 1, 0.001, scheme),
+        lambda scheme: SIERHMCIntegrator(300, 0.001, scheme),
+    ],
+)
+def test_a_scheme_may_be_given_by_its_name(make):
+    for name in ("SIER2P3", "sier2p3", "Sier2P3"):
+        assert make(name).scheme == make(SIER2P3).scheme
+    with pytest.raises(ValueError, match=r"scheme must be one of SIER2, .*SIER4P, got 'verlet'"):
+        make("verlet")
+    with pytest.raises(TypeError, match=r"scheme must be a Scheme.* or the name of one, got 4"):
+        make(4)
+
+
+def test_numbers_are_not_read_from_texts():
+    with pytest.raises(TypeError, match="temperature must be a quantity or a number in K, got '300'"):
+        SIERLangevinIntegrator("300", 1, 0.001)
+    with pytest.raises(TypeError, match=r"stepSize must be a quantity or a number in ps, got '0.001'"):
+        SIERIntegrator("0.001")
