@@ -326,6 +326,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _prepare_for(self, system: openmm.System) -> None:
         """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context."""
+        checks.refuse_drude_particles(system)
         self._find_fast_forces(system)
         if self.scheme.without(BATH).order >= 4:
             tell_of_pme(system, self.scheme.name)

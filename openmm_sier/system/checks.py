@@ -45,6 +45,21 @@ def barostats(system: openmm.System) -> list[openmm.Force]:
     return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
 
 
+def refuse_drude_particles(system: openmm.System) -> None:
+    """Refuse a DrudeForce, whose particles need a cold heat bath of their own.
+
+    Raises:
+        openmm.OpenMMException: there is one.
+    """
+    for force in system.getForces():
+        if isinstance(force, openmm.DrudeForce):
+            raise openmm.OpenMMException(
+                f"{force.getName()} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
+                "them from 1 K to hundreds, with a wrong polarization. Take openmm.DrudeLangevinIntegrator, "
+                "DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
+            )
+
+
 def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:
     """Refuse a System whose volume an integrator cannot change.
 

@@ -207,3 +207,15 @@ def test_every_kind_of_warning_is_given(flexible):
         vibrations.check(SIER4G, 0.0036, 1)
         vibrations.check_nested(SIER4G, SIER4G, 1e-4, 0.58 * PERIOD, 1)
     assert ["is long" in str(each.message) for each in told] == [True, False]
+
+
+def test_a_drude_force_is_refused_with_what_to_take():
+    """SWM4-NDP's pairs were at 178 K, where they belong near 1 K."""
+    system = diatomic(strength=0.0)
+    drude = openmm.DrudeForce()
+    drude.addParticle(1, 0, -1, -1, -1, -1.7, 1e-3, 1, 1)
+    system.addForce(drude)
+    integrator = SIER2Integrator(0.001)
+    with pytest.raises(openmm.OpenMMException, match=r"DrudeForce.*openmm\.DrudeLangevinIntegrator"):
+        openmm.Context(system, integrator, platform())
+    openmm.Context(diatomic(), integrator, platform())
