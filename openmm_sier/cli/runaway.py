@@ -19,7 +19,7 @@ from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.temperature import DegreesOfFreedom
 from openmm_sier.measure.observables import blocks, energy_error_within_1_ps
 from openmm_sier.measure.statistics import rms
-from openmm_sier.system.runaway import hottest
+from openmm_sier.system.runaway import RunawayError, hottest
 
 #: Column of the log with H.
 ENERGY = "Conserved Energy (kJ/mole)"
@@ -64,9 +64,9 @@ def check(context: openmm.Context, bounds: Bounds) -> None:
 
 
 def is_runaway(error: BaseException) -> bool:
-    """Whether a step failed because forces or positions are not finite."""
+    """Whether a step failed because it made the System too hot, or forces or positions are not finite."""
     # OpenMM has one class for all its errors.
-    broken = isinstance(error, TrajectoryError) or isinstance(error.__context__, NotFiniteError)
+    broken = isinstance(error, TrajectoryError | RunawayError) or isinstance(error.__context__, NotFiniteError)
     return broken or "coordinate is NaN" in str(error)
 
 

@@ -126,7 +126,7 @@ class Engine(ABC):
         if checked != self._checked:
             self._vibrations.check(flow.scheme, flow.step, groups & ~flow.fast_groups)
             inner, fast = self._inner_step(), groups & flow.fast_groups
-            self._vibrations.check_nested(WITHIN_DRIFTS, inner, flow.step, fast)
+            self._vibrations.check_nested(flow.scheme, WITHIN_DRIFTS, inner, flow.step, fast)
             if flow.constant_energy:
                 self._vibrations.tell_of_walk(flow.scheme, flow.step, groups & ~flow.fast_groups)
             self._checked = checked

@@ -67,7 +67,7 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         Args:
             temperature: a quantity or a number in K, above zero.
             stepSize: step of the scheme, a time quantity or a number in ps.
-            scheme: splitting scheme without a bath; it must be a palindrome.
+            scheme: splitting scheme without a bath, or its name; it must be a palindrome.
             stepsPerTrial: steps of the scheme in each trial.
             frictionCoeff: a quantity or a number in 1/ps. Momenta keep a factor exp(-friction t) in a trial of length
                 t, and the rest is drawn anew; None draws all of them anew.

@@ -28,7 +28,7 @@ from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators import settings
 from openmm_sier.integrators.settings import Settings
-from openmm_sier.prepare.close_pairs import fast_force_groups, refuse_regrouped
+from openmm_sier.prepare.fast_forces import find_fast_groups
 from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import (
@@ -73,7 +73,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         Args:
             stepSize: step, a time quantity or a number in ps.
-            scheme: splitting scheme, see `openmm_sier.dynamics.schemes`, or the name of one, such as "SIER4G".
+            scheme: splitting scheme, see `openmm_sier.dynamics.schemes`, or its name, such as "SIER4G".
             bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices define
                 further rigid bodies, with the geometry that they have at the first step.
             rotation: free-rotation map, such as `rotation.exact`.
@@ -90,11 +90,11 @@ class SIERIntegrator(openmm.CustomIntegrator):
             ensemble: what happens between steps of the scheme, see `openmm_sier.ensembles`; None: constant energy.
 
         Raises:
-            ValueError: the step is negative or not finite, the engine is unknown, `substeps` is below 1, or a force
-                group is not from 0 to 31. A step of 0 is allowed, for Contexts that only evaluate forces: steps are
-                counted and nothing moves.
-            TypeError: the step is not a time, `scheme` is not a Scheme, or `bodies` or `fastForceGroups` have the
-                wrong type.
+            ValueError: the step is negative or not finite, scheme or engine are unknown, `substeps` is below 1, or a
+                force group is not from 0 to 31. A step of 0 is allowed, for Contexts that only evaluate forces: steps
+                are counted and nothing moves.
+            TypeError: the step is not a time, `scheme` is neither a Scheme nor a name, or `bodies` or `fastForceGroups`
+                have the wrong type.
         """
         given = Settings(
             kind=settings.place_of(type(self)),
@@ -326,6 +326,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _prepare_for(self, system: openmm.System) -> None:
         """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context."""
+        checks.refuse_drude_particles(system)
         self._find_fast_forces(system)
         if self.scheme.without(BATH).order >= 4:
             tell_of_pme(system, self.scheme.name)
@@ -339,8 +340,11 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _find_fast_forces(self, system: openmm.System) -> None:
         # An integrator that has a Context already is refused by OpenMM, and must stay that Context's own.
-        groups = fast_force_groups(system)
-        if self._system is not None or not self._settings.finds_fast_groups or groups == self._settings.fast_groups:
+        given = self._settings
+        if self._system is not None or not given.finds_fast_groups:
+            return
+        groups = find_fast_groups(system, given.bodies, says=True)
+        if groups == given.fast_groups:
             return
         self._settings = replace(self._settings, fast_groups=groups)
         self._program = _written(self._settings)
@@ -348,19 +352,15 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self._store()
 
     def _bind(self, context: openmm.Context) -> None:
-        checks.refuse_drude_particles(context.getSystem())
         checks.tell_of_frozen_atoms_that_move(context.getSystem())
         self._watch = RunawayWatch(context.getSystem())
         # If the System is refused when a Context is reinitialized, the old System's bodies must not remain.
         self._engine, self._system = None, UnchangedSystem(context.getSystem())
-        finds = self._settings.finds_fast_groups
-        if finds and fast_force_groups(context.getSystem()) != self._settings.fast_groups:
+        given = self._settings
+        if given.finds_fast_groups and find_fast_groups(context.getSystem(), given.bodies) != given.fast_groups:
             raise openmm.OpenMMException(
                 "The System was prepared after the integrator was given to its Context: create a new Context"
             )
-        if finds:
-            refuse_regrouped(context.getSystem())
-        given = self._settings
         engine = engine_for(given.engine, self, context, self._flow(), given.bodies, self._program)
         self._ensemble.check(context.getSystem(), engine)
         self._engine = engine

@@ -56,7 +56,7 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             temperature: of the bath, a quantity or a number in K.
             frictionCoeff: coupling to the bath, a quantity or a number in 1/ps.
             stepSize: step, a time quantity or a number in ps.
-            scheme: splitting scheme; one without a bath gets one by `Scheme.with_bath`.
+            scheme: splitting scheme or its name; one without a bath gets one by `Scheme.with_bath`.
             bodies: see `SIERIntegrator`.
             rotation: free-rotation map, such as `rotation.exact`.
             rotationalFriction: friction of the rotation, if it differs from `frictionCoeff`.
@@ -69,13 +69,13 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
+        scheme = checked_scheme(scheme).with_bath()
         ensemble = Langevin(
             in_kelvin(temperature),
             per_picosecond("frictionCoeff", frictionCoeff),
             None if rotationalFriction is None else per_picosecond("rotationalFriction", rotationalFriction),
             volume_move(pressure, barostatInterval),
         )
-        scheme = checked_scheme(scheme).with_bath()
         super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
 
     def setFriction(self, coeff: Any) -> None:

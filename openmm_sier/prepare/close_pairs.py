@@ -19,9 +19,6 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.system.arguments import groups_of
-from openmm_sier.system.bonded_terms import bonded_kind
-
 #: Largest number of bonds between atoms of a close pair. Those further apart make no difference.
 REACH = 4
 
@@ -44,22 +41,6 @@ def own_forces(system: openmm.System) -> list[int]:
 def fast_force_groups(system: openmm.System) -> int:
     """Bit mask of the fast force groups of a prepared System; 0 for any other System."""
     return sum({1 << force.getForceGroup() for force in system.getForces() if force.getName() == NAME})
-
-
-def refuse_regrouped(system: openmm.System) -> None:
-    """Refuse a prepared System whose bonded forces were moved to other groups after they had been prepared.
-
-    Raises:
-        openmm.OpenMMException: of all fast forces only the close pairs are still in the fast group.
-    """
-    fast = fast_force_groups(system)
-    others = (force for i, force in enumerate(system.getForces()) if i not in own_forces(system))
-    if fast and not any(fast >> force.getForceGroup() & 1 and bonded_kind(force) is not None for force in others):
-        raise openmm.OpenMMException(
-            "The force groups of this System were changed after prepare_system, so that its fast force group "
-            f"{groups_of(fast)[0]} has no bond, angle or torsion left, and long steps would be inaccurate: call "
-            "prepare_system(system) again, after the last change of groups"
-        )
 
 
 def add_close_pairs(system: openmm.System, edges: np.ndarray, group: int, periodic: bool) -> int:

@@ -10,12 +10,11 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
+from openmm_sier.prepare.fast_forces import FastForces
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
-from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
-from openmm_sier.system.find_bodies import BodyPlan, Links, tied
+from openmm_sier.system.find_bodies import Links
 
 #: Largest ewaldErrorTolerance that serves every scheme.
 TOLERANCE = 1e-4
@@ -64,10 +63,9 @@ def prepare_system(
 
     Args:
         system: openmm.System; its force groups and PME parameters are changed, and two Forces may be added.
-        bodies: the bodies that the integrator will be given, as it takes them: `RigidBodies`, or lists of particle
-            indices for bodies besides those of the System's constraints; None: those of its constraints.
-        fastForceGroup: force group for the fast forces, from 0 to 31; None: the first one from 1 on that is free.
-
+        bodies: the bodies that the integrator will be given, as it takes them; None: those of the System's constraints.
+        fastForceGroup: force group for the fast forces, from 0 to 31. None: 1 or, if that has other forces, the first
+            that has none.
         hydrogenMass: of all hydrogens, in water too, a quantity or a number in dalton, see `set_hydrogen_masses`; None
             leaves them as they are. Four dalton let steps be 1.6 times as long. Averages of positions do not change,
             but motion does: diffusion and relaxation of water are some 10 to 20 % slower. Do not use it where dynamics
@@ -77,21 +75,23 @@ def prepare_system(
         The fast force groups, what was done, and what still limits the energy; print it.
 
     Raises:
-        TypeError: an argument is of the wrong type, for example a Simulation in place of its System.
+        TypeError: it is no System, such as a Simulation, or `bodies` have the wrong type.
         ValueError: the group is out of range or already has other forces, `hydrogenMass` is out of range or given with
             bodies that have masses already, or `balance_pme` refuses. The System is unchanged then.
         RigidityError: see `RigidBodies.from_system`; the System is unchanged then too.
     """
-    checked_system(system)
-    own = close_pairs.own_forces(system)
-    forces = [force for i, force in enumerate(system.getForces()) if i not in own]
-    acting = [force for force in forces if not isinstance(force, WITHOUT_FORCES)]
-    owner, point = _owners(system, bodies)
-    # Terms between frozen atoms do no work, like those inside one body.
-    owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
-    bonded = [(force, between) for force in acting if len(between := _between(force, owner))]
-    fast = [force for force, between in bonded if point[between].all()]
-    group = _group_for(fast, acting, fastForceGroup)
+    system = checked_system(system)
+    group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup)
+    if group is not None and group >= GROUPS:
+        raise ValueError(f"fastForceGroup must be from 0 to {GROUPS - 1}, got {group}")
+    known = FastForces(system, checked_bodies(bodies))
+    if group is None:
+        group = known.free_group()
+    for force in known.others_in(group):
+        raise ValueError(
+            f"{force.getName()} is in force group {group}, which is to be that of the fast forces: give another "
+            "fastForceGroup or none, to have a free one, or, if it was prepared for other bodies, prepare a new System"
+        )
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     if heavy is not None and isinstance(bodies, RigidBodies):
         raise ValueError("hydrogenMass changes masses that these bodies have: prepare first, then make the bodies")
@@ -101,71 +101,34 @@ def prepare_system(
         done.append("The sums of PME are balanced.")
     if heavy is not None:
         done.append(set_hydrogen_masses(system, heavy))
-    for i in reversed(own):
+    fast = list(known.fast.values())
+    for i in reversed(close_pairs.own_forces(system)):
         system.removeForce(i)
     for force in fast:
         force.setForceGroup(group)
     if fast:
-        done.append(f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}.")
-        periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
-        links = Links(system)
-        edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
-        edges = edges[point[edges].all(axis=1)]
-        if count := close_pairs.add_close_pairs(system, edges, group, periodic):
-            done.append(
-                f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart act there too, and are "
-                "subtracted in the kicks."
-            )
+        done += _add_close_pairs(system, known.points, fast, group)
     else:
         done.append("No bonded force acts on a molecule that is not rigid.")
-    if left := [force.getName() for force, _ in bonded if force not in fast]:
+    if left := [force.getName() for force in known.slow]:
         why = "they act on rigid bodies, virtual sites or frozen atoms"
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     return Preparation(frozenset({group} if fast else ()), tuple(done), _energy_limits(system))
 
 
-def _group_for(fast: list[openmm.Force], acting: list[openmm.Force], asked: int | None) -> int:
-    """The group for the fast forces of those that act, as it is asked for or free.
-
-    Raises:
-        ValueError: there is no such group, or others of the forces are in it.
-    """
-    taken = {force.getForceGroup(): force for force in reversed(acting) if force not in fast}
-    if asked is None:
-        free = next((group for group in range(1, GROUPS) if group not in taken), None)
-        if free is None:
-            raise ValueError(f"no force group from 1 to {GROUPS - 1} is free for the fast forces: put others together")
-        return free
-    if (group := whole_number("fastForceGroup", asked)) >= GROUPS:
-        raise ValueError(f"fastForceGroup must be from 0 to {GROUPS - 1}, got {group}")
-    if group in taken:
-        raise ValueError(
-            f"{taken[group].getName()} is in force group {group}, which is to be that of the fast forces: give another "
-            "fastForceGroup or, if it was prepared for other bodies, prepare a new System"
+def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openmm.Force], group: int) -> list[str]:
+    """Add the close pairs of points to the group of the fast forces; returns what was done."""
+    done = [f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}."]
+    periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
+    links = Links(system)
+    edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
+    edges = edges[points[edges].all(axis=1)]
+    if count := close_pairs.add_close_pairs(system, edges, group, periodic):
+        done.append(
+            f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart act there too, and are "
+            "subtracted in the kicks."
         )
-    return group
-
-
-def _owners(system: openmm.System, bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
-    """For each particle the number of its body, and whether that is a point."""
-    if isinstance(bodies := checked_bodies(bodies), RigidBodies):
-        found = tied(system, bodies)
-        return found.owners, found.point_particles
-    owner, point = np.full(system.getNumParticles(), -1), np.zeros(system.getNumParticles(), dtype=bool)
-    number = 0
-    for kind in BodyPlan(system, rigid=bodies).kinds:
-        for cluster in kind.clusters:
-            owner[cluster], point[cluster], number = number, len(cluster) == 1, number + 1
-    return owner, point
-
-
-def _between(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
-    """The terms of a Force that do not lie in one body; none if it is not a bonded one."""
-    if bonded_kind(force) is None:
-        return np.empty((0, 0), dtype=np.int64)
-    terms = bonded_terms(force)
-    found = owner[terms]
-    return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]
+    return done
 
 
 def _energy_limits(system: openmm.System) -> tuple[str, ...]:

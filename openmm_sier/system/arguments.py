@@ -35,30 +35,35 @@ def checked_bodies(bodies: Bodies) -> Bodies:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
 
 
-def checked_scheme(scheme: Scheme | str) -> Scheme:
-    """A scheme, or the one of the catalogue that has a name, such as "SIER4G", in any case of letters.
+def checked_system(system: Any) -> openmm.System:
+    """An openmm.System.
 
     Raises:
-        TypeError: it is neither.
-    """
-    if isinstance(scheme, str) and scheme.lower() in CATALOGUE:
-        return CATALOGUE[scheme.lower()]
-    if not isinstance(scheme, Scheme):
-        names = ", ".join(each.name for each in CATALOGUE.values())
-        raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, or one of {names}, got {scheme!r}")
-    return scheme
-
-
-def checked_system(system: openmm.System) -> openmm.System:
-    """A System.
-
-    Raises:
-        TypeError: it is something else.
+        TypeError: it is something else, such as a Simulation.
     """
     if isinstance(system, openmm.System):
         return system
-    hint = ": give simulation.system, before the Simulation is made" if hasattr(system, "context") else ""
-    raise TypeError(f"system must be an openmm.System, got {type(system).__name__}{hint}")
+    remedy = ""
+    if hasattr(system, "system") or hasattr(system, "getSystem"):
+        remedy = ": OpenMM reads a System when it makes a Context, so give simulation.system before that is made"
+    raise TypeError(f"system must be an openmm.System, got a {type(system).__name__}{remedy}")
+
+
+def checked_scheme(scheme: Any) -> Scheme:
+    """A scheme, from itself or from its name, in letters of any case.
+
+    Raises:
+        ValueError: no scheme has that name.
+        TypeError: it is neither.
+    """
+    if isinstance(scheme, Scheme):
+        return scheme
+    if not isinstance(scheme, str):
+        raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, or the name of one, got {scheme!r}")
+    if (found := CATALOGUE.get(scheme.lower())) is None:
+        known = ", ".join(each.name for each in CATALOGUE.values())
+        raise ValueError(f"scheme must be one of {known}, got {scheme!r}")
+    return found
 
 
 def step_size(size: Any) -> float:
@@ -75,12 +80,14 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
         if not value.unit.is_compatible(of):
             raise TypeError(f"{name} must be in units like {symbol}, got {value}")
         value = value.value_in_unit(of)
+    # Python would read a number from a text, which hides that somebody forgot to.
+    wrong = TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}")
+    if isinstance(value, str | bytes):
+        raise wrong
     try:
-        if isinstance(value, str):
-            raise TypeError
         value = float(value)
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}") from None
+        raise wrong from None
     if not math.isfinite(value):
         raise ValueError(f"{name} must be finite, got {value} {symbol}")
     return value

@@ -40,22 +40,24 @@ def is_passive(force: openmm.Force) -> bool:
     return isinstance(force, PASSIVE_FORCES)
 
 
-def refuse_drude_particles(system: openmm.System) -> None:
-    """Refuse a System with Drude particles, which need a temperature of their own near 1 K.
-
-    Raises:
-        openmm.OpenMMException: it has a DrudeForce.
-    """
-    if any(isinstance(force, openmm.DrudeForce) for force in system.getForces()):
-        raise openmm.OpenMMException(
-            "The System has a DrudeForce, whose particles these integrators would warm to the temperature of the "
-            "liquid: take OpenMM's DrudeLangevinIntegrator or DrudeSCFIntegrator"
-        )
-
-
 def barostats(system: openmm.System) -> list[openmm.Force]:
     """The barostats of OpenMM that a System has."""
     return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
+
+
+def refuse_drude_particles(system: openmm.System) -> None:
+    """Refuse a DrudeForce, whose particles need a cold heat bath of their own.
+
+    Raises:
+        openmm.OpenMMException: there is one.
+    """
+    for force in system.getForces():
+        if isinstance(force, openmm.DrudeForce):
+            raise openmm.OpenMMException(
+                f"{force.getName()} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
+                "them from 1 K to hundreds, with a wrong polarization. Take openmm.DrudeLangevinIntegrator, "
+                "DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
+            )
 
 
 def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:

@@ -11,7 +11,6 @@ import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.system import tables
-from openmm_sier.system.notices import tell
 
 #: A temperature in K that rigid molecules are not meant for. Runs of the comparisons of integrators end there too.
 HOTTEST = 3000.0
@@ -22,6 +21,10 @@ UNLIKELY = 50.0
 #: The watch looks after at least so many steps, which cost as many forces or more. Reading the velocities of 24,000
 #: atoms takes 0.3 ms, a step of them some 50 ms on two cores. Other calls of `step` cost 1 us.
 INTERVAL = 100
+
+#: After a start it looks after so many steps, since the worst runaways take a dozen, and then after twice as many each
+#: time, up to `INTERVAL`.
+FIRST_LOOK = 5
 
 #: Fewer atoms with mass are not judged: a few ions that fall towards each other become as hot by Coulomb's law.
 FEWEST_ATOMS = 60
@@ -47,10 +50,15 @@ def hottest(temperature: float, freedoms: float) -> float:
     return max(HOTTEST, temperature * (1 + 2 * math.sqrt(excess) + 2 * excess))
 
 
-class RunawayWatch:
-    """Warns if steps have made a System hotter than rigid molecules are meant for; once after each change from outside.
+class RunawayError(openmm.OpenMMException):
+    """Steps have made a System hotter than rigid molecules are meant for."""
 
-    It looks at the velocities in the Context every `INTERVAL` steps, at the end of a call of `step`.
+
+class RunawayWatch:
+    """Stops if steps have made a System hotter than rigid molecules are meant for, or velocities no numbers.
+
+    It looks at the velocities in the Context every `INTERVAL` steps, and more often after a start, at the end of a call
+    of `step`. The Context keeps what the steps have made of it.
     """
 
     def __init__(self, system: openmm.System):
@@ -62,26 +70,29 @@ class RunawayWatch:
     def forget(self) -> None:
         """Positions or velocities were set: what they are then is a new start."""
         self._start: float | None = None
-        self._steps, self._warned = 0, False
+        self._steps, self._pause = 0, FIRST_LOOK
 
     def over(self, make: Callable[[int], None], steps: int, integrator: Any, context: openmm.Context) -> None:
-        """Make steps by a function of their number, and look; an integrator with a bath knows its temperature."""
+        """Make steps by a function of their number, and look; an integrator with a bath knows its temperature.
+
+        Raises:
+            RunawayError: the System is too hot.
+        """
         if self._atoms < FEWEST_ATOMS:
             return make(steps)
         start = self._temperature(context) if self._start is None else self._start
-        taken, warned = self._steps + steps, self._warned
+        taken, pause = self._steps + steps, self._pause
         make(steps)
         # What the steps themselves set is no new start.
-        self._start, self._steps, self._warned = start, taken, warned
-        if taken < INTERVAL or warned:
+        self._start, self._steps, self._pause = start, taken, pause
+        if taken < min(pause, INTERVAL):
             return None
         bath = integrator.getTemperature()._value if hasattr(integrator, "getTemperature") else 0.0
         # What a hot bath has heated may be cooled later.
         self._start = max(start, bath)
-        self._steps, now = 0, self._temperature(context)
-        if now > max(HOTTEST, GROWTH * self._start):
-            self._warned = True
-            tell(
+        self._steps, self._pause, now = 0, 2 * pause, self._temperature(context)
+        if not now <= max(HOTTEST, GROWTH * self._start):
+            raise RunawayError(
                 f"Steps of {1000 * integrator.getStepSize()._value:.3g} fs have raised the temperature to {now:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
                 "start? Take a shorter step, or minimize the energy first"

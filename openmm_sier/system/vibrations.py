@@ -9,6 +9,7 @@ move as if they were free. Heavier hydrogens, and those of larger bodies, are sl
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ import openmm
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import BAROSTATS, harmonic_bonds
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
@@ -25,6 +27,14 @@ from openmm_sier.system.notices import tell
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
+
+#: From this fraction of the period on, the frequencies of a bond and of a bend that shares an atom with it add up to
+#: once a kick, or the bond alone does. TIP3P's flexible water has 0.67 at 6 fs: with a bond between its hydrogens it
+#: reached 2270 K within ten steps, without it it gained 28 kJ/mol/ps.
+DESTROYED = 0.6
+
+#: Frequencies of bonds of one kind over the estimate, by its error, by bonds beside them and by the surroundings.
+SPREAD = tuple(1 + percent / 100 for percent in range(-4, 5))
 
 #: From this step in ps on, a number in fs has more likely been given than a step of picoseconds been meant.
 SLIP = 0.5
@@ -65,9 +75,9 @@ SAMPLED = 100
 WATER = 0.03154
 
 #: By the study of whole runs (`python -m studies.whole_run`, docs/accuracy.md) the energy error of a scheme of fourth
-#: order is some 0.04 % at its usual step of constant energy. For longer steps h it grows as exp(-1.8 T/h), where T is
-#: the period of the fastest librations; that is right to a factor of 2.5 for all four schemes.
-AT_USUAL_STEP, RESONANCE_DECAY = 4e-4, 1.8
+#: order is some 0.04 % at its usual step of constant energy. For longer steps h it grows as exp(-1.5 T/h), where T is
+#: the period of the fastest librations.
+AT_USUAL_STEP, RESONANCE_DECAY = 4e-4, 1.5
 
 #: Steps up to this multiple of the usual one draw no notice; the error is then up to twice that at the usual step.
 TOLERATED = 1.06
@@ -87,11 +97,13 @@ class Motion(NamedTuple):
         period: ps.
         atoms: particle indices of the ends of the bond, or of the one atom that swings.
         group: the force group that moves them.
+        share: stiffness of the surroundings over that of the bond.
     """
 
     period: float
     atoms: tuple[int, ...]
     group: int
+    share: float = 0.0
 
 
 class Vibrations:
@@ -137,27 +149,34 @@ class Vibrations:
             f"{_fs(max(accurate, HEATING * stable))} on. Take a shorter step"
         )
         slip = f". A number is a time in ps: for {h:g} fs give {h:g}*unit.femtoseconds" if h >= SLIP else ""
-        self._judge("librations", f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described + slip)
+        self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described + slip)
 
-    def check_nested(self, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
+    def check_nested(self, scheme: Scheme, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
         """The same for fast forces within drifts, which must also not resonate with the kicks.
 
-        Kicks excite a bond if they come once or twice a period: schemes are unstable for steps in windows just below
-        half a period and a whole one. The width of these windows is the share of the slow forces in the stiffness of
-        the bond. Fast forces are those of `groups`, and h is the step of the outer scheme.
+        Kicks excite a bond if they come once or twice a period: schemes are unstable for steps in windows around half a
+        period and a whole one. The width of these windows is the share of the slow forces in the stiffness of the bond.
+        From `DESTROYED` on motions of several bonds and bends together do the same. Fast forces are those of `groups`,
+        and h is the step of the outer scheme.
 
         Raises:
-            openmm.OpenMMException: the inner step is beyond the inner scheme's stability limit.
+            openmm.OpenMMException: the inner step is beyond the inner scheme's stability limit, or the step is in a
+                window or beyond `DESTROYED`.
         """
         self._check_bonds("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
         bond = _fastest(self._bonds, groups)
-        if bond is not None and h > RESONANCE * bond.period:
-            self._tell_once(
-                "resonance",
-                f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
-                f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
-                f"{_fs(RESONANCE * bond.period)}, or {CONSTRAIN}",
-            )
+        if bond is None or h <= RESONANCE * bond.period:
+            return
+        message = (
+            f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
+            f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
+            f"{_fs(RESONANCE * bond.period)}, or {CONSTRAIN}"
+        )
+        angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
+        stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
+        if h >= DESTROYED * bond.period or not stable:
+            raise openmm.OpenMMException(f"{message}. No number of inner steps helps")
+        self._tell_once(message)
 
     def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
         """Say, once, where a step at constant energy is so long that the energy walks at random over a run.
@@ -167,17 +186,16 @@ class Vibrations:
         thermostat or barostat of the System acts.
         """
         libration, usual = _fastest(self._librations, groups), scheme.constant_energy_step
-        if libration is None or usual is None or scheme.order < 4 or not self._isolated or "librations" in self._told:
+        if libration is None or usual is None or scheme.order < 4 or not self._isolated:
             return
         good = usual * libration.period / WATER
         if h <= TOLERATED * good:
             return
         error = AT_USUAL_STEP * math.exp(RESONANCE_DECAY * libration.period * (1 / good - 1 / h))
         self._tell_once(
-            "walk",
             f"At constant energy a step of {_fs(h)} makes the energy walk: expect rms(H)/rms(V) of some "
             f"{_percent(min(error, 1.0))} over a whole run, where {scheme.name} at {_fs(good)} has "
-            f"{_percent(AT_USUAL_STEP)}. Take {_fs(good)}; in a heat bath or by hybrid Monte Carlo steps may be longer",
+            f"{_percent(AT_USUAL_STEP)}. Take {_fs(good)}; in a heat bath or by hybrid Monte Carlo steps may be longer"
         )
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
@@ -200,23 +218,24 @@ class Vibrations:
             f"accurately with steps of up to {_fs(accurate)}, and is unstable from {_fs(stable)} on. {remedy}, or "
             f"{CONSTRAIN}"
         )
-        self._judge(what, f"{what} of {_fs(h)}", h, stable, accurate, described)
+        self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
 
-    def _judge(self, kind: str, what: str, h: float, refused: float, accurate: float, described: str) -> None:
+    def _judge(self, what: str, h: float, refused: float, accurate: float, described: str) -> None:
         if h >= refused:
             raise openmm.OpenMMException(f"{what} is too long: {described}")
         if h > accurate:
-            self._tell_once(kind, f"{what} is long: {described}")
+            self._tell_once(f"{what} is long: {described}")
 
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels
         residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in bond.atoms))})"
         return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}"
 
-    def _tell_once(self, kind: str, message: str) -> None:
-        """Warn of each kind of trouble once."""
-        if kind not in self._told:
-            self._told.add(kind)
+    def _tell_once(self, message: str) -> None:
+        # The same words with other numbers are not said again: tuning tries many steps.
+        words = re.sub(r"[\d.]+", "", message)
+        if words not in self._told:
+            self._told.add(words)
             tell(message)
 
 
@@ -252,9 +271,18 @@ def _fastest_bonds(
         squares = apart * strength * mobility[ends].sum(axis=1)
         fastest = int(squares.argmax())
         if squares[fastest] > 0:
-            yield Motion(
-                2 * math.pi / math.sqrt(squares[fastest]), tuple(ends[fastest].tolist()), force.getForceGroup()
-            )
+            period = 2 * math.pi / math.sqrt(squares[fastest])
+            atoms = tuple(ends[fastest].tolist())
+            share = _slow_share(system, atoms, strength[fastest], mobility)
+            yield Motion(period, atoms, force.getForceGroup(), share)
+
+
+def _slow_share(system: openmm.System, atoms: tuple[int, ...], strength: float, mobility: np.ndarray) -> float:
+    """Stiffness with which the surroundings may hold a bond, by its ends, over that of the bond itself."""
+    moved = mobility[list(atoms)]
+    forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
+    held = np.array([max((_stiffness(force, i) for force in forces), default=0.0) for i in atoms])
+    return float(held @ moved**2 / (strength * moved.sum() ** 2))
 
 
 def _fastest_librations(

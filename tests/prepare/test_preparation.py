@@ -8,7 +8,6 @@ import warnings
 import numpy as np
 import openmm
 import pytest
-from openmm import app
 
 from openmm_sier import (
     RigidBodies,
@@ -167,53 +166,6 @@ def test_a_group_in_use_is_refused():
     assert system.getForce(0).getForceGroup() == 0
     with pytest.raises(ValueError, match="from 0 to 31, got 32"):
         prepare_system(system, fastForceGroup=32)
-
-
-def test_a_free_group_is_taken():
-    """As openmmtools' alchemical factory and others leave Systems: every force in a group of its own."""
-    system, positions = system_of(chains(), waters=1)
-    for i, force in enumerate(system.getForces()):
-        force.setForceGroup(i)
-    assert prepare_system(system).fastForceGroups.isdisjoint(
-        {force.getForceGroup() for force in system.getForces() if isinstance(force, openmm.NonbondedForce)} | {0}
-    )
-    integrator = SIER4GIntegrator(0.003)
-    started(system, integrator, positions)
-    assert integrator.fastForceGroups == groups_with(system, openmm.HarmonicBondForce)
-
-
-def groups_with(system, kind):
-    return {force.getForceGroup() for force in system.getForces() if isinstance(force, kind)}
-
-
-def test_groups_that_are_changed_after_preparing_are_refused():
-    """Everybody writes these two lines to split energies."""
-    system, positions = system_of(chains(), waters=1)
-    prepare_system(system)
-    for i, force in enumerate(system.getForces()):
-        force.setForceGroup(i)
-    with pytest.raises(openmm.OpenMMException, match=r"changed after prepare_system.* call prepare_system\(system\)"):
-        started(system, SIER4GIntegrator(0.003), positions)
-    prepare_system(system)
-    context = started(system, SIER4GIntegrator(0.003), positions)
-    context.getIntegrator().step(1)
-    assert context.getStepCount() == 1
-
-
-def test_arguments_are_taken_as_integrators_take_them():
-    system, _ = system_of(chains(), waters=2)
-    with pytest.raises(TypeError, match=r"must be an openmm\.System, got CustomIntegrator"):
-        prepare_system(openmm.CustomIntegrator(0.001))
-    simulation = app.Simulation(app.Topology(), system, openmm.VerletIntegrator(0.001))
-    with pytest.raises(TypeError, match=r"got Simulation: give simulation\.system, before the Simulation is made"):
-        prepare_system(simulation)
-    with pytest.raises(TypeError, match="bodies must be RigidBodies or lists of particle indices, got 3"):
-        prepare_system(system, bodies=3)
-    whole = copy.deepcopy(system)
-    atoms = list(range(system.getNumParticles() - 6))
-    # All bonded terms are inside a body then, and none is fast.
-    assert prepare_system(whole, bodies=[atoms]).fastForceGroups == frozenset()
-    assert prepare_system(system, bodies=[]).fastForceGroups == {FAST}
 
 
 def test_water_is_prepared_and_told_of_what_limits_it():
@@ -462,3 +414,99 @@ def test_nothing_is_told_of_pme_that_somebody_chose(remedy):
         context_of(system, positions, SIER2Integrator(0.001))
         remedy(system)
         context_of(system, positions, SIERIntegrator(0.004, SIER4G))
+
+
+# --- force groups that others use ---
+
+
+def test_a_free_group_is_taken_where_the_first_has_other_forces():
+    system, positions = system_of(chains())
+    one_of(system, openmm.HarmonicBondForce).setForceGroup(0)
+    one_of(system, openmm.CustomExternalForce).setForceGroup(1)
+    one_of(system, openmm.CustomNonbondedForce).setForceGroup(2)
+    with pytest.raises(ValueError, match="CustomExternalForce is in force group 1"):
+        prepare_system(system, fastForceGroup=1)
+    done = prepare_system(system)
+    assert done.fastForceGroups == {3}
+    integrator = SIER4GIntegrator(0.003)
+    context = started(system, integrator, positions)
+    integrator.step(1)
+    assert context.getStepCount() == 1
+    assert integrator.fastForceGroups == {3}
+
+
+def test_the_group_of_the_reciprocal_sum_is_taken(peptide):
+    system = copy.deepcopy(peptide[0])
+    one_of(system, openmm.NonbondedForce).setReciprocalSpaceForceGroup(1)
+    assert prepare_system(system).fastForceGroups == {2}
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_forces_that_were_given_a_group_each_after_the_preparation_are_found(peptide, prepared, engine):
+    """The atoms move bit for bit as in the System before, but for the order in which forces are added up."""
+    ends, contexts = [], []
+    for is_regrouped in (False, True):
+        system = copy.deepcopy(prepared)
+        if is_regrouped:
+            for group, force in enumerate(system.getForces()):
+                force.setForceGroup(group)
+        integrator = SIER4GIntegrator(0.004, engine=engine)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.filterwarnings("ignore", "At constant energy|SIER4G: ")
+            context = context_of(system, peptide[1], integrator)
+        context.setVelocitiesToTemperature(300, 1)
+        integrator.step(2)
+        names = {f.getName() for f in system.getForces() if f.getForceGroup() in integrator.fastForceGroups}
+        assert names == {"HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce", NAME}
+        ends.append(array(context.getState(positions=True).getPositions()))
+        contexts.append(context)
+    # Two steps of positions of a few nm; what is left in the kicks differs by 1e-4 nm.
+    assert np.abs(ends[0] - ends[1]).max() < 1e-10
+
+
+def test_fast_forces_that_share_a_group_with_slow_ones_are_told_of_once(peptide, prepared):
+    system = copy.deepcopy(prepared)
+    for force in system.getForces():
+        force.setForceGroup(0)
+    integrator = SIER4GIntegrator(0.002)
+    with pytest.warns(UserWarning, match=r"groups were changed after prepare_system: .*HarmonicBondForce") as told:
+        context = context_of(system, peptide[1], integrator)
+    integrator.step(1)
+    assert len([each for each in told if "groups were changed" in str(each.message)]) == 1
+    assert integrator.fastForceGroups == set()
+    assert context.getStepCount() == 1
+    prepare_system(system)
+    again = SIER4GIntegrator(0.002)
+    context_of(system, peptide[1], again)
+    assert again.fastForceGroups == {FAST}
+
+
+def test_forces_that_are_added_later_stay_in_the_kicks(peptide, prepared):
+    system = copy.deepcopy(prepared)
+    restraint = openmm.CustomBondForce("10*r^2")
+    restraint.addBond(0, 10, [])
+    system.addForce(restraint)
+    integrator = SIER4GIntegrator(0.002)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        context_of(system, peptide[1], integrator)
+    assert integrator.fastForceGroups == {FAST}
+
+
+# --- what is given ---
+
+
+def test_bodies_as_plain_lists():
+    system = methanols_of(2)
+    heavy = [[0, 1, 2, 3], [4, 5], [6, 7, 8, 9], [10, 11]]
+    assert prepare_system(system, heavy).fastForceGroups == frozenset()
+    with pytest.raises(TypeError, match="bodies must be RigidBodies or lists of particle indices, got 3"):
+        prepare_system(system, 3)
+
+
+def test_a_simulation_is_refused_with_what_to_give():
+    system, positions = system_of(chains())
+    context = started(system, SIER2Integrator(0.001), positions)
+    with pytest.raises(TypeError, match=r"system must be an openmm.System, got a Context: .*simulation.system before"):
+        prepare_system(context)

@@ -10,7 +10,16 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIER4G, RigidBodies, SIER2Integrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import (
+    SIER2,
+    SIER4G,
+    RigidBodies,
+    SIER2Integrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+    prepare_system,
+)
+from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system.vibrations import Vibrations
 from tests.support.waters import cluster_system, context_at, phase_point, platform
 
@@ -91,11 +100,14 @@ def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         vibrations.check(scheme, 0.999 * slow, 1)
-        vibrations.check_nested(SIER4G, 1e-4, 0.999 * fast, 1)
+        vibrations.check_nested(scheme, SIER4G, 1e-4, 0.999 * fast, 1)
     with pytest.warns(UserWarning, match="is long"):
         vibrations.check(scheme, 1.001 * slow, 1)
-    with pytest.warns(UserWarning, match="resonates"):
-        Vibrations(system, RigidBodies.from_system(system)).check_nested(SIER4G, 1e-4, 1.001 * fast, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # SIER2 is unstable there.
+        with pytest.raises((UserWarning, openmm.OpenMMException), match="resonates"):
+            vibrations.check_nested(scheme, SIER4G, 1e-4, 1.001 * fast, 1)
 
 
 def test_bonds_inside_bodies_do_not_count(flexible):
@@ -164,19 +176,46 @@ def test_a_bond_at_a_body_moves_the_body(rng):
     assert bond.atoms == (2, 4)
 
 
-def test_every_kind_of_trouble_is_told():
-    """A step that is long for the librations of water and resonates with a bond in inner steps: both, once each."""
-    _, _, system = cluster_system(3)
-    bond, nonbonded = openmm.HarmonicBondForce(), next(f for f in system.getForces() if hasattr(f, "addException"))
-    for mass in (12.0, 1.0):
-        system.addParticle(mass)
-        nonbonded.addParticle(0, 0.1, 0)
-    bond.addBond(9, 10, 0.1, 3e5)
-    bond.setForceGroup(1)
-    system.addForce(bond)
-    with pytest.warns(UserWarning) as told:
-        openmm.Context(system, SIERIntegrator(0.0055, SIER2, fastForceGroups={1}), platform())
-    messages = sorted(str(each.message) for each in told)
-    assert len(messages) == 2
-    assert "is long: other molecules can make" in messages[0]
-    assert "resonates with fast forces" in messages[1]
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_flexible_water_that_is_prepared_is_refused_where_kicks_destroy_it(engine):
+    """At 6 fs, two thirds of a period, it gains 28 kJ/mol/ps, and at 4.5 fs, half a period, a tenth of its heat in
+    0.2 ps; at 4 fs it runs."""
+    _, _, system = cluster_system(3, rigidWater=False)
+    prepare_system(system)
+    for h in (0.0045, 0.006, 0.009):
+        with pytest.raises(openmm.OpenMMException, match=r"resonates with fast forces: .*No number of inner steps"):
+            openmm.Context(system, SIERIntegrator(h, SIER4G, engine=engine, substeps=8), platform())
+    openmm.Context(system, SIERIntegrator(0.004, SIER4G, engine=engine, substeps=8), platform())
+
+
+@pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)
+@pytest.mark.parametrize("share", [0.1, -0.1])
+def test_kicks_once_a_period_are_unstable_and_others_not(scheme, share):
+    """A tenth of the stiffness in the kicks changes the frequency by 5 %, on the side of its sign."""
+    shift = math.sqrt(1 + share)
+    assert nested_is_stable(scheme.stages, 0.8 * math.pi, share)
+    assert not nested_is_stable(scheme.stages, 2 * math.pi * (1 - (shift - 1)), share)
+    assert nested_is_stable(scheme.stages, 1.5 * math.pi, share)
+
+
+def test_every_kind_of_warning_is_given(flexible):
+    _, _, system = flexible
+    vibrations = Vibrations(system, RigidBodies.from_system(system))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        vibrations.check(SIER4G, 0.0035, 1)
+        vibrations.check(SIER4G, 0.0036, 1)
+        vibrations.check_nested(SIER4G, SIER4G, 1e-4, 0.58 * PERIOD, 1)
+    assert ["is long" in str(each.message) for each in told] == [True, False]
+
+
+def test_a_drude_force_is_refused_with_what_to_take():
+    """SWM4-NDP's pairs were at 178 K, where they belong near 1 K."""
+    system = diatomic(strength=0.0)
+    drude = openmm.DrudeForce()
+    drude.addParticle(1, 0, -1, -1, -1, -1.7, 1e-3, 1, 1)
+    system.addForce(drude)
+    integrator = SIER2Integrator(0.001)
+    with pytest.raises(openmm.OpenMMException, match=r"DrudeForce.*openmm\.DrudeLangevinIntegrator"):
+        openmm.Context(system, integrator, platform())
+    openmm.Context(diatomic(), integrator, platform())

@@ -1,0 +1,133 @@
+"""Which Forces of a System can act within drifts, and the force groups in which integrators find them."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.prepare.close_pairs import NAME, OPPOSITE, fast_force_groups, own_forces
+from openmm_sier.system import tables
+from openmm_sier.system.arguments import GROUPS, Bodies, groups_of
+from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
+from openmm_sier.system.find_bodies import BodyPlan, tied
+from openmm_sier.system.notices import tell
+
+
+class FastForces:
+    """The Forces of a System by whether they can be fast, for some bodies.
+
+    A Force can be fast if it is a bonded one, does work, and acts on nothing but points: no rigid body, virtual site or
+    frozen atom. Forces that the preparation added are left out.
+
+    Attributes:
+        points: for each particle whether it is a body of its own.
+        acting: Forces that exert forces, by their numbers.
+        fast: those that can be fast, by their numbers.
+        slow: bonded Forces that do work and cannot be fast.
+    """
+
+    def __init__(self, system: openmm.System, bodies: Bodies):
+        owner, self.points = _owners(system, bodies)
+        # Terms between frozen atoms do no work, like those inside one body.
+        owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
+        own = own_forces(system)
+        self.acting = {
+            i: force
+            for i, force in enumerate(system.getForces())
+            if i not in own and not isinstance(force, WITHOUT_FORCES)
+        }
+        working = {i: between for i, force in self.acting.items() if len(between := _between(force, owner))}
+        self.fast = {i: self.acting[i] for i, between in working.items() if self.points[between].all()}
+        self.slow = [self.acting[i] for i in working if i not in self.fast]
+
+    def others_in(self, group: int) -> list[openmm.Force]:
+        """The Forces of a group that cannot be fast."""
+        return [force for i, force in self.acting.items() if group in _groups(force) and i not in self.fast]
+
+    def free_group(self) -> int:
+        """A group for the fast forces: 1 or, if that has other forces, the first that has none.
+
+        Raises:
+            ValueError: all groups have other forces.
+        """
+        for group in (*range(1, GROUPS), 0):
+            if not self.others_in(group):
+                return group
+        raise ValueError(f"all {GROUPS} force groups have other forces: put some of them together, by setForceGroup")
+
+
+def find_fast_groups(system: openmm.System, bodies: Bodies, says: bool = False) -> int:
+    """Bit mask of the fast force groups of a System; 0 if it is not prepared.
+
+    They are those of the preparation. If somebody has regrouped the Forces since, they are all groups that hold only
+    what the preparation made fast. Forces that were added later stay in the kicks.
+
+    Args:
+        system: openmm.System.
+        bodies: those of the integrator.
+        says: whether to warn of fast forces that now share a group with others.
+    """
+    marked = fast_force_groups(system)
+    names = [force.getName() for force in system.getForces()]
+    if not marked or not _may_be_regrouped(system, marked, names.index(NAME)):
+        return marked
+    known = FastForces(system, bodies)
+    fast = {i: force for i, force in known.fast.items() if i < names.index(NAME)}
+    fast |= {i: system.getForce(i) for i, name in enumerate(names) if name == NAME}
+    taken = {force.getForceGroup() for force in system.getForces() if force.getName() == OPPOSITE}
+    taken |= {group for i, force in known.acting.items() if i not in fast for group in _groups(force)}
+    groups = {force.getForceGroup() for force in fast.values()} - taken
+    mask = sum(1 << group for group in groups)
+    if says and (left := [force.getName() for force in fast.values() if force.getForceGroup() in taken]):
+        tell(
+            f"Force groups were changed after prepare_system: {', '.join(left)} now share a group with slow forces and "
+            f"act in the kicks, where they limit the step (fast force groups: {groups_of(mask) or 'none'}). Set force "
+            "groups first and call prepare_system(system) after that, or give these Forces groups of their own"
+        )
+    return mask
+
+
+def _may_be_regrouped(system: openmm.System, marked: int, end: int) -> bool:
+    """Whether a Force before the number `end` is bonded and not in a marked group, or in one and not bonded.
+
+    Most often no Force is, and then nobody has to know the bodies.
+    """
+    for i, force in enumerate(system.getForces()):
+        if isinstance(force, WITHOUT_FORCES) or force.getName() == NAME:
+            continue
+        is_marked = any(marked >> group & 1 for group in _groups(force))
+        is_bonded = bonded_kind(force) is not None and force.getName() != OPPOSITE
+        if is_marked != (is_bonded and i < end):
+            return True
+    return False
+
+
+def _groups(force: openmm.Force) -> set[int]:
+    """The force groups of a Force, with that of its reciprocal space."""
+    found = {force.getForceGroup()}
+    if isinstance(force, openmm.NonbondedForce) and (reciprocal := force.getReciprocalSpaceForceGroup()) >= 0:
+        found.add(reciprocal)
+    return found
+
+
+def _owners(system: openmm.System, bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
+    """For each particle the number of its body, and whether that is a point."""
+    if isinstance(bodies, RigidBodies):
+        found = tied(system, bodies)
+        return found.owners.copy(), found.point_particles
+    owner, point = np.full(system.getNumParticles(), -1), np.zeros(system.getNumParticles(), dtype=bool)
+    number = 0
+    for kind in BodyPlan(system, rigid=bodies).kinds:
+        for cluster in kind.clusters:
+            owner[list(cluster)], point[list(cluster)], number = number, len(cluster) == 1, number + 1
+    return owner, point
+
+
+def _between(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
+    """The terms of a Force that do not lie in one body; none if it is not a bonded one."""
+    if bonded_kind(force) is None:
+        return np.empty((0, 0), dtype=np.int64)
+    terms = bonded_terms(force)
+    found = owner[terms]
+    return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]
