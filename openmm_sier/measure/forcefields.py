@@ -15,8 +15,8 @@ from openmm.unit import Quantity
 
 from openmm_sier.measure.pdb_files import first_line, read_pdb
 from openmm_sier.measure.water_models import ForceFieldError, recognize
-from openmm_sier.observe.body_states import wrapped
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.system.boxes import wrapped
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
