@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.metropolis import spread_at
 from openmm_sier.dynamics.statistics import inefficiency_and_error
@@ -161,11 +162,11 @@ def tune(
     if lengths is not None and not counts:
         raise ValueError("lengths must have at least one number of steps, got none")
     before, forces = (integrator.getSchemeStepSize(), integrator.getStepsPerTrial()), integrator.forceEvaluations
-    if not before[0]._value:
+    if not (length := before[0].value_in_unit(unit.picosecond) * before[1]):
         raise ValueError("the integrator's step must be above zero, got 0")
     try:
         tried, step = _find_step(integrator, acceptance, trials)
-        compared, steps = _find_length(integrator, step, samples, counts, before[0]._value * before[1])
+        compared, steps = _find_length(integrator, step, samples, counts, length)
         _set(integrator, step, steps)
     except BaseException:
         integrator.setSchemeStepSize(before[0])
@@ -200,7 +201,7 @@ def _chances(errors: Sequence[float]) -> float:
 
 def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tuple[tuple[StepFound, ...], float]:
     """The steps that were tried, and the one with the wanted acceptance."""
-    step = integrator.getSchemeStepSize()._value
+    step = integrator.getSchemeStepSize().value_in_unit(unit.picosecond)
     time, order = step * integrator.getStepsPerTrial(), integrator.scheme.order
     tried: list[StepFound] = []
     longest, refusal = math.inf, None
