@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+import openmm_sier
 
 
 @pytest.mark.parametrize(
@@ -25,3 +29,9 @@ def test_imports_are_lean(code, absent):
     )
     found = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.split()
     assert found == []
+
+
+def test_quantities_are_read_in_named_units():
+    """The number within a quantity is private to OpenMM, and its unit is nowhere to be seen."""
+    sources = {path: path.read_text() for path in Path(openmm_sier.__file__).parent.rglob("*.py")}
+    assert [path for path, text in sources.items() if re.search(r"(?<!self)\._value\b", text)] == []

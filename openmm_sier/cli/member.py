@@ -22,7 +22,7 @@ from filelock import FileLock
 from openmm_sier.cli.files import records
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import NothingLeft
-from openmm_sier.cli.stopping import SIGNALS
+from openmm_sier.engines.interrupts import SIGNALS
 from openmm_sier.measure.ensemble import COMPLETE, LOCK, NOTES, read_arguments
 
 #: Names of the files of a run.

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import signal
-import threading
 from typing import Any
 
-#: The signals handled. One that the parent process ignores stays ignored, which `nohup` and background jobs rely on.
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+from openmm_sier.engines.interrupts import handlers_in_use
 
 
 class Stopped(KeyboardInterrupt):
@@ -45,12 +43,11 @@ class StopRequests:
             signal.signal(signum, self._handle)
 
     def __enter__(self) -> StopRequests:
-        # Python handles signals in the main thread only.
-        if threading.current_thread() is threading.main_thread():
-            handlers = {signum: signal.getsignal(signum) for signum in SIGNALS}
-            self._previous = {n: handler for n, handler in handlers.items() if handler not in (signal.SIG_IGN, None)}
-            for signum in self._previous:
-                signal.signal(signum, signal.SIG_DFL)
+        # A signal that the parent process ignores stays ignored, which `nohup` and background jobs rely on.
+        handlers = handlers_in_use().items()
+        self._previous = {signum: handler for signum, handler in handlers if handler not in (signal.SIG_IGN, None)}
+        for signum in self._previous:
+            signal.signal(signum, signal.SIG_DFL)
         return self
 
     def __exit__(self, *_: object) -> None:

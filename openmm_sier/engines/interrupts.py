@@ -9,24 +9,31 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-#: Signals that usually end a program. Only those with a handler in Python are deferred.
-DEFERRED = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+#: Signals that usually end a program: Ctrl-C, and those of batch systems and of closing terminals.
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
 _pending: list[tuple[int, FrameType | None]] = []
+
+
+def handlers_in_use() -> dict[int, Any]:
+    """The handlers of `SIGNALS` by their numbers; none outside the main thread, in which alone Python calls them."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    return {number: signal.getsignal(number) for number in SIGNALS}
 
 
 @contextmanager
 def deferred() -> Iterator[None]:
     """Let signals wait until `act_on_pending` or the end of the block.
 
-    Python calls handlers in its main thread, so that in another thread nothing has to wait. Of nested blocks the
-    outermost defers.
+    Only signals with a handler in Python wait, and in another thread than the main one nothing has to. Of nested blocks
+    the outermost defers.
     """
-    if _handlers or threading.current_thread() is not threading.main_thread():
+    found = handlers_in_use()
+    if _handlers or not found:
         yield
         return
-    found = {number: signal.getsignal(number) for number in DEFERRED}
     try:
         for number, handler in found.items():
             if callable(handler):

@@ -9,6 +9,7 @@ two evaluations agree. `docs/determinism.md` has the measurements.
 from __future__ import annotations
 
 import openmm
+from openmm import unit
 
 #: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.
 FAR = 1000.0
@@ -31,7 +32,7 @@ def forget(context: openmm.Context) -> None:
     OpenMM checks the list at every request for forces, even for no force group. This costs two constructions of the
     list, a fifth of a force evaluation.
     """
-    positions = context.getState(positions=True).getPositions(asNumpy=True)._value
+    positions = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     try:
         context.setPositions(positions + FAR)
         context.getState(forces=True, groups=0)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
@@ -220,7 +221,7 @@ class Engine(ABC):
 
     def volume(self) -> float:
         """Volume of the box, nm^3."""
-        return self._context.getState().getPeriodicBoxVolume()._value
+        return self._context.getState().getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
 
     @abstractmethod
     def scale(self, factor: float) -> None:

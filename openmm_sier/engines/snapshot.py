@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import openmm
+from openmm import unit
 
 
 class Snapshot:
@@ -23,8 +24,9 @@ class Snapshot:
         # Like getPositions(asNumpy=True), but without its overhead for names and units.
         state._getVectorAsNumpy(openmm.State.Positions, self.positions)
         state._getVectorAsNumpy(openmm.State.Velocities, self.velocities)
-        self.time, self.steps = state.getTime()._value, state.getStepCount()
-        self.box, self._parameters = state.getPeriodicBoxVectors()._value, dict(state.getParameters())
+        self.time, self.steps = state.getTime().value_in_unit(unit.picosecond), state.getStepCount()
+        self.box = state.getPeriodicBoxVectors().value_in_unit(unit.nanometer)
+        self._parameters = dict(state.getParameters())
 
     def same_positions(self, other: Snapshot | None) -> bool:
         return other is not None and np.array_equal(self.positions, other.positions)

@@ -25,6 +25,7 @@ from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.bodies import RigidBodies as DynamicsBodies
@@ -316,7 +317,7 @@ def _give_class(plain: Any, cls: type, found: Settings) -> None:
         raise SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
     plain.__class__ = cls
     plain._use(found)
-    step = openmm.CustomIntegrator.getStepSize(plain)._value * plain._native_steps
+    step = openmm.CustomIntegrator.getStepSize(plain).value_in_unit(unit.picosecond) * plain._native_steps
     if not math.isclose(step, found.step, rel_tol=1e-12):
         # The step was set where this package was not imported.
         plain._settings = replace(found, step=step)

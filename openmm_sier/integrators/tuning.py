@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.metropolis import spread_at
+from openmm_sier.dynamics.statistics import inefficiency_and_error
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.system.arguments import whole_number
 
@@ -24,9 +26,6 @@ ATTEMPTS, SHORTER, LONGER, SETTLED = 10, 0.6, 1.5, 0.06
 
 #: Least number of trials for a spread or an autocorrelation.
 FEWEST = 10
-
-#: The sum of autocorrelations ends at this multiple of the correlation time found so far (Sokal's window).
-WINDOW = 5
 
 
 class StepFound(NamedTuple):
@@ -163,11 +162,11 @@ def tune(
     if lengths is not None and not counts:
         raise ValueError("lengths must have at least one number of steps, got none")
     before, forces = (integrator.getSchemeStepSize(), integrator.getStepsPerTrial()), integrator.forceEvaluations
-    if not before[0]._value:
+    if not (length := before[0].value_in_unit(unit.picosecond) * before[1]):
         raise ValueError("the integrator's step must be above zero, got 0")
     try:
         tried, step = _find_step(integrator, acceptance, trials)
-        compared, steps = _find_length(integrator, step, samples, counts, before[0]._value * before[1])
+        compared, steps = _find_length(integrator, step, samples, counts, length)
         _set(integrator, step, steps)
     except BaseException:
         integrator.setSchemeStepSize(before[0])
@@ -202,7 +201,7 @@ def _chances(errors: Sequence[float]) -> float:
 
 def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tuple[tuple[StepFound, ...], float]:
     """The steps that were tried, and the one with the wanted acceptance."""
-    step = integrator.getSchemeStepSize()._value
+    step = integrator.getSchemeStepSize().value_in_unit(unit.picosecond)
     time, order = step * integrator.getStepsPerTrial(), integrator.scheme.order
     tried: list[StepFound] = []
     longest, refusal = math.inf, None
@@ -258,30 +257,4 @@ def _try_length(integrator: SIERHMCIntegrator, step: float, steps: int, samples:
         errors.append(_trial(integrator))
         energies.append(integrator._bound().potential_energy())
     forces = (integrator.forceEvaluations - before) / samples
-    return LengthFound(steps, _chances(errors), forces, inefficiency(np.array(energies)))
-
-
-def inefficiency(values: np.ndarray) -> tuple[float, float]:
-    """Number of values of a series per independent value, with its standard error; at least 1.
-
-    It is 1 + 2 times the sum of the autocorrelations up to `WINDOW` times the correlation time that the sum gives.
-
-    Args:
-        values: (n,).
-
-    Returns:
-        (n, NaN) for a series of equal values, or one that is too short to show its correlation.
-
-    Source: A. Sokal, Monte Carlo Methods in Statistical Mechanics (1989); N. Madras and A. Sokal, J. Stat. Phys. 50,
-    109 (1988), Eq. 4.19.
-    """
-    n, centred = len(values), values - values.mean()
-    if not (square := float(centred @ centred)):
-        return float(n), math.nan
-    total = 1.0
-    for lag in range(1, n // 2):
-        total += 2 * float(centred[:-lag] @ centred[lag:]) / square
-        if lag >= WINDOW * 0.5 * total:
-            value = max(total, 1.0)
-            return value, value * math.sqrt(2 * (2 * lag + 1) / n)
-    return float(n), math.nan
+    return LengthFound(steps, _chances(errors), forces, inefficiency_and_error(np.array(energies)))

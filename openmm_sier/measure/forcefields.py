@@ -15,9 +15,9 @@ from openmm.unit import Quantity
 
 from openmm_sier.measure.pdb_files import first_line, read_pdb
 from openmm_sier.measure.water_models import ForceFieldError, recognize
-from openmm_sier.observe.body_states import wrapped
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.system.boxes import wrapped
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
@@ -198,7 +198,8 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
     for force in meshed_forces(system):
         mesh = force.getPMEParameters()[1:]
         if math.prod(mesh) > MOST_MESH_POINTS:
-            edges = [vector[axis]._value for axis, vector in enumerate(system.getDefaultPeriodicBoxVectors())]
+            vectors = system.getDefaultPeriodicBoxVectors()
+            edges = [vectors[axis][axis].value_in_unit(unit.nanometer) for axis in range(3)]
             raise ForceFieldError(
                 f"the box of {' x '.join(f'{edge:.4g}' for edge in edges)} nm needs a mesh of "
                 f"{' x '.join(map(str, mesh))} points for PME, more than {MOST_MESH_POINTS}: is it in Angstrom?"

@@ -84,7 +84,8 @@ def _refuse_dense(path: str | Path, pdb: app.PDBFile) -> None:
     if vectors is None:
         return
     volume = abs(float(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer)))))
-    mass = sum(atom.element.mass._value for atom in pdb.topology.atoms() if atom.element is not None)
+    elements = [atom.element for atom in pdb.topology.atoms() if atom.element is not None]
+    mass = sum(element.mass.value_in_unit(unit.dalton) for element in elements)
     if not mass < DENSEST * GRAM_PER_CM3 * volume:
         raise ForceFieldError(
             f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave out the "

@@ -11,7 +11,8 @@ import math
 import numpy as np
 
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
-from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, mean_products, of_independent
+from openmm_sier.dynamics.statistics import mean_products
+from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, of_independent
 
 #: Vacuum permittivity, e^2 mol/(kJ nm) (CODATA 2018).
 PERMITTIVITY = 5.72765723e-4

@@ -187,7 +187,7 @@ def equilibrate(
     bath = _bath_context(context, temperature, seed)
     integrator = bath.getIntegrator()
     dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
-    step = integrator.getStepSize()._value
+    step = integrator.getStepSize().value_in_unit(unit.picosecond)
     if step < STEP:
         report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds vibrate that no constraint holds")
     steps = round((LONGEST if time is None else time) / step)

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from openmm_sier.dynamics.statistics import inefficiency, is_constant
+
 #: Independent samples below which an error means little. A series so short does not show how long it remembers.
 FEWEST = 20
 
@@ -69,50 +71,11 @@ def mean_and_error(series: np.ndarray) -> Estimate:
     """
     values = np.asarray(series, dtype=float)
     value, n = float(values.mean()), len(values)
-    if _is_constant(values) and n > 1:
+    if is_constant(values) and n > 1:
         return Estimate(value, 0.0)
     samples = n / inefficiency(values)
     error = rms(values) / math.sqrt(samples - 1) if n >= FEWEST and samples > 1 else math.nan
     return Estimate(value, error, samples)
-
-
-def _is_constant(values: np.ndarray) -> bool:
-    """Whether values differ by rounding alone, as does the density of a box of constant volume."""
-    return bool(np.ptp(values) <= 1e-13 * np.abs(values).max())
-
-
-def inefficiency(values: np.ndarray) -> float:
-    """How many samples of a series (n,) are worth one independent sample; 1 for a constant series.
-
-    The sum of the correlation to where it first is negative, as `pymbar.timeseries.statistical_inefficiency` has it.
-
-    Source: Chodera et al., J. Chem. Theory Comput. 3, 26 (2007).
-    """
-    n = len(values)
-    if n < 3 or _is_constant(values):
-        return 1.0
-    products = mean_products(values - np.mean(values), n - 2)
-    lags = np.arange(1, n - 1)
-    correlation = products[1:] / products[0]
-    # Three lags always count: the correlation of what oscillates is negative early.
-    ends = np.flatnonzero((correlation <= 0) & (lags > 3))
-    summed = slice(ends[0] if ends.size else None)
-    return max(1.0, float(1 + 2 * (correlation * (1 - lags / n))[summed].sum()))
-
-
-def mean_products(values: np.ndarray, longest: int) -> np.ndarray:
-    """Mean over origins of the product of values (n, ...), summed over components, with those some samples later.
-
-    Args:
-        values: by time.
-        longest: number of samples in between, less than n; the result is (longest + 1,).
-
-    Source: Kneller et al., Comput. Phys. Commun. 91, 191 (1995), by fast Fourier transforms.
-    """
-    n = len(values)
-    transform = np.fft.rfft(values.reshape(n, -1), 2 * n, axis=0)
-    sums = np.fft.irfft((np.abs(transform) ** 2).sum(axis=1), 2 * n)[: longest + 1]
-    return sums / (n - np.arange(longest + 1))
 
 
 def of_independent(values: np.ndarray) -> Estimate:
@@ -126,7 +89,7 @@ def pooled(estimates: Sequence[Estimate]) -> Estimate:
     The error is from their scatter if there are `ENOUGH_RUNS`, else from their errors.
     """
     values, errors, samples = np.array(estimates, dtype=float).T
-    if _is_constant(values) and not errors.any():
+    if is_constant(values) and not errors.any():
         return Estimate(float(values.mean()), 0.0)
     if len(values) >= ENOUGH_RUNS:
         return of_independent(values)

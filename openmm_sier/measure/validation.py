@@ -23,8 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.statistics import inefficiency
 from openmm_sier.measure.observables import blocks, fluctuation_within_1_ps
-from openmm_sier.measure.statistics import FEWEST, Estimate, inefficiency, of_independent
+from openmm_sier.measure.statistics import FEWEST, Estimate, of_independent
 from openmm_sier.observe.conservation import TEMPERATURES
 
 #: Standard errors beyond which a check fails. By chance, one number in 16000 lies so far out.

@@ -9,7 +9,6 @@ attribute, the root has the conventions (`CONVENTIONS`), and q says whether its 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +19,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.observe import conservation
+from openmm_sier.system.boxes import wrapped
 
 if TYPE_CHECKING:
     import h5py
@@ -203,17 +203,3 @@ def import_h5py() -> Any:
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError("body states need h5py: pip install 'openmm-sier[hdf5]'") from error
     return h5py
-
-
-def wrapped(points: np.ndarray, box: np.ndarray, rounded: Callable = np.floor) -> np.ndarray:
-    """Points (n, 3) moved by box vectors into the box.
-
-    Args:
-        points: (n, 3), nm.
-        box: box vectors as rows, in OpenMM's reduced form, (3, 3), nm.
-        rounded: numpy.round moves them next to the origin instead.
-    """
-    moved, box = np.array(points, dtype=float), np.asarray(box, dtype=float)
-    for axis in (2, 1, 0):
-        moved -= np.outer(rounded(moved[:, axis] / box[axis, axis]), box[axis])
-    return moved

@@ -15,8 +15,8 @@ from openmm_sier.dynamics.constants import BAR
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.engines import neighbour_list
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.observe.body_states import wrapped
 from openmm_sier.system import tables
+from openmm_sier.system.boxes import wrapped
 
 #: Components of a symmetric tensor in the order of `MolecularPressure.components`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

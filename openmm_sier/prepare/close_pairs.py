@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import openmm
-from openmm import unit
+
+from openmm_sier.system import tables
 
 #: Largest number of bonds between atoms of a close pair. Those further apart make no difference.
 REACH = 4
@@ -88,13 +88,16 @@ def _pair_force(name: str, sign: str, group: int, periodic: bool) -> openmm.Cust
 def _interactions(force: openmm.NonbondedForce, close: list[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
     """The close pairs that a NonbondedForce lets interact: both atoms, and charge product, sigma and epsilon."""
     offsets = _offsets(force, force.getNumParticleParameterOffsets(), force.getParticleParameterOffset)
-    atoms = {i: _numbers(force.getParticleParameters(i)) + offsets[i] for i in {i for pair in close for i in pair}}
+    atoms = {
+        i: tables.numbers(force.getParticleParameters(i), tables.ATOM_UNITS) + offsets[i]
+        for i in {i for pair in close for i in pair}
+    }
     offsets = _offsets(force, force.getNumExceptionParameterOffsets(), force.getExceptionParameterOffset)
     exceptions, wanted = {}, set(close)
     for number in range(force.getNumExceptions()):
         a, b, *parameters = force.getExceptionParameters(number)
         if (pair := (min(a, b), max(a, b))) in wanted:
-            exceptions[pair] = _numbers(parameters) + offsets[number]
+            exceptions[pair] = tables.numbers(parameters, tables.PAIR_UNITS) + offsets[number]
     for a, b in close:
         found = exceptions.get((a, b))
         if found is None:
@@ -110,13 +113,8 @@ def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[in
     defaults = {force.getGlobalParameterName(i): force.getGlobalParameterDefaultValue(i) for i in names}
     found: dict[int, np.ndarray] = defaultdict(lambda: np.zeros(3))
     for parameter, index, *scales in map(get, range(count)):
-        found[index] += defaults[parameter] * _numbers(scales)
+        found[index] += defaults[parameter] * np.array(scales)
     return found
-
-
-def _numbers(parameters: Iterable[Any]) -> np.ndarray:
-    """Charge, sigma and epsilon in e, nm and kJ/mol."""
-    return np.array([p._value if unit.is_quantity(p) else p for p in parameters], dtype=float)
 
 
 def _close(edges: np.ndarray, particles: int) -> list[tuple[int, int]]:

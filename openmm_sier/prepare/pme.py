@@ -53,7 +53,8 @@ def balance_pme(system: openmm.System) -> None:
 
 def tell_of_pme(system: openmm.System, scheme: str) -> None:
     """Warn of PME as OpenMM splits it, with an integrator of fourth order, whose scheme has this name."""
-    loose = [force for force in meshed_forces(system) if not force.getPMEParameters()[0]._value]
+    per_length = unit.nanometer**-1
+    loose = [each for each in meshed_forces(system) if not each.getPMEParameters()[0].value_in_unit(per_length)]
     if loose:
         tell(
             f"PME is split as OpenMM does it, and its jump at the cut-off limits {scheme}: at OpenMM's defaults "

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.system import tables
@@ -87,13 +88,14 @@ class RunawayWatch:
         self._start, self._steps, self._pause = start, taken, pause
         if taken < min(pause, INTERVAL):
             return None
-        bath = integrator.getTemperature()._value if hasattr(integrator, "getTemperature") else 0.0
+        bath = integrator.getTemperature().value_in_unit(unit.kelvin) if hasattr(integrator, "getTemperature") else 0.0
         # What a hot bath has heated may be cooled later.
         self._start = max(start, bath)
         self._steps, self._pause, now = 0, 2 * pause, self._temperature(context)
         if not now <= max(HOTTEST, GROWTH * self._start):
+            step = integrator.getStepSize().value_in_unit(unit.picosecond)
             raise RunawayError(
-                f"Steps of {1000 * integrator.getStepSize()._value:.3g} fs have raised the temperature to {now:.3g} K; "
+                f"Steps of {1000 * step:.3g} fs have raised the temperature to {now:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
                 "start? Take a shorter step, or minimize the energy first"
             )
@@ -101,6 +103,7 @@ class RunawayWatch:
 
     def _temperature(self, context: openmm.Context) -> float:
         """Of all atoms, K. Bodies that no constraint holds have fewer degrees of freedom, and are hotter by that."""
-        velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+        state = context.getState(velocities=True)
+        velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
         return float(2 * energy / (max(1, 3 * self._atoms - self._held) * GAS_CONSTANT))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS
@@ -53,5 +54,5 @@ def _pull_back(context: openmm.Context, positions: np.ndarray, atom: int, axis: 
         context.setPositions(moved)
         context.computeVirtualSites()
         state = context.getState(forces=True, groups={group})
-        forces.append(state.getForces(asNumpy=True)._value[atom, axis])
+        forces.append(state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)[atom, axis])
     return float(forces[1] - forces[0]) / (2 * DISPLACEMENT)

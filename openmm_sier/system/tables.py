@@ -5,10 +5,12 @@ They are read anew at each call, since users change them between Contexts.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.system.geometries import EMBEDDING_TOLERANCE
@@ -30,9 +32,20 @@ class Constraints(NamedTuple):
         return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
 
 
+#: Units of the parameters of atoms, and of exceptions, in a NonbondedForce: charge, sigma and epsilon.
+ATOM_UNITS = (unit.elementary_charge, unit.nanometer, unit.kilojoule_per_mole)
+PAIR_UNITS = (unit.elementary_charge**2, unit.nanometer, unit.kilojoule_per_mole)
+
+
+def numbers(quantities: Iterable[unit.Quantity], units: Iterable[unit.Unit]) -> np.ndarray:
+    """Quantities as numbers of units, one for each."""
+    return np.array([quantity.value_in_unit(one) for quantity, one in zip(quantities, units, strict=True)])
+
+
 def masses(system: openmm.System) -> np.ndarray:
     """Masses of all particles, (N,), dalton; 0 for virtual sites and for atoms that are frozen."""
-    return np.fromiter((system.getParticleMass(i)._value for i in range(system.getNumParticles())), float)
+    found = (system.getParticleMass(i) for i in range(system.getNumParticles()))
+    return np.fromiter((mass.value_in_unit(unit.dalton) for mass in found), float)
 
 
 def constraints(system: openmm.System) -> Constraints:
@@ -44,7 +57,7 @@ def constraints(system: openmm.System) -> Constraints:
     """
     # An iterator, since a list of all quantities would be the largest thing in memory.
     found = map(system.getConstraintParameters, range(system.getNumConstraints()))
-    rows = np.fromiter(((a, b, length._value) for a, b, length in found), np.dtype((float, 3)))
+    rows = np.fromiter(((a, b, length.value_in_unit(unit.nanometer)) for a, b, length in found), np.dtype((float, 3)))
     pairs, lengths = np.sort(rows[:, :2].astype(np.int64), axis=1), rows[:, 2]
     frozen = masses(system)[pairs] == 0
     if (wrong := np.flatnonzero(frozen[:, 0] != frozen[:, 1])).size:

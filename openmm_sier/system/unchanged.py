@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import openmm
+from openmm import unit
 
 
 class UnchangedSystem:
@@ -51,5 +52,5 @@ def _outline(system: openmm.System) -> dict[str, Any]:
         found[f"force group of Force {number}, a {kind},"] = force.getForceGroup()
         if isinstance(force, openmm.NonbondedForce):
             alpha, *mesh = force.getPMEParameters()
-            found[f"PME parameters of Force {number}, a {kind},"] = (alpha._value, *mesh)
+            found[f"PME parameters of Force {number}, a {kind},"] = (alpha.value_in_unit(unit.nanometer**-1), *mesh)
     return found

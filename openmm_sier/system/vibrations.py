@@ -305,7 +305,7 @@ def _fastest_librations(
 
 def _stiffness(force: openmm.NonbondedForce, atom: int) -> float:
     """With which its surroundings are taken to hold an atom, kJ/mol/nm^2."""
-    charge, sigma, epsilon = (value._value for value in force.getParticleParameters(atom))
+    charge, sigma, epsilon = tables.numbers(force.getParticleParameters(atom), tables.ATOM_UNITS)
     dispersion = LENNARD_JONES * epsilon / sigma**2 if sigma > 0 else 0.0
     return max(HYDROGEN_BOND if abs(charge) >= CHARGED else 0.0, dispersion)
 

@@ -26,8 +26,9 @@ from openmm import app, unit
 from tyro.conf import Positional
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, balance_pme
+from openmm_sier.dynamics.statistics import inefficiency
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import Estimate, inefficiency, mean_and_error
+from openmm_sier.measure.statistics import Estimate, mean_and_error
 from openmm_sier.observe.conservation import density
 from studies import records
 from studies.command import SYSTEMS, Settings, execute

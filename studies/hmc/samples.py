@@ -29,7 +29,7 @@ from openmm import unit
 
 from openmm_sier import SIER4G, SIERHMCIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.integrators.tuning import inefficiency
+from openmm_sier.dynamics.statistics import inefficiency_and_error
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from studies import records
 from studies.command import execute
@@ -289,7 +289,7 @@ def table(files: Sequence[Path], skip: float = 0.0) -> pd.DataFrame:
 
 def cost(samples: pd.DataFrame, forces: float) -> Estimate:
     """Forces for an independent sample; the mean over columns, which are components of one vector."""
-    found = np.array([inefficiency(samples[name].to_numpy()) for name in samples])
+    found = np.array([inefficiency_and_error(samples[name].to_numpy()) for name in samples])
     return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
 
 

@@ -13,6 +13,9 @@ from openmm import app
 
 from openmm_sier.cli import main
 from openmm_sier.cli.files import body_states, checkpoints, trajectories
+from openmm_sier.cli.files.kinds import KINDS
+from openmm_sier.cli.options import OPTIONS
+from openmm_sier.cli.plan import OUTPUTS
 from openmm_sier.measure import starts
 from tests.support.commands import SMALL, complaint, frames, write_lattice
 
@@ -36,6 +39,12 @@ def box(tmp_path, monkeypatch, lattice):
 def no_equilibration(monkeypatch):
     """Fails where something that could be refused at once is not."""
     monkeypatch.setattr(starts, "equilibrate", lambda *_: pytest.fail("the equilibration was begun"))
+
+
+def test_each_option_of_an_output_has_a_kind_and_each_kind_its_interval():
+    assert {kind.option for kind in KINDS} == set(OUTPUTS)
+    assert {kind.every for kind in KINDS} <= set(OPTIONS)
+    assert len({kind.name for kind in KINDS}) == len(KINDS)
 
 
 # --- inputs are not destroyed ---

@@ -13,7 +13,7 @@ from studies.checks import interrupts as study
 @pytest.fixture
 def handled():
     """Handlers in Python for all signals that can be deferred, and those of before at the end."""
-    before = {number: signal.signal(number, signal.default_int_handler) for number in interrupts.DEFERRED}
+    before = {number: signal.signal(number, signal.default_int_handler) for number in interrupts.SIGNALS}
     yield before
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -33,7 +33,7 @@ def deferring():
     return False
 
 
-CHANGES = 2 * len(interrupts.DEFERRED)
+CHANGES = 2 * len(interrupts.SIGNALS)
 
 
 @pytest.mark.parametrize("number", range(1, CHANGES + 1))
@@ -54,7 +54,7 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
         with pytest.raises(KeyboardInterrupt), interrupts.deferred():
             pass
     assert calls == CHANGES
-    assert {signal.getsignal(each) for each in interrupts.DEFERRED} == {signal.default_int_handler}
+    assert {signal.getsignal(each) for each in interrupts.SIGNALS} == {signal.default_int_handler}
     assert deferring()
 
 

@@ -12,7 +12,7 @@ import pytest
 from openmm_sier import SIER2, SIER4G, SIERHMCIntegrator, SIERIntegrator, tune
 from openmm_sier.ensembles import metropolis
 from openmm_sier.integrators import tuning
-from openmm_sier.integrators.tuning import LengthFound, inefficiency
+from openmm_sier.integrators.tuning import LengthFound
 from tests.support.waters import context_at, platform
 
 TEMPERATURE = 300.0
@@ -156,30 +156,6 @@ def test_other_integrators_are_refused():
         tune(context)
     with pytest.raises(ValueError, match="step must be above zero"):
         tune(wells(0.0))
-
-
-@pytest.mark.parametrize("kept", [0.0, 0.5, 0.9])
-def test_inefficiency_of_a_series_of_known_memory(rng, kept):
-    """x' = a x + noise has (1 + a)/(1 - a) values in an independent one."""
-    found = []
-    for _ in range(30):
-        series = [0.0]
-        for noise in rng.normal(size=2000):
-            series.append(kept * series[-1] + noise)
-        found.append(inefficiency(np.array(series)))
-    values, errors = np.transpose(found)
-    expected = (1 + kept) / (1 - kept)
-    # The window cuts off exp(-2.5) of the sum, and the mean is taken from the series itself.
-    assert values.mean() == pytest.approx(expected, rel=0.1)
-    if kept:
-        assert values.std(ddof=1) == pytest.approx(errors.mean(), rel=0.5)
-
-
-def test_inefficiency_of_what_does_not_change_is_the_length():
-    assert inefficiency(np.ones(12))[0] == 12
-    assert math.isnan(inefficiency(np.ones(12))[1])
-    # A trend has no memory that the series tells.
-    assert inefficiency(np.arange(40.0))[0] > 10
 
 
 def test_errors_that_few_samples_do_not_tell_are_marked():

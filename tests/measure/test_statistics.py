@@ -10,7 +10,6 @@ import pytest
 from openmm_sier.measure.statistics import (
     FEWEST,
     Estimate,
-    inefficiency,
     jackknife,
     mean_and_error,
     of_independent,
@@ -40,16 +39,6 @@ def test_what_is_not_known_is_not_shown_as_if_it_were():
 
 
 # --- means ---
-
-
-@pytest.mark.parametrize("kept", [0.0, 0.5, 0.95])
-def test_inefficiency_is_that_of_pymbar(rng, kept):
-    theirs = pytest.importorskip("pymbar.timeseries").statistical_inefficiency
-    for n in (3, 4, 20, 101, 1000):
-        series = 300 + correlated(rng, n, kept)
-        # Rounding of the transforms.
-        assert inefficiency(series) == pytest.approx(theirs(series), rel=1e-9)
-    assert inefficiency(np.full(100, 2.5)) == 1
 
 
 @pytest.mark.parametrize(("n", "kept", "covered"), [(400, 0.8, 0.68), (400, 0.0, 0.68), (40, 0.6, 0.61)])

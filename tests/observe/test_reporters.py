@@ -9,7 +9,6 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator
-from openmm_sier.observe import body_states
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter, PressureReporter
 from tests.support.restarts import simulation_of
 from tests.support.waters import cluster_system, periodic_system, relaxed
@@ -170,16 +169,6 @@ def test_centres_are_wrapped_on_demand(tmp_path, box):
     images = (continuous - wrapped) / edge
     # Two runs on the CPU platform differ by rounding in single precision.
     assert np.abs(images - np.round(images)).max() < 1e-5
-
-
-def test_points_in_a_triclinic_box(rng):
-    vectors = np.array([[2, 0, 0], [0.7, 1.8, 0], [-0.6, 0.8, 1.5]])
-    points = rng.normal(0, 5, (200, 3))
-    moved = body_states.wrapped(points, vectors)
-    assert (moved >= 0).all()
-    assert (moved <= np.diag(vectors)).all()
-    images = (points - moved) @ np.linalg.inv(vectors)
-    assert np.abs(images - np.round(images)).max() < 1e-12
 
 
 def test_body_states_are_continued(tmp_path, box):

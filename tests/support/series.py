@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 
@@ -12,8 +11,8 @@ def correlated(rng, n, kept, *shape):
     """Series (n, *shape) of normal values of variance 1 with correlation kept^t."""
     values = rng.normal(size=(n, *shape))
     values[1:] *= math.sqrt(1 - kept**2)
-    for before, after in pairwise(values):
-        after += kept * before
+    for i in range(1, n):
+        values[i] += kept * values[i - 1]
     return values
 
 

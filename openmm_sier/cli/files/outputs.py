@@ -3,31 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import asdict
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import openmm
-from openmm import app, unit
 
 from openmm_sier.cli.beginning import Simulated
-from openmm_sier.cli.files import body_states, checkpoints, trajectories
+from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.files.kinds import outputs_of
 from openmm_sier.cli.files.records import Log, Noted
 from openmm_sier.cli.plan import Plan, RunError
-from openmm_sier.observe import conservation, pressure
-from openmm_sier.observe.body_states import import_h5py
-
-#: Files that grow, by their names in the notes of a checkpoint: the options that name them and set their intervals.
-OUTPUTS = {
-    "trajectory": ("out", "every"),
-    "log": ("report", "report_every"),
-    "tensors": ("pressure_tensor", "pressure_tensor_every"),
-    # Last, since frames are made of a finished HDF5 file where the others have been found to be right.
-    "bodies": ("bodies", "bodies_every"),
-}
 
 
 class OutputFiles:
@@ -35,8 +23,7 @@ class OutputFiles:
 
     Attributes:
         checkpoint: path of the checkpoint.
-        paths: of the outputs, by their keys in `OUTPUTS`.
-        formats: their classes.
+        outputs: those that grow, by the names of their kinds.
         everything: all files, also those of which HDF5 files are made, the checkpoint first.
     """
 
@@ -46,29 +33,22 @@ class OutputFiles:
             RecordError: a name has the wrong ending, or a package that its format needs is missing.
             ModuleNotFoundError: a package that body states need is missing.
         """
-        named = {key: getattr(plan, option) for key, (option, _) in OUTPUTS.items()}
-        self.checkpoint = checkpoint
-        self.paths = {key: Path(path) for key, path in named.items() if path}
-        if "bodies" in self.paths:
-            import_h5py()
-        self.formats: dict[str, Any] = dict.fromkeys(self.paths, Log)
-        self.formats["trajectory"] = trajectories.trajectory_format(self.paths["trajectory"])
-        self.formats |= {"bodies": body_states.BodyStates} if "bodies" in self.paths else {}
-        growing = {key: self.formats[key].growing(path) for key, path in self.paths.items()}
-        beside = [place for key, place in growing.items() if place != self.paths[key]]
-        self.everything = [checkpoint, *self.paths.values(), *beside]
+        self.checkpoint, self.outputs = checkpoint, outputs_of(plan)
+        self._named = [checkpoint, *(output.path for output in self.outputs.values())]
+        growing = [(output.format.growing(output.path), output.path) for output in self.outputs.values()]
+        self.everything = [*self._named, *(place for place, path in growing if place != path)]
 
     def __str__(self) -> str:
-        return ", ".join(str(path) for path in (self.checkpoint, *self.paths.values()))
+        return ", ".join(str(path) for path in self._named)
 
     @property
     def are_finished(self) -> bool:
         """Whether all outputs are there and nothing is left to be done for them."""
-        return not any(self.formats[key].unfinished(path) for key, path in self.paths.items())
+        return not any(output.format.unfinished(output.path) for output in self.outputs.values())
 
     def remove(self) -> None:
         """Remove the outputs, the checkpoint first, so that it is never left with files that are not its own."""
-        for path in (self.checkpoint, *self.paths.values()):
+        for path in self._named:
             Path(os.path.realpath(path)).unlink(missing_ok=True)
 
     def check(self, inputs: Collection[Path]) -> None:
@@ -109,8 +89,8 @@ class OutputFiles:
             RecordError: an output is of another run.
             OSError: one is missing.
         """
-        for key, path in self.paths.items():
-            self.formats[key].check(path, Noted(**notes[key]))
+        for name, output in self.outputs.items():
+            output.format.check(output.path, Noted(**notes[name]))
 
 
 def same_file(one: Path, two: Path) -> bool:
@@ -141,31 +121,20 @@ class Outputs:
             notes: of the checkpoint of a run that is continued, for which `OutputFiles.check_noted` has passed; None
                 for a new run.
         """
-        plan, box, bodies = simulated.plan, simulated.box, simulated.bodies
         self.checkpoint, self.saved_step = files.checkpoint, notes["step"] if notes else None
-        self._plan, self._listed = plan, box.listed
-        self._periodic = box.system.usesPeriodicBoundaryConditions()
-        self._intervals = {key: plan.interval(getattr(plan, OUTPUTS[key][1])) for key in files.paths}
-        layouts: dict[str, Sequence[Any]] = {
-            "trajectory": (_subset(box.topology, box.listed), plan.step_time, self._intervals["trajectory"]),
-            "log": (conservation.columns(context.getIntegrator()),),
-            "bodies": (bodies, self._periodic),
-            "tensors": (pressure.COLUMNS,),
-        }
-        noted = {key: Noted(**notes[key]) if notes else None for key in files.paths}
-        self._files: dict[str, Any] = {
-            key: files.formats[key](path, *layouts[key], noted[key]) for key, path in files.paths.items()
-        }
-        self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
-        self.log: Log = self._files["log"]
-        self._pressure: pressure.MolecularPressure | None = None
+        self._plan, self._outputs = simulated.plan, files.outputs
+        for name, output in self._outputs.items():
+            output.open(simulated, context, Noted(**notes[name]) if notes else None)
+        self._intervals = {name: output.interval for name, output in self._outputs.items()}
+        self._intervals["checkpoint"] = self._plan.interval(self._plan.checkpoint_every)
+        self.log: Log = self._outputs["log"].file
 
     def next_due(self, step: int) -> int:
         """The next step after this one at which a file is due."""
         return min((step // interval + 1) * interval for interval in self._intervals.values())
 
     def due(self, step: int) -> list[str]:
-        """The files that are due after a step: keys of `OUTPUTS`, and "checkpoint"."""
+        """The files that are due after a step: names of outputs, and "checkpoint"."""
         return [what for what, interval in self._intervals.items() if step % interval == 0]
 
     def write(self, due: Collection[str], context: openmm.Context, values: Mapping[str, float]) -> None:
@@ -176,22 +145,11 @@ class Outputs:
             context: at the last completed step.
             values: by column of the log; needed for the log and for a checkpoint.
         """
-        if "trajectory" in due:
-            self._write_frame(context)
-        if "log" in due:
-            self.log.write([values[name] for name in self.log.columns])
-        if "bodies" in due:
-            self._files["bodies"].write(context)
-        if "tensors" in due:
-            self._pressure = self._pressure or pressure.MolecularPressure(context)
-            self._files["tensors"].write(self._pressure.row(context.getState(positions=True, velocities=True)))
+        for name, output in self._outputs.items():
+            if name in due:
+                output.write(context, values)
         if "checkpoint" in due:
             self._write_checkpoint(context, values["Potential Energy (kJ/mole)"])
-
-    def _write_frame(self, context: openmm.Context) -> None:
-        state = context.getState(positions=True, enforcePeriodicBox=self._periodic and not self._plan.unwrapped)
-        positions = state.getPositions(asNumpy=True)[self._listed]
-        self._files["trajectory"].write(positions, state.getPeriodicBoxVectors())
 
     def _write_checkpoint(self, context: openmm.Context, potential: float) -> None:
         step = context.getStepCount()
@@ -199,7 +157,7 @@ class Outputs:
             "plan": self._plan.noted(self.checkpoint),
             "step": step,
             "potential_energy": potential,
-            **{key: asdict(file.noted()) for key, file in self._files.items()},
+            **{name: asdict(output.file.noted()) for name, output in self._outputs.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
         checkpoints.write_checkpoint(self.checkpoint, state, notes)
@@ -207,14 +165,5 @@ class Outputs:
 
     def finish(self) -> None:
         """Close all files and write those that are made at the end of a run."""
-        # The trajectory last, since one that is made at the end can be continued only until then.
-        for file in reversed(self._files.values()):
-            file.finish()
-
-
-def _subset(topology: app.Topology, listed: np.ndarray) -> app.Topology:
-    """The Topology of some atoms, with names alone: a trajectory needs no more."""
-    modeller = app.Modeller(topology, [openmm.Vec3(0, 0, 0)] * topology.getNumAtoms() * unit.nanometer)
-    kept = set(listed.tolist())
-    modeller.delete([atom for atom in topology.atoms() if atom.index not in kept])
-    return modeller.topology
+        for output in reversed(self._outputs.values()):
+            output.file.finish()

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
@@ -200,7 +201,7 @@ class ExactEngine(Engine):
             if self._state is before:
                 self._context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
                 # A barostat also moves atoms of no body.
-                self.forces.positions[:] = mark.getPositions(asNumpy=True)._value
+                self.forces.positions[:] = mark.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
             raise
 
     def _complete(self, state: BodyState, step: operators.Stepper) -> None:
@@ -308,7 +309,7 @@ class ExactEngine(Engine):
 
     def _box(self) -> Any:
         """Periodic box vectors, nm."""
-        return self._context.getState().getPeriodicBoxVectors()._value
+        return self._context.getState().getPeriodicBoxVectors().value_in_unit(unit.nanometer)
 
     def _set_box(self, box: Any) -> None:
         self._context.setPeriodicBoxVectors(*box)

@@ -6,6 +6,7 @@ import weakref
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.engines.protocol import TrajectoryError
@@ -100,7 +101,8 @@ class BodyForces:
         found = next((kept for kept in self._energies if kept[0] is q and kept[1] is A), None)
         if found is None:
             self.place(q, A)
-            energy = self.get_state(self._context, energy=True, groups=self._groups).getPotentialEnergy()._value
+            computed = self.get_state(self._context, energy=True, groups=self._groups)
+            energy = computed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
             found = (q, A, energy)
         self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
         return found[2]

@@ -78,8 +78,9 @@ def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, numb
     """Tell a MinimizationReporter of the positions that the Context has, and ask it whether to stop."""
     groups = context.getIntegrator().getIntegrationForceGroups()
     state = context.getState(positions=True, forces=True, energy=True, groups=groups)
-    x, forces = state.getPositions(asNumpy=True)._value, state.getForces(asNumpy=True)._value
-    energy = state.getPotentialEnergy()._value
+    x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+    energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     arguments = {
         "system energy": energy,
         "restraint energy": 0.0,

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.noise import generator
@@ -123,7 +124,7 @@ class NativeEngine(Engine):
 
     @property
     def clock(self) -> Clock:
-        return Clock(self._context.getTime()._value, self._context.getStepCount())
+        return Clock(self._context.getTime().value_in_unit(unit.picosecond), self._context.getStepCount())
 
     @clock.setter
     def clock(self, clock: Clock) -> None:
@@ -156,7 +157,7 @@ class NativeEngine(Engine):
         self._check_step()
         set_variables(self._integrator, flow.bath, is_guarded=False)
         state = self._context.getState(parameters=True)
-        environment = state.getPeriodicBoxVectors()._value, dict(state.getParameters())
+        environment = state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
         if environment != self._environment:
             self._environment, self._potential = environment, None
 
@@ -264,7 +265,7 @@ class NativeEngine(Engine):
         if self._potential is None:
             groups = self._integrator.getIntegrationForceGroups()
             state = self._context.getState(energy=True, groups=groups)
-            self._potential = state.getPotentialEnergy()._value
+            self._potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
         return self._potential
 
     def kinetic_energy(self) -> float:
@@ -294,7 +295,7 @@ class NativeEngine(Engine):
 
     def go_back(self, memory: _Memory, reverse: bool = False) -> None:
         context, now = self._context, memory.now
-        if context.getState().getPeriodicBoxVectors()._value != now.box:
+        if context.getState().getPeriodicBoxVectors().value_in_unit(unit.nanometer) != now.box:
             context.setPeriodicBoxVectors(*now.box)
         context.setPositions(now.positions)
         context.setVelocities(-now.velocities if reverse else now.velocities)
@@ -310,7 +311,7 @@ class NativeEngine(Engine):
 
     def scale(self, factor: float) -> None:
         context = self._context
-        box = context.getState().getPeriodicBoxVectors(asNumpy=True)._value
+        box = context.getState().getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
         positions = self.positions()
         context.setPeriodicBoxVectors(*(factor * box))
         atoms = np.concatenate([species.atoms[:, 0] for species in self._points.species])
