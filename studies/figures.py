@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from studies import acceptance, equipartition, liquid_figure, mesh, records, schemes, step_study
+from studies import acceptance, equipartition, liquid_figure, mesh, records, step_study, whole_run
 from studies.bench import accuracy
 from studies.command import Settings, chosen, execute
 from studies.paper import water
@@ -36,11 +36,11 @@ class Drawn(NamedTuple):
 FIGURES = {
     "acceptance": Drawn(acceptance.figure, "acceptance.json", "python -m studies.acceptance"),
     "cost": Drawn(accuracy.figure, "cost.json", "python -m studies.bench --parts accuracy"),
-    "energy": Drawn(schemes.figure, "schemes.json", "python -m studies.schemes"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json", "python -m studies.equipartition"),
     "mesh": Drawn(mesh.figure, "mesh.json", "python -m studies.mesh"),
     "paper-water": Drawn(water.figure, "paper-water.json", "python -m studies.paper water"),
     "properties": Drawn(liquid_figure.figure, "properties.json", "python -m studies.liquid_figure motion/*"),
+    "whole-run": Drawn(whole_run.figure, "whole-run.json", "python -m studies.whole_run"),
     "step-study": Drawn(step_study.figure, "step-study.json", "python -m studies.step_study step-study/* --skip 5"),
 }
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from studies import records
 from studies.command import execute
 from studies.methods import of_scheme
 from studies.records import Record
-from studies.report import SILENT, Report
+from studies.report import SILENT, Report, Table
 from studies.sampling import follow
 from studies.whole_run import Task, WholeRunSettings, start
 
@@ -79,7 +80,7 @@ def run(task: Task) -> dict[str, Any]:
 
 
 def study(settings: ProcessedSettings, report: Report = SILENT) -> Record:
-    """Make all runs, and write processed.json."""
+    """Make all runs, and write processed.json and its table."""
     rows = []
     for seed in range(settings.seed, settings.seed + settings.starts):
         for liquid in settings.liquids:
@@ -88,10 +89,20 @@ def study(settings: ProcessedSettings, report: Report = SILENT) -> Record:
                 report.note(
                     records.cell("{liquid}, {step:g} fs, seed {seed}: {percent:.3f}, {processed:.3f} %", rows[-1])
                 )
-    report.table(records.table("Takahashi and Imada's scheme over whole runs", pd.DataFrame(rows), COLUMNS))
     record = Record(settings.recorded(), {"rows": pd.DataFrame(rows)}, {})
+    report.table(table(record))
     record.write(settings.out / "processed.json")
+    write_table(record, settings.out)
     return record
+
+
+def table(record: Record) -> Table:
+    return records.table("Takahashi and Imada's scheme over whole runs", record.tables["rows"], COLUMNS)
+
+
+def write_table(record: Record, directory: Path) -> None:
+    """The table for a page of the documentation."""
+    (directory / "processed.md").write_text(records.markdown(table(record)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -66,12 +66,13 @@ LIQUIDS = {
 INTERVAL = 24.0
 
 #: What a point of the table has in common; its runs differ in their seeds alone.
-POINT = ["liquid", "molecules", "time", "method", "step"]
+POINT = ["liquid", "molecules", "time", "tolerance", "method", "step"]
 
 COLUMNS = {
     "liquid": "{liquid}",
     "molecules": "{molecules}",
     "ps": "{time:g}",
+    "PME": "{tolerance:g}",
     "scheme": "{method}",
     "step/fs": "{step:g}",
     "fs per force": "{fs_per_force:.3g}",
@@ -86,6 +87,7 @@ GAINS = {
     "liquid": "{liquid}",
     "molecules": "{molecules}",
     "ps": "{time:g}",
+    "PME": "{tolerance:g}",
     "fs per force": "{per_force:.3g}",
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
     "SIER4G/%": "{percent:.3f} ± {percent_error:.1g}",
@@ -155,6 +157,7 @@ class Task(NamedTuple):
             "liquid": self.liquid,
             "molecules": self.molecules,
             "time": self.settings.time,
+            "tolerance": self.settings.tolerance,
             "method": CONSTANT_ENERGY[self.method].name,
             "step": round(self.step, 6),
             "seed": self.seed,
@@ -222,7 +225,7 @@ def run(task: Task) -> dict[str, Any]:
 
 def run_missing(settings: WholeRunSettings, path: Path, report: Report = SILENT) -> None:
     """Make the runs that a file lacks, and add each to it."""
-    done = [{name: kept[name] for name in (*POINT, "seed")} for kept in records.kept_runs(path)]
+    done = [{name: kept.get(name) for name in (*POINT, "seed")} for kept in records.kept_runs(path)]
     missing = [task for task in tasks(settings) if task.point not in done]
     os.environ.setdefault("OPENMM_CPU_THREADS", "1")
     with ProcessPoolExecutor(settings.processes, multiprocessing.get_context("spawn")) as pool:
@@ -250,12 +253,12 @@ def _point(runs: pd.DataFrame) -> dict[str, Any]:
 
 def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write whole-run.json, whole-run.md and the figure."""
-    shared = {name: settings.recorded()[name] for name in ("temperature", "equilibrate", "tolerance", "platform")}
+    shared = {name: settings.recorded()[name] for name in ("temperature", "equilibrate", "platform")}
     claim(settings.out / "whole-run-settings.json", shared)
     path = settings.out / "whole-run.jsonl"
     run_missing(settings, path, report)
     runs = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan})
-    rows = points(runs).sort_values([*POINT[:3], "method", "step"], kind="stable")
+    rows = points(runs).sort_values(POINT, kind="stable")
     record = Record(shared, {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)})
     for table in tables(record):
         report.table(table)
@@ -281,7 +284,7 @@ def write_tables(record: Record, directory: Path) -> None:
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
     """Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation."""
-    same = ["liquid", "molecules", "time"]
+    same = ["liquid", "molecules", "time", "tolerance"]
     rows = rows.assign(per_force=rows["fs_per_force"].round(4))
     ours, theirs = rows[rows["method"] == SIER4G.name], rows[rows["method"] == VERLET]
     pairs = ours.merge(theirs, on=[*same, "per_force"], suffixes=("", "_verlet"))
@@ -308,7 +311,7 @@ def law(rows: pd.DataFrame) -> dict[str, Any]:
 
 def first_box(rows: pd.DataFrame) -> pd.DataFrame:
     """The points of the box and the length of run that have the most of them."""
-    return max((mine for _, mine in rows.groupby(POINT[:3], sort=False)), key=len)
+    return max((mine for _, mine in rows.groupby(POINT[:4], sort=False)), key=len)
 
 
 def figure(record: Record, path: Path) -> None:
@@ -331,7 +334,7 @@ def figure(record: Record, path: Path) -> None:
 def _energies(axes: Any, record: Record) -> None:
     """Means over 1 ps of H, over rms(V), of the longest runs."""
     runs = record.tables["runs"]
-    runs = runs[runs["time"] == runs["time"].max()].drop_duplicates(["method", "step"])
+    runs = runs[(runs["time"] == runs["time"].max()) & (runs["broken"] == "")].drop_duplicates(["method", "step"])
     for _, run in runs.iterrows():
         means = np.array(run["means"])
         look = style.of_method(run["method"]) | {"marker": "", "lw": 1}
