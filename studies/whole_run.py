@@ -59,7 +59,6 @@ LIQUIDS = {
     "OPC": Kind("tip4p2005-512.pdb", ("opc.xml",)),
     "TIP5P": Kind("tip5p-512.pdb"),
     "peptide": Kind("peptide.pdb"),
-    "protein": Kind("protein.pdb"),
 }
 
 #: fs between two samples of the energy. It is far below the 1 ps over which the walk is averaged.
@@ -108,7 +107,7 @@ class WholeRunSettings(Settings):
     """Settings of the comparison; the seeds of the starts follow `seed`.
 
     Attributes:
-        liquids: by name, TIP3P, SPC/E, TIP4P/2005, OPC, TIP5P, peptide or protein.
+        liquids: by name, TIP3P, SPC/E, TIP4P/2005, OPC, TIP5P or peptide.
         molecules: of a box of water.
         methods: by name, all unless given.
         steps: of each method, fs; steps for the same simulated time per force evaluation unless given.
@@ -341,7 +340,7 @@ def _energies(axes: Any, record: Record) -> None:
         label = f"{run['method']}, {run['step']:g} fs"
         axes.plot(np.arange(len(means)), 100 * (means - means.mean()) / run["rms_V"], label=label, **look)
     axes.set(xlabel="time (ps)", ylabel="H, means over 1 ps (% of rms(V))")
-    axes.set_title("With as many forces, the energy stays put")
+    axes.set_title("As many forces: the energy over the longest run")
     axes.legend(fontsize="small")
 
 
