@@ -126,6 +126,7 @@ def test_body_states_tell_where_the_atoms_are(tmp_path):
     system.addForce(barostat)
     simulation = simulation_of(topology, system, SIER2Integrator(0.001), "Reference", (positions, 0 * positions))
     path = tmp_path / "bodies.h5"
+    simulation.minimizeEnergy(maxIterations=20)
     simulation.reporters.append(BodyStateReporter(path, 20))
     # Of twenty moves of the volume between two frames some are accepted.
     simulation.step(40)
