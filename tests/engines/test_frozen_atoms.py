@@ -154,15 +154,15 @@ def test_named_bodies_may_be_frozen_as_wholes():
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_barostats_that_move_frozen_atoms_are_spoken_of(engine):
-    _, positions, system = periodic_system()
+    topology, positions, system = periodic_system()
+    positions, velocities = relaxed(topology, positions, system, steps=50)
     atoms = freeze(system, range(3))
     with pytest.raises(openmm.OpenMMException, match="particle 0 belongs to no body"):
         context_at(system, SIERLangevinIntegrator(300, 1, 0.002, pressure=1), (positions, 0 * positions))
     system.addForce(openmm.MonteCarloBarostat(1, 300, 1))
     integrator = SIERLangevinIntegrator(300, 1, 0.002, engine=engine)
     with pytest.warns(UserWarning, match="MonteCarloBarostat moves all molecules .* such as atom 0"):
-        context = context_at(system, integrator, (positions, 0 * positions))
-    openmm.LocalEnergyMinimizer.minimize(context, maxIterations=20)
+        context = context_at(system, integrator, (positions, velocities))
     integrator.step(20)
     x = phase_point(context)[0]
     # As with OpenMM's own integrators, the frozen molecule keeps its shape and moves with the box.
