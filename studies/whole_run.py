@@ -331,16 +331,20 @@ def figure(record: Record, path: Path) -> None:
 
 
 def _energies(axes: Any, record: Record) -> None:
-    """Means over 1 ps of H, over rms(V), of the longest runs."""
-    runs = record.tables["runs"]
-    runs = runs[(runs["time"] == runs["time"].max()) & (runs["broken"] == "")].drop_duplicates(["method", "step"])
-    for _, run in runs.iterrows():
+    """Means over 1 ps of H, over rms(V), of the longest runs that Verlet and SIER4G made with as many forces."""
+    pairs, runs = record.tables["gains"].dropna(subset="gain"), record.tables["runs"]
+    if pairs.empty:
+        return
+    pair = pairs.sort_values("time", kind="stable").iloc[-1]
+    for step, method in ((pair["step_verlet"], VERLET), (pair["step"], SIER4G.name)):
+        wanted = pair[POINT].to_dict() | {"method": method, "step": step}
+        run = runs[(runs[POINT] == pd.Series(wanted)).all(axis=1) & (runs["broken"] == "")].iloc[0]
         means = np.array(run["means"])
-        look = style.of_method(run["method"]) | {"marker": "", "lw": 1}
-        label = f"{run['method']}, {run['step']:g} fs"
+        look = style.of_method(method) | {"marker": "", "lw": 1}
+        label = f"{method}, {step:g} fs: {run['percent']:.2g} %"
         axes.plot(np.arange(len(means)), 100 * (means - means.mean()) / run["rms_V"], label=label, **look)
     axes.set(xlabel="time (ps)", ylabel="H, means over 1 ps (% of rms(V))")
-    axes.set_title("As many forces: the energy over the longest run")
+    axes.set_title(f"As many forces, {pair['liquid']}, {pair['molecules']} molecules")
     axes.legend(fontsize="small")
 
 
