@@ -325,7 +325,7 @@ def figure(record: Record, path: Path) -> None:
             curve = scale * np.exp(-found["decay"] * 1000 * found["period"] / steps)
             walks.plot(steps, curve, color=style.of_method(name)["color"], lw=3, alpha=0.25)
         walks.set(yscale="log", xlabel="step (fs)", ylabel="scatter of 1 ps means of H (% of rms(V))")
-        walks.set_title("Fourth order: the walk dies out with the step")
+        walks.set_title("Fourth order: a shorter step, far less walk")
         walks.legend(fontsize="small")
         _energies(energies, record)
 
