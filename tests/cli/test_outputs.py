@@ -269,6 +269,27 @@ def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("option", ["--out", "--bodies"])
+def test_hdf5_file_whose_last_frame_is_another_keeps_its_frames(box, capsys, monkeypatch, option):
+    """As on a disk that fills, where HDF5 gives zeros for what was never written."""
+    h5py = pytest.importorskip("h5py")
+    kind, name = (trajectories.HDF5Trajectory, "coordinates") if option == "--out" else (body_states.BodyStates, "q")
+    make = kind._make
+
+    def spoilt(self, path):
+        make(self, path)
+        with h5py.File(path, "r+") as file:
+            file[name][-1] = 0
+
+    monkeypatch.setattr(kind, "_make", spoilt)
+    message = complaint(capsys, "run", box, *SMALL, "--steps", "10", option, "made.h5")
+    frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
+    assert f"made.h5 could not be written. Its frames are kept in {frames_in}: only" in message
+    assert Path(frames_in).exists()
+    assert not Path("made.h5").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["--out", "--bodies"])
 def test_hdf5_file_that_is_cut_off_without_an_error_keeps_its_frames(box, capsys, monkeypatch, option):
     """As PyTables leaves it on a disk that fills while it closes the file."""
     pytest.importorskip("h5py")
@@ -304,6 +325,7 @@ def test_xtc_frame_that_is_cut_off_stops_the_run(box, capsys, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(app.XTCFile, "writeModel", cut_off)
         message = complaint(capsys, "run", box, *SMALL, "--steps", "40", "--out", "made.xtc")
-    assert "a frame of made.xtc could not be written: OpenMM left it incomplete in the temporary directory" in message
+    assert "made.xtc: a frame could not be written, OpenMM left it incomplete in the temporary directory" in message
+    assert "The last checkpoint is made.chk, of step" in message
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "made.chk", "--steps", "40"]) == 0
     assert frames(Path("made.xtc"), box).n_frames == 8

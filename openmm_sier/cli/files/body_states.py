@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -52,19 +53,27 @@ class BodyStates(records.MadeAtTheEnd):
         """Append the bodies of a Context at its last completed step."""
         self.append(body_frame(context, context.getState()).tobytes())
 
-    def _make(self, path: Path) -> None:
+    def _chunks(self) -> Iterator[np.ndarray]:
+        """The frames so far, in parts."""
         kind = frame_type(self._bodies.n, self._periodic)
         frames = np.memmap(self.path, kind, "r") if self.count else np.zeros(0, kind)
+        for first in range(0, self.count, CHUNK):
+            yield frames[first : first + CHUNK]
+
+    def _make(self, path: Path) -> None:
         file = BodyStateFile(path, self._bodies, self._periodic)
         try:
-            for first in range(0, self.count, CHUNK):
-                file.append(frames[first : first + CHUNK])
+            for chunk in self._chunks():
+                file.append(chunk)
         finally:
             file.close()
 
-    def _read_back(self, path: Path) -> int:
+    def _read_back(self, path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        first = 0
         with import_h5py().File(path, "r") as file:
-            return sum(len(read_frames(file, first, first + CHUNK)) for first in range(0, len(file["step"]), CHUNK))
+            for chunk in self._chunks():
+                yield chunk, read_frames(file, first, first + len(chunk))
+                first += len(chunk)
 
 
 def _take_apart(path: Path, frames: Path) -> None:

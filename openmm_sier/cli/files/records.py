@@ -197,8 +197,26 @@ class MadeAtTheEnd(GrowingFile):
         """Write the output to a path."""
 
     @abstractmethod
-    def _read_back(self, path: Path) -> int:
-        """Read all frames of an output that was written to a path, and return their number."""
+    def _read_back(self, path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Frames of the growing file, some at a time, each time with those read from the output at a path."""
+
+    def _check_made(self, path: Path) -> None:
+        """Compare every frame of the output at a path: on a full disk PyTables may leave a damaged one without a word.
+
+        Raises:
+            RecordError: a frame is missing or different.
+        """
+        found = 0
+        try:
+            for kept, read in self._read_back(path):
+                if kept.tobytes() != read.tobytes():
+                    break
+                found += len(read)
+        # PyTables and h5py have errors of many kinds and many lines for files that are cut off.
+        except Exception as error:
+            raise RecordError("it cannot be read back. Is the disk full?") from error
+        if found != self.count:
+            raise RecordError(f"only {found} of {self.count} frames can be read back. Is the disk full?")
 
     def finish(self) -> None:
         """Make the output, read it back, and remove the growing file.
@@ -210,9 +228,7 @@ class MadeAtTheEnd(GrowingFile):
         try:
             with replacing(self.target) as made:
                 self._make(made)
-                # On a full disk PyTables may report nothing and leave a file that nothing can read.
-                if (found := self._read_back(made)) != self.count:
-                    raise OSError(f"{found} of {self.count} frames can be read back")
+                self._check_made(made)
         # PyTables and h5py have errors of many kinds for files that are cut off.
         except Exception as error:
             message = f"{self.target} could not be written. Its frames are kept in {self.path}: {error}"

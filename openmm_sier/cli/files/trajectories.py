@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import struct
 import tempfile
 import warnings
 from abc import abstractmethod
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,9 +21,6 @@ from openmm_sier.cli.files.records import CHANGING, GrowingFile, MadeAtTheEnd, N
 
 #: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
 DCD_HEADER, DCD_TIME = 276, slice(180, 260)
-
-#: Frames that are read at a time.
-CHUNK = 100
 
 
 class Trajectory(GrowingFile):
@@ -79,10 +78,9 @@ class XTCTrajectory(Trajectory):
             file.writeModel(positions, periodicBoxVectors=box)
             # OpenMM's writer says nothing where the temporary directory is full.
             if not _is_frame(frame, len(positions)):
-                raise RecordError(
-                    f"a frame of {self.path} could not be written: OpenMM left it incomplete in the temporary "
-                    f"directory {tempfile.gettempdir()}. Is that full? Another one can be named by TMPDIR"
-                )
+                place = f"OpenMM left it incomplete in the temporary directory {tempfile.gettempdir()}"
+                told = f"a frame could not be written, {place}. Is that full? Another one can be named by TMPDIR"
+                raise OSError(errno.EIO, told, str(self.path))
             self.append(frame.read_bytes())
 
 
@@ -121,20 +119,26 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
         if cls.unfinished(path):
             super().check(cls.growing(path), noted)
 
-    def _make(self, path: Path) -> None:
+    def _chunks(self) -> Iterator[Any]:
+        """The frames so far, in parts, as trajectories of MDTraj."""
         import mdtraj
 
         from openmm_sier.measure.liquid_samples import read_chunks
 
-        topology = mdtraj.Topology.from_openmm(self._topology)
+        if self.count:
+            yield from read_chunks(self.path, mdtraj.Topology.from_openmm(self._topology))
+
+    def _make(self, path: Path) -> None:
+        import mdtraj
+
         with mdtraj.formats.HDF5TrajectoryFile(str(path), "w", force_overwrite=True) as file:
-            file.topology, done = topology, 0
-            for chunk in read_chunks(self.path, topology) if self.count else ():
+            file.topology, done = mdtraj.Topology.from_openmm(self._topology), 0
+            for chunk in self._chunks():
                 time = (np.arange(done, done + len(chunk)) + 1) * self._interval * self._dt
                 file.write(chunk.xyz, time, cell_lengths=chunk.unitcell_lengths, cell_angles=chunk.unitcell_angles)
                 done += len(chunk)
 
-    def _read_back(self, path: Path) -> int:
+    def _read_back(self, path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         import mdtraj
 
         with warnings.catch_warnings():
@@ -142,7 +146,8 @@ class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
             warnings.simplefilter("ignore")
             file = mdtraj.formats.HDF5TrajectoryFile(str(path))
         with file:
-            return sum(len(file.read(n_frames=CHUNK).coordinates) for _ in range(0, len(file), CHUNK))
+            for chunk in self._chunks():
+                yield chunk.xyz, file.read(n_frames=len(chunk)).coordinates
 
 
 FORMATS: dict[str, type[Trajectory]] = {
