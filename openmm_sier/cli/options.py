@@ -224,7 +224,9 @@ class Options:
     # rigid water such oscillations have a thousandth of the power of the slow ones at 0.02 ps.
     pressure_tensor_every: float = _option(TIME, "between rows of it, each of which costs 12 energies", 0.02)
     seed: int = _option(whole(), "of velocities, equilibration and heat bath", 1)
-    platform: str | None = _option(word(), "of OpenMM", otherwise="the fastest", restart="not noted")
+    platform: str | None = _option(
+        word(), "of OpenMM", otherwise="the fastest; that of the checkpoint with --restart", restart="not noted"
+    )
     start: Path | None = _option(
         file(),
         "checkpoint (.chk) of any run, whose positions, velocities and box a new run begins with; unless given, the "

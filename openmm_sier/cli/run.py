@@ -19,6 +19,7 @@ from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import OutputFiles, Outputs
 from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
+from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.engines.temperature import degrees_of_freedom
 from openmm_sier.measure.force_clock import ForceClock
@@ -57,6 +58,7 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
             locks.hold([options.restart])
         state, notes = checkpoints.read_checkpoint(options.restart)
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
+        options = keep_platform(options, checkpoint, notes)
     else:
         notes, (state, origin) = None, read_start(options.start)
         plan = new_plan(options, origin)
@@ -76,6 +78,8 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     if not notes:
         files.remove()
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
+    if notes:
+        tell_of_another_platform(context, checkpoint, notes)
     outputs = Outputs(files, simulated, context, notes)
     bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)

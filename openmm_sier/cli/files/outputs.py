@@ -16,6 +16,7 @@ from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.kinds import outputs_of
 from openmm_sier.cli.files.records import Log, Noted
 from openmm_sier.cli.plan import Plan, RunError
+from openmm_sier.cli.platforms import platform_of
 
 
 class OutputFiles:
@@ -157,6 +158,7 @@ class Outputs:
             "plan": self._plan.noted(self.checkpoint),
             "step": step,
             "potential_energy": potential,
+            "platform": platform_of(context),
             **{name: asdict(output.file.noted()) for name, output in self._outputs.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)

@@ -1,0 +1,72 @@
+"""The platform of a run: a restart keeps that of its checkpoint, and says what of it is different."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import openmm
+
+from openmm_sier.cli.console import note
+from openmm_sier.cli.files.records import RecordError
+from openmm_sier.cli.options import Options
+from openmm_sier.cli.plan import RunError
+
+#: In the notes of a checkpoint, the name of the platform, and properties on which the last bits of forces depend.
+NAME, PROPERTIES = "Platform", ("Precision", "Threads")
+
+
+def platform_of(context: openmm.Context) -> dict[str, str]:
+    """The platform of a Context as a checkpoint notes it."""
+    platform = context.getPlatform()
+    known = [name for name in PROPERTIES if name in platform.getPropertyNames()]
+    return {NAME: platform.getName(), **{name: platform.getPropertyValue(context, name) for name in known}}
+
+
+def keep_platform(options: Options, checkpoint: Path, notes: Mapping[str, Any]) -> Options:
+    """The options of a restart, on the platform of its checkpoint unless another is asked for.
+
+    Args:
+        options: of the command.
+        checkpoint: its path.
+        notes: of the checkpoint; those of an early version have no platform.
+
+    Raises:
+        RecordError: the checkpoint notes what is no platform.
+        RunError: OpenMM does not have the platform here.
+    """
+    noted = _noted(checkpoint, notes)
+    if options.platform is not None or not noted:
+        return options
+    here = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
+    if noted[NAME] not in here:
+        raise RunError(
+            f"{checkpoint} is of a run on the {noted[NAME]} platform, which OpenMM does not have here: choose one of "
+            f"{', '.join(here)} by --platform"
+        )
+    return replace(options, platform=noted[NAME])
+
+
+def tell_of_another_platform(context: openmm.Context, checkpoint: Path, notes: Mapping[str, Any]) -> None:
+    """Say in one line where a run goes on with another platform, precision or number of threads than before."""
+    before, now = _noted(checkpoint, notes), platform_of(context)
+    if before and before != now:
+        note(
+            f"{checkpoint} was written on {_described(before)}, the run goes on on {_described(now)}: both differ by "
+            "the rounding of forces"
+        )
+
+
+def _noted(checkpoint: Path, notes: Mapping[str, Any]) -> dict[str, str]:
+    noted = notes.get("platform", {})
+    are_texts = isinstance(noted, dict) and all(isinstance(text, str) for text in noted.values())
+    if not are_texts or (noted and NAME not in noted):
+        raise RecordError(f"{checkpoint}: platform: expected its name and properties, got {noted!r}")
+    return noted
+
+
+def _described(platform: Mapping[str, str]) -> str:
+    properties = ", ".join(f"{name} {value}" for name, value in platform.items() if name != NAME)
+    return f"{platform[NAME]} ({properties})" if properties else platform[NAME]

@@ -1,0 +1,77 @@
+"""Restarts stay on the platform of their checkpoint, or say in one line that they do not."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import SMALL, complaint, rewrite_notes, run
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory, box):
+    """Directory of a run on Reference that ended at step 10, and of one that went on to step 20."""
+    place = tmp_path_factory.mktemp("begun")
+    for name, steps in (("part", 10), ("whole", 20)):
+        # A checkpoint at step 10 in both.
+        options = [*SMALL, "--checkpoint-every", "0.04", "--report-every", "0.008"]
+        run("run", box, *options, "--steps", steps, "--out", place / f"{name}.dcd")
+    return place
+
+
+@pytest.fixture
+def part(begun, tmp_path, capsys):
+    """Checkpoint of the run that ended, with its files, in the current directory."""
+    for path in begun.glob("part.*"):
+        shutil.copy(path, tmp_path)
+    capsys.readouterr()
+    return Path("part.chk")
+
+
+def differences(capsys):
+    return [line for line in capsys.readouterr().out.splitlines() if line.startswith("part.chk was written on")]
+
+
+def test_a_restart_stays_on_reference_and_is_the_same_to_the_last_bit(box, begun, part, capsys):
+    run("run", box, "--restart", part, "--steps", 20)
+    assert differences(capsys) == []
+    for ending in (".dcd", ".csv"):
+        assert part.with_suffix(ending).read_bytes() == (begun / f"whole{ending}").read_bytes()
+
+
+def test_another_platform_is_said_in_one_line_and_noted(box, part, capsys):
+    run("run", box, "--restart", part, "--steps", 11, "--platform", "CPU")
+    (line,) = differences(capsys)
+    assert line.startswith("part.chk was written on Reference, the run goes on on CPU (Threads ")
+    run("run", box, "--restart", part, "--steps", 12)
+    assert differences(capsys) == []
+
+
+def test_another_number_of_threads_is_said(box, part, capsys):
+    rewrite_notes(part, lambda notes: notes.update(platform={"Platform": "CPU", "Threads": "999"}))
+    run("run", box, "--restart", part, "--steps", 11)
+    (line,) = differences(capsys)
+    assert line.startswith("part.chk was written on CPU (Threads 999), the run goes on on CPU (Threads ")
+
+
+def test_a_platform_that_is_not_here_must_be_replaced_by_name(box, part, capsys):
+    rewrite_notes(part, lambda notes: notes.update(platform={"Platform": "Abacus"}))
+    message = complaint(capsys, "run", box, "--restart", part, "--steps", 11)
+    assert "part.chk is of a run on the Abacus platform, which OpenMM does not have here: choose one of" in message
+    assert "Reference" in message
+    run("run", box, "--restart", part, "--steps", 11, "--platform", "Reference")
+
+
+def test_an_early_checkpoint_without_a_platform_goes_on(box, part, capsys):
+    rewrite_notes(part, lambda notes: notes.pop("platform"))
+    run("run", box, "--restart", part, "--steps", 11, "--platform", "Reference")
+    assert differences(capsys) == []
+
+
+@pytest.mark.parametrize("noted", [None, 3, ["CPU"], {"Platform": 1}, {"Threads": "1"}], ids=repr)
+def test_notes_that_name_no_platform_are_refused(box, part, capsys, noted):
+    rewrite_notes(part, lambda notes: notes.update(platform=noted))
+    message = complaint(capsys, "run", box, "--restart", part, "--steps", 11)
+    assert f"part.chk: platform: expected its name and properties, got {noted!r}" in message
