@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from openmm_sier.cli.methods import ENSEMBLES, METHODS, Method
-from openmm_sier.cli.values import SWITCH, TIME, Kind, WrongValueError, choice, file, number, several, whole, word
+from openmm_sier.cli.values import SWITCH, TIME, Kind, WrongValueError, choice, file, number, several, step, whole, word
 from openmm_sier.measure.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
 
 #: The default scheme, by the name that `--scheme` takes.
@@ -152,7 +152,7 @@ class Options:
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
         RECOMMENDED,
     )
-    dt: float = _option(number("fs", 0.05, 1e3, hint="; 0.006 ps are 6 fs"), "step", otherwise=_usual_steps())
+    dt: float = _option(step(0.05, 1e3), "step", otherwise=_usual_steps())
     ensemble: str = _option(
         choice(*ENSEMBLES), "what is constant; hmc is hybrid Monte Carlo", otherwise="nve; nvt for langevinmiddle"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from argparse import ArgumentTypeError
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,16 @@ from typing import Any
 class WrongValueError(ArgumentTypeError, ValueError):
     """A value is not what was expected; the message says what that is, and what came."""
 
-    def __init__(self, expected: str, got: object):
-        super().__init__(f"expected {expected}, got {got!r}")
+    def __init__(self, expected: str, got: object, remark: str = ""):
+        super().__init__(f"expected {expected}, got {got!r}{remark}")
 
 
 def _same(value: Any) -> Any:
     return value
+
+
+def _nothing(_value: Any) -> str:
+    return ""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class Kind:
         parse: what a word of the command line would be in a file; a ValueError where it is nothing of the kind.
         metavar: stands for a value in `--help`.
         file: "input" or "output" for the name of a file that a command reads or writes.
+        remark: what to say after a value that is not accepted.
         each: the kind of each of several values, for which a command line has a word each; None for a single one.
     """
 
@@ -40,6 +45,7 @@ class Kind:
     parse: Callable[[str], Any] = _same
     metavar: str = "VALUE"
     file: str = ""
+    remark: Callable[[Any], str] = _nothing
     each: Kind | None = None
 
     def check(self, value: object) -> Any:
@@ -49,7 +55,7 @@ class Kind:
             WrongValueError: it is not of this kind.
         """
         if not self.accepts(value):
-            raise WrongValueError(self.expected, value)
+            raise WrongValueError(self.expected, value, self.remark(value))
         return self.made(value)
 
     def read(self, text: str) -> Any:
@@ -59,7 +65,13 @@ class Kind:
             WrongValueError: it is not of this kind.
         """
         try:
-            return self.check(self.parse(text))
+            value = self.parse(text)
+        except ValueError:
+            raise WrongValueError(self.expected, text) from None
+        if not self.accepts(value):
+            raise WrongValueError(self.expected, text, self.remark(value))
+        try:
+            return self.made(value)
         except ValueError:
             raise WrongValueError(self.expected, text) from None
 
@@ -126,6 +138,18 @@ def several(kind: Kind) -> Kind:
         return [kind.check(item) for item in value]
 
     return Kind("a list with at least one value", accepts, made, metavar=kind.metavar, file=kind.file, each=kind)
+
+
+def step(least: float, most: float) -> Kind:
+    """A step in fs."""
+    kind = number("fs", least, most)
+
+    def remark(value: Any) -> str:
+        meant = 1000 * value if type(value) in (int, float) else 0.0
+        is_in_ps = least <= meant <= most and value < least
+        return f" fs. It is in fs, not in ps: did you mean {meant:g}?" if is_in_ps else ""
+
+    return replace(kind, remark=remark)
 
 
 #: Kinds that several commands share.

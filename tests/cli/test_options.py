@@ -73,9 +73,9 @@ def test_help_says_every_default(command):
         ("--seed", "99999999999", "from 1 to 2147483647, got '99999999999'"),
         ("--seed", "1" * 5000, "from 1 to 2147483647, got '111"),
         ("--time", "1e300", "above 0 and up to 1e+09 ps, got '1e300'"),
-        ("--dt", "nan", "from 0.05 to 1000 fs; 0.006 ps are 6 fs, got 'nan'"),
-        ("--dt", "1e-300", "from 0.05 to 1000 fs; 0.006 ps are 6 fs, got '1e-300'"),
-        ("--dt", "0.006", "from 0.05 to 1000 fs; 0.006 ps are 6 fs, got '0.006'"),
+        ("--dt", "nan", "from 0.05 to 1000 fs, got 'nan' (see"),
+        ("--dt", "1e-300", "from 0.05 to 1000 fs, got '1e-300' (see"),
+        ("--dt", "0.006", "from 0.05 to 1000 fs, got '0.006' fs. It is in fs, not in ps: did you mean 6?"),
         ("--hydrogen-mass", "12", "from 1 to 4 dalton, got '12'"),
         ("--steps", "1e3", "from 1 to 1000000000000000, got '1e3'"),
     ],
@@ -91,6 +91,14 @@ def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
     assert new_plan(Options(Path("box.pdb"), constraints="none")).constraints == "none"
     unconstrained = new_plan(Options(Path("box.pdb"), constraints="none"))
     assert new_plan(Options(Path("box.pdb"), start=Path("a.chk")), unconstrained).constraints == "none"
+
+
+def test_a_step_in_ps_in_a_plan_of_an_ensemble_is_refused_with_what_was_meant(tmp_path, capsys):
+    write_lattice(tmp_path / "box.pdb", 8)
+    Path("plan.toml").write_text('[options]\nbox = "box.pdb"\ndt = 0.0045\n[members]\nseed = [1]\n')
+    message = complaint(capsys, "ensemble", "plan.toml")
+    assert "dt: expected a number from 0.05 to 1000 fs, got 0.0045 fs." in message
+    assert "did you mean 4.5?" in message
 
 
 # --- wrong values in files ---
