@@ -13,7 +13,7 @@ from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
-from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.bonded_terms import bonded_terms
 
 #: Dalton. The most that hydrogens may weigh, also those that were made heavier before.
 HEAVIEST_HYDROGEN = 4.5
@@ -86,13 +86,14 @@ def hydrogens(system: openmm.System) -> dict[int, list[int]]:
 
 def _partners(system: openmm.System) -> dict[int, dict[int, float]]:
     """What bonds and constraints join to each particle that moves, with distances in nm; that of custom bonds is 0."""
-    masses, links = tables.masses(system), Links(system)
-    pairs = [(*pair, length) for pair, length in links.constraints.by_pair().items()]
+    masses = tables.masses(system)
+    pairs = [(*pair, length) for pair, length in tables.constraints(system).by_pair().items()]
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce):
             terms = (force.getBondParameters(i) for i in range(force.getNumBonds()))
             pairs += [(first, second, length.value_in_unit(unit.nanometer)) for first, second, length, _ in terms]
-    pairs += [(first, second, 0.0) for first, second in links.custom.tolist()]
+        elif isinstance(force, openmm.CustomBondForce):
+            pairs += [(first, second, 0.0) for first, second in bonded_terms(force).tolist()]
     found: dict[int, dict[int, float]] = {}
     for first, second, length in pairs:
         if masses[first] > 0 and masses[second] > 0:
