@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,7 +17,7 @@ from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
+from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.system import checks
@@ -127,7 +127,7 @@ class Engine(ABC):
         if checked != self._checked:
             self._vibrations.check(flow.scheme, flow.step, groups & ~flow.fast_groups)
             inner, fast = self._inner_step(), groups & flow.fast_groups
-            self._vibrations.check_nested(flow.scheme, WITHIN_DRIFTS, inner, flow.step, fast)
+            self._vibrations.check_nested(flow.scheme, flow.scheme.within_drifts, inner, flow.step, fast)
             if flow.constant_energy:
                 self._vibrations.tell_of_walk(flow.scheme, flow.step, groups & ~flow.fast_groups)
             self._checked = checked
@@ -240,6 +240,24 @@ class Engine(ABC):
     @abstractmethod
     def state(self) -> BodyState:
         """The bodies' phase point, brought up to date with the Context."""
+
+    @property
+    def momentum_lag(self) -> float:
+        """See `Scheme.momentum_lag`."""
+        return self._flow.scheme.momentum_lag
+
+    def at_whole_step(self, state: BodyState) -> BodyState:
+        """The phase point of a whole step, with momenta that do not lag; it costs a force evaluation if they do."""
+        if not self.momentum_lag:
+            return state
+        bodies, groups, fast = self.bodies, self._integrator.getIntegrationForceGroups(), self._flow.fast_groups
+        p, L = state.p, state.L
+        for step, acting in ((self._flow.step, groups & ~fast), (self._inner_step(), groups & fast)):
+            if acting:
+                forces = self._context.getState(forces=True, groups=acting).getForces(asNumpy=True)
+                F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
+                p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
+        return replace(state, p=bodies.constraints.project(state.q, p), L=L)
 
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`."""

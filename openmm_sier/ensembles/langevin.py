@@ -8,7 +8,7 @@ from typing import ClassVar
 import openmm
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
-from openmm_sier.dynamics.schemes import BATH, Scheme
+from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.variables import SEED, Record
@@ -50,7 +50,7 @@ class Langevin(Ensemble):
 
     def executed(self, scheme: Scheme) -> Scheme:
         """Without its bath if there is no friction, so that the trajectory is that of the scheme alone."""
-        return scheme.without(BATH) if self.friction == self.turning == 0 else scheme
+        return scheme.without_bath() if self.friction == self.turning == 0 else scheme
 
     def bath(self, seed: int) -> OrnsteinUhlenbeck:
         return OrnsteinUhlenbeck(self.temperature, self.friction, self.turning, seed)

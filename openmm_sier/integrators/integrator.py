@@ -14,7 +14,7 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
+from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.choice import engine_for
 from openmm_sier.engines.native import installation
@@ -239,6 +239,16 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         return self._bound().state()
 
+    def getWholeStepState(self) -> BodyState:
+        """The state at which the energy less the heat is conserved, within the error of the scheme.
+
+        It is that of `getBodyState`, but for SIER2 with a heat bath: its velocities at the end of a step, those after
+        the bath, lag half a kick behind, as those of OpenMM's LangevinMiddleIntegrator do. To advance them costs a
+        force evaluation.
+        """
+        engine = self._bound()
+        return engine.at_whole_step(engine.state())
+
     def step(self, steps: int) -> None:
         """Advance by a number of steps.
 
@@ -328,7 +338,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context."""
         checks.refuse_drude_particles(system)
         self._find_fast_forces(system)
-        if self.scheme.without(BATH).order >= 4:
+        if self.scheme.without_bath().order >= 4:
             tell_of_pme(system, self.scheme.name)
         self._record.clear()
         for name in (SEED, PART):

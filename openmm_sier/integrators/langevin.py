@@ -23,9 +23,10 @@ from openmm_sier.system.arguments import Bodies, checked_scheme
 class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
     """Rigid-body Langevin dynamics at constant temperature.
 
-    An exact heat bath is placed in the scheme so that averages keep its order: in the middle of SIER2 (kick, half
-    drift, bath, half drift, kick), and half at either end of fourth-order schemes (`Scheme.with_bath`). With zero
-    friction the trajectory is, bit for bit, that of the scheme without a bath.
+    An exact heat bath is placed in the scheme so that averages keep its order (`Scheme.with_bath`): SIER2 becomes kick,
+    half drift, bath, half drift, as OpenMM's LangevinMiddleIntegrator has it, other schemes have half of it at either
+    end. So velocities at the end of a step have the temperature of the bath. With zero friction the trajectory of the
+    exact engine is, bit for bit, that of the scheme without a bath.
 
     With the exact engine the noise is a function of the seed and of the number of bath operations done so far. Both
     travel in checkpoints, so that a restarted run continues the same trajectory. A State brings only the number, and

@@ -321,6 +321,11 @@ class NativeEngine(Engine):
 
     # --- what users ask ---
 
+    @property
+    def momentum_lag(self) -> float:
+        # The program has its bath also where there is no friction.
+        return self._integrator.scheme.momentum_lag
+
     def state(self) -> BodyState:
         return self._state_of(self.bodies)
 
