@@ -21,11 +21,11 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
     """
 
     def _change_ensemble(self, **changes: Any) -> None:
-        self._change(ensemble=replace(self._ensemble, **changes))
+        self.binding.change(ensemble=replace(self.binding.ensemble, **changes))
 
     def getTemperature(self) -> unit.Quantity:
         """Temperature of the bath, a quantity in K."""
-        return self._ensemble.temperature * unit.kelvin
+        return self.binding.ensemble.temperature * unit.kelvin
 
     def setTemperature(self, temp: Any) -> None:
         """Set the temperature of the bath, a quantity or a number in K."""
@@ -33,23 +33,23 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
 
     def getFriction(self) -> unit.Quantity:
         """Friction of the translation, a quantity in 1/ps; infinite where momenta are drawn anew."""
-        friction = self._ensemble.friction
+        friction = self.binding.ensemble.friction
         return (math.inf if friction is None else friction) / unit.picosecond
 
     def getPressure(self) -> unit.Quantity | None:
         """Pressure that is kept, a quantity in bar; None if the volume is kept."""
-        move = self._ensemble.volume_move
+        move = self.binding.ensemble.volume_move
         return None if move is None else move.pressure / BAR * unit.bar
 
     def setPressure(self, pressure: Any) -> None:
         """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
-        if (move := self._ensemble.volume_move) is None:
+        if (move := self.binding.ensemble.volume_move) is None:
             raise ValueError("this integrator keeps the volume: create it with a pressure")
         self._change_ensemble(volume_move=replace(move, pressure=_pressure(pressure)))
 
     def getBarostatInterval(self) -> int | None:
         """The `barostatInterval` that the integrator was made with; None if the volume is kept."""
-        move = self._ensemble.volume_move
+        move = self.binding.ensemble.volume_move
         return None if move is None else move.interval
 
     def setRandomNumberSeed(self, seed: int) -> None:
@@ -61,7 +61,7 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
 
         The total energy less this heat is conserved. The work P dV is not included in the heat.
         """
-        return self._bound().heat() * unit.kilojoule_per_mole
+        return self.binding.engine.heat() * unit.kilojoule_per_mole
 
 
 def volume_move(pressure: Any, interval: Any) -> MonteCarloVolumeMove | None:

@@ -96,22 +96,22 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
 
     def getStepsPerTrial(self) -> int:
         """Steps of the scheme in each trial."""
-        return self._ensemble.steps_per_trial
+        return self.binding.ensemble.steps_per_trial
 
     def setStepsPerTrial(self, steps: int) -> None:
         """Set the steps of each trial; the step of the scheme stays."""
-        before = self._ensemble.steps_per_trial
+        before = self.binding.ensemble.steps_per_trial
         self._change_ensemble(steps_per_trial=whole_number("stepsPerTrial", steps))
-        if self._ensemble.steps_per_trial > before:
+        if self.binding.ensemble.steps_per_trial > before:
             self.setGlobalVariableByName(CHECKED_STEP, 0)
 
     def getSchemeStepSize(self) -> unit.Quantity:
         """The step of the scheme, a quantity in ps."""
-        return self._settings.step * unit.picosecond
+        return self.binding.settings.step * unit.picosecond
 
     def setSchemeStepSize(self, size: Any) -> None:
         """Set the step of the scheme, a time quantity or a number in ps; the number of steps in a trial stays."""
-        self._change(step=step_size(size))
+        self.binding.change(step=step_size(size))
 
     def setFriction(self, coeff: Any) -> None:
         """Set the friction, a quantity or a number in 1/ps; None draws all momenta anew."""

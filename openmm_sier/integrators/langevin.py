@@ -85,7 +85,7 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Friction of the rotation, a quantity in 1/ps."""
-        return self._ensemble.turning / unit.picosecond
+        return self.binding.ensemble.turning / unit.picosecond
 
     def setRotationalFriction(self, coeff: Any) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""

@@ -13,19 +13,15 @@ somebody has imported.
 
 from __future__ import annotations
 
-import copy
-import inspect
 import json
-import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from types import UnionType
 from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.bodies import RigidBodies as DynamicsBodies
@@ -283,41 +279,3 @@ def class_at(place: str, base: type) -> type:
             f"The class {place} of a stored SIER integrator is not known here: import its module first, if you trust it"
         )
     return found
-
-
-# --- integrators from what is stored ---
-
-
-def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
-    """Turn a plain CustomIntegrator read from XML back into the SIER integrator it was; return others unchanged.
-
-    Its class must be a subclass of a base, that of all SIER integrators.
-
-    Raises:
-        SettingsError: what is stored cannot be used here, as the message says.
-    """
-    if type(integrator) is openmm.CustomIntegrator and is_stored(integrator):
-        found = stored(integrator)
-        _give_class(integrator, class_at(found.kind, base), found)
-    return integrator
-
-
-def unpickled(xml: str, cls: type, attributes: dict[str, Any]) -> Any:
-    """An integrator from its XML, with the attributes that XML does not hold in full."""
-    plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml)
-    _give_class(plain, cls, attributes["_settings"])
-    for name in attributes.keys() - vars(plain).keys():
-        setattr(plain, name, copy.deepcopy(attributes[name]))
-    return plain
-
-
-def _give_class(plain: Any, cls: type, found: Settings) -> None:
-    variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
-    if missing := set(found.ensemble.record) - variables:
-        raise SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
-    plain.__class__ = cls
-    plain._use(found)
-    step = openmm.CustomIntegrator.getStepSize(plain).value_in_unit(unit.picosecond) * plain._native_steps
-    if not math.isclose(step, found.step, rel_tol=1e-12):
-        # The step was set where this package was not imported.
-        plain._settings = replace(found, step=step)

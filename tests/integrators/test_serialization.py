@@ -98,7 +98,11 @@ def described(integrator) -> list:
     parts.append(integrator.getRandomNumberSeed())
     if isinstance(integrator, SIERLangevinIntegrator):
         parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
-        parts += [integrator.getPressure(), integrator.getBarostatInterval(), integrator._ensemble.rotational_friction]
+        parts += [
+            integrator.getPressure(),
+            integrator.getBarostatInterval(),
+            integrator.binding.ensemble.rotational_friction,
+        ]
     if isinstance(integrator, SIERHMCIntegrator):
         parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getStepsPerTrial()]
         parts += [integrator.getPressure(), integrator.getBarostatInterval()]
@@ -158,13 +162,13 @@ def integrator_has_pressure(integrator) -> bool:
 
 def test_settled_bodies_come_back_to_the_bit(cluster):
     bodies = RigidBodies.from_system(cluster[1], cluster[0])
-    back = deserialize(serialize(SIER2Integrator(0.001, bodies)))._settings.bodies
+    back = deserialize(serialize(SIER2Integrator(0.001, bodies))).binding.settings.bodies
     assert back.n_particles == bodies.n_particles
     for one, two in zip(back.species, bodies.species, strict=True):
         for name in ("atoms", "masses", "sites", "moments"):
             assert np.array_equal(getattr(one, name), getattr(two, name))
     # Copies in one process also know the names of residues, for messages.
-    assert copy.deepcopy(SIER2Integrator(0.001, bodies))._settings.bodies is bodies
+    assert copy.deepcopy(SIER2Integrator(0.001, bodies)).binding.settings.bodies is bodies
 
 
 def test_a_run_from_xml_files_is_the_run(tmp_path, cluster):
@@ -324,7 +328,7 @@ WRONG = {
 def test_wrong_values_in_xml_are_refused_by_field_and_import_nothing(field):
     for value in WRONG[field]:
         plain = openmm.CustomIntegrator(0.001)
-        values = settings.as_json(SIER2Integrator(0.001)._settings) | {field: value}
+        values = settings.as_json(SIER2Integrator(0.001).binding.settings) | {field: value}
         settings.store_text(plain, json.dumps(values))
         imported = set(sys.modules)
         with pytest.raises(openmm.OpenMMException) as refused:
