@@ -18,7 +18,7 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.system import checks
 from openmm_sier.system.vibrations import Vibrations
@@ -48,7 +48,7 @@ class Flow:
     rotation: Rotation = exact
     substeps: int | None = None
     fast_groups: int = 0
-    bath: OrnsteinUhlenbeck | None = None
+    bath: Thermostat | None = None
     constant_energy: bool = False
     updates_context: bool = True
 
@@ -173,7 +173,7 @@ class Engine(ABC):
         """Positions of all particles, (N, 3), nm."""
 
     @abstractmethod
-    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+    def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Let a bath act for a time in ps; it takes a draw and its heat is counted."""
 
     @abstractmethod

@@ -3,3 +3,10 @@
 An ensemble is frozen data with one operation, `advance`. It knows engines only by `engines.protocol.Engine`, so that it
 is written once for all of them.
 """
+
+from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
+from openmm_sier.ensembles.langevin import Langevin
+from openmm_sier.ensembles.metropolis import Metropolis
+
+#: Ensembles by the names of their classes, by which XML and copies of integrators have them.
+ENSEMBLES: dict[str, type[Ensemble]] = {cls.__name__: cls for cls in (ConstantEnergy, Langevin, Metropolis)}

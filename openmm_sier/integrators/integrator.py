@@ -96,9 +96,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
             TypeError: the step is not a time, `scheme` is neither a Scheme nor a name, or `bodies` or `fastForceGroups`
                 have the wrong type.
         """
+        ensemble = ensemble or ConstantEnergy()
         given = Settings(
             kind=settings.place_of(type(self)),
-            scheme=checked_scheme(scheme),
+            scheme=ensemble.suited(checked_scheme(scheme)),
             step=step_size(stepSize),
             engine=engine,
             substeps=None if substeps is None else whole_number("substeps", substeps),
@@ -106,7 +107,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             finds_fast_groups=fastForceGroups is None,
             bodies=checked_bodies(bodies),
             rotation=rotation,
-            ensemble=ensemble or ConstantEnergy(),
+            ensemble=ensemble,
         )
         super().__init__(given.step)
         for name in (*STATE_VARIABLES, SITES):
@@ -149,17 +150,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def _flow(self) -> Flow:
         """What an engine is to follow now; a loaded checkpoint brings the seed of its run."""
-        given, ensemble = self._settings, self._settings.ensemble
-        return Flow(
-            scheme=ensemble.executed(given.scheme),
-            step=given.step,
-            rotation=given.rotation,
-            substeps=given.substeps,
-            fast_groups=given.fast_groups,
-            bath=ensemble.bath(int(self.getGlobalVariableByName(SEED))),
-            constant_energy=ensemble.constant_energy,
-            updates_context=ensemble.updates_context,
-        )
+        return self._settings.flow(int(self.getGlobalVariableByName(SEED)))
 
     def _set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
@@ -402,8 +393,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
 
 def _written(given: Settings) -> Program:
-    groups, updates = groups_of(given.fast_groups), given.ensemble.updates_context
+    groups, flow = groups_of(given.fast_groups), given.flow()
     try:
-        return native_program.write(given.scheme, given.substeps, groups, updates_context=updates)
+        return native_program.write(given.scheme, given.substeps, groups, flow.updates_context, flow.bath)
     except ValueError as error:
         return Program(given.scheme.name, (), str(error))

@@ -288,11 +288,12 @@ def test_xml_of_another_version(monkeypatch):
     monkeypatch.setattr(settings, "LAYOUT", 7)
     xml = serialize(SIER2Integrator(0.001))
     monkeypatch.undo()
-    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 3 is read"):
+    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 4 is read"):
         deserialize(xml)
 
 
-LANGEVIN = {"name": "Langevin", "temperature": 1.0, "friction": 1.0, "rotational_friction": None, "volume_move": None}
+PRESSURE = {"pressure": None, "interval": 1}
+LANGEVIN = PRESSURE | {"name": "Langevin", "temperature": 1.0, "friction": 1.0, "rotational_friction": None}
 
 #: Each a field of the settings, and values that it must not have.
 WRONG = {
@@ -313,9 +314,10 @@ WRONG = {
         LANGEVIN | {"temperature": "hot"},
         LANGEVIN | {"friction": -1.0},
         LANGEVIN | {"friction": None},
-        LANGEVIN | {"volume_move": {"pressure": 1.0}},
-        LANGEVIN | {"volume_move": {"pressure": 1.0, "interval": 0}},
-        {"name": "Metropolis", "temperature": 300.0, "friction": None, "steps_per_trial": 0, "volume_move": None},
+        LANGEVIN | {"volume_move": None},
+        LANGEVIN | {"pressure": "high"},
+        LANGEVIN | {"interval": 0},
+        PRESSURE | {"name": "Metropolis", "temperature": 300.0, "friction": None, "steps_per_trial": 0},
     ],
 }
 

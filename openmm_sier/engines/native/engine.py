@@ -13,7 +13,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.noise import generator
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
@@ -279,7 +279,7 @@ class NativeEngine(Engine):
     def positions(self) -> np.ndarray:
         return Snapshot(self._context).positions
 
-    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+    def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
         self._settle()
         old, before = Snapshot(self._context).velocities, self.kinetic_energy()
