@@ -13,7 +13,7 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.system.arguments import quantity_to_float, whole_number
 
 
-class ConstantTemperatureIntegrator(SIERIntegrator):
+class SIERThermostatIntegrator(SIERIntegrator):
     """A `SIERIntegrator` whose ensemble has a temperature and, if a pressure is given, moves of the volume.
 
     Its noise is a function of the seed and of the number of draws so far, which both travel in checkpoints.

@@ -12,11 +12,11 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
-from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.system.arguments import Bodies, step_size
 
 
-class SIERHMCIntegrator(ConstantTemperatureIntegrator):
+class SIERHMCIntegrator(SIERThermostatIntegrator):
     """Hybrid Monte Carlo: samples of the canonical ensemble without time-step error.
 
     `integrator.step(1)` makes a trial: a trajectory of `stepsPerTrial` steps of the scheme, from momenta that are drawn

@@ -11,11 +11,11 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.langevin import Langevin
-from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.system.arguments import Bodies
 
 
-class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
+class SIERLangevinIntegrator(SIERThermostatIntegrator):
     """Rigid-body Langevin dynamics at constant temperature.
 
     An exact heat bath is placed in the scheme so that averages keep its order (`Scheme.with_bath`): SIER2 becomes kick,

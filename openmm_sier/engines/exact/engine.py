@@ -321,6 +321,10 @@ class ExactEngine(Engine):
     def shift_velocities(self, velocity: np.ndarray) -> None:
         self._state = self.bodies.shifted(self._reached, velocity)
 
+    def scale_velocities(self, factor: float) -> None:
+        state, gained = self._reached, (factor**2 - 1) * self.kinetic_energy()
+        self._state = replace(state, p=factor * state.p, L=factor * state.L, heat=state.heat + gained)
+
     def prepare_for_volume_moves(self) -> None:
         self._moves_volume = True
         if self._bodies is not None:

@@ -309,6 +309,9 @@ class NativeEngine(Engine):
         old = Snapshot(self._context).velocities
         self._set_velocities(np.where(self._masses[:, None] > 0, old + velocity, old), self.kinetic_energy())
 
+    def scale_velocities(self, factor: float) -> None:
+        self._set_velocities(factor * Snapshot(self._context).velocities, self.kinetic_energy())
+
     def scale(self, factor: float) -> None:
         context = self._context
         box = context.getState().getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
@@ -339,10 +342,13 @@ class NativeEngine(Engine):
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""
         if not isinstance(self._found, RigidityError):
             return super().temperatures()
-        conserved = self.conserves_momentum()
-        kinetic = sum(thermal_energies(self._points, self._state_of(self._points), conserved))
-        dof = self._points.dof - len(self._constraints.pairs) - (3 if conserved else 0)
-        return Temperatures(temperature(kinetic, dof), math.nan, math.nan)
+        kinetic = sum(thermal_energies(self._points, self._state_of(self._points), self.conserves_momentum()))
+        return Temperatures(temperature(kinetic, self.degrees_of_freedom()), math.nan, math.nan)
+
+    def degrees_of_freedom(self) -> float:
+        if not isinstance(self._found, RigidityError):
+            return super().degrees_of_freedom()
+        return self._points.dof - len(self._constraints.pairs) - (3 if self.conserves_momentum() else 0)
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         by_openmm()
