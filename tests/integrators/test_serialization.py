@@ -27,9 +27,11 @@ from openmm_sier import (
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
+    SIERThermostatIntegrator,
     hooks,
 )
 from openmm_sier.dynamics import rotation
+from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.integrators import settings
 from tests.support.waters import array, cluster_system, context_at, platform, relaxed
 
@@ -87,6 +89,8 @@ DISTINCT = {
     "hybrid Monte Carlo": lambda: SIERHMCIntegrator(300, 0.002),
     "length of trials": lambda: SIERHMCIntegrator(300, 0.002, stepsPerTrial=5),
     "momenta kept in part": lambda: SIERHMCIntegrator(300, 0.002, frictionCoeff=1),
+    "velocity rescaling": lambda: SIERThermostatIntegrator(VelocityRescaling(300, 1), 0.002),
+    "another rate": lambda: SIERThermostatIntegrator(VelocityRescaling(300, 2), 0.002),
     "trials at constant pressure": lambda: SIERHMCIntegrator(300, 0.002, pressure=1 * unit.bar, barostatInterval=5),
 }
 
