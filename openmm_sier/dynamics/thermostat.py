@@ -20,7 +20,8 @@ class Thermostat(ABC):
 
     Attributes:
         temperature: K.
-        friction, rotational_friction: rates at which it acts on translation and rotation, 1/ps.
+        friction: rate at which it acts on translation, 1/ps.
+        rotational_friction: rate at which it acts on rotation, 1/ps.
         seed: together with the number of earlier draws it fixes the noise.
     """
 

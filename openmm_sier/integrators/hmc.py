@@ -74,8 +74,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
             TypeError: a quantity has the wrong dimension.
         """
-        more: dict[str, Any] = {"pressure": pressure, "interval": barostatInterval}
-        trials = Metropolis(temperature, frictionCoeff, stepsPerTrial, **more)
+        trials = Metropolis(temperature, frictionCoeff, stepsPerTrial, pressure=pressure, interval=barostatInterval)
         options = {"rotation": rotation, "engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
         super().__init__(trials, stepSize, scheme, bodies=bodies, **options)
 

@@ -65,8 +65,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
-        more: dict[str, Any] = {"pressure": pressure, "interval": barostatInterval}
-        bath = Langevin(temperature, frictionCoeff, rotationalFriction, **more)
+        bath = Langevin(temperature, frictionCoeff, rotationalFriction, pressure=pressure, interval=barostatInterval)
         options = {"rotation": rotation, "engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
         super().__init__(bath, stepSize, scheme, bodies=bodies, **options)
 

@@ -78,6 +78,9 @@ GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 #: A force as a sum of OpenMM's forces, each with its sign.
 Force = list[tuple[str, str]]
 
+#: Writes a drift out from its stage.
+Drift = Callable[[Stage], "Line"]
+
 
 class Line(NamedTuple):
     """Statements that belong together.
@@ -243,9 +246,7 @@ def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) ->
     return Line(title, (), (e,), "e/h", tuple(within))
 
 
-def _lines(
-    stages: Iterable[Stage], h: str, force: Force, drift: Callable[[Stage], Line], bath: Thermostat | None = None
-) -> list[Line]:
+def _lines(stages: Iterable[Stage], h: str, force: Force, drift: Drift, bath: Thermostat | None = None) -> list[Line]:
     """Stages for a step called `h`; `drift` writes one from its stage."""
     lines: list[Line] = []
     for stage in stages:
