@@ -18,8 +18,8 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
+from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom, temperatures
 from openmm_sier.system import checks
 from openmm_sier.system.vibrations import Vibrations
 
@@ -48,7 +48,7 @@ class Flow:
     rotation: Rotation = exact
     substeps: int | None = None
     fast_groups: int = 0
-    bath: OrnsteinUhlenbeck | None = None
+    bath: Thermostat | None = None
     constant_energy: bool = False
     updates_context: bool = True
 
@@ -173,7 +173,7 @@ class Engine(ABC):
         """Positions of all particles, (N, 3), nm."""
 
     @abstractmethod
-    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+    def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Let a bath act for a time in ps; it takes a draw and its heat is counted."""
 
     @abstractmethod
@@ -196,6 +196,10 @@ class Engine(ABC):
     @abstractmethod
     def shift_velocities(self, velocity: np.ndarray) -> None:
         """Add a velocity, (3,), nm/ps, to all bodies, and its energy to the heat."""
+
+    @abstractmethod
+    def scale_velocities(self, factor: float) -> None:
+        """Multiply all velocities by a factor, and add the energy that they gain to the heat."""
 
     def prepare_for_volume_moves(self) -> None:
         """Check that the volume can be changed.
@@ -275,6 +279,10 @@ class Engine(ABC):
     def conserves_momentum(self) -> bool:
         """Whether the total momentum is conserved, see `MomentumConservation`."""
         return self._momentum.holds(self._integrator)
+
+    def degrees_of_freedom(self) -> float:
+        """Number of degrees of freedom that share the heat, see `engines.temperature`."""
+        return sum(degrees_of_freedom(self.bodies, self.conserves_momentum()))
 
     @abstractmethod
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:

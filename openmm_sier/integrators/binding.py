@@ -117,17 +117,7 @@ class Binding:
 
     def _flow(self) -> Flow:
         """What an engine is to follow now; a loaded checkpoint brings the seed of its run."""
-        given, ensemble = self.settings, self.ensemble
-        return Flow(
-            scheme=ensemble.executed(given.scheme),
-            step=given.step,
-            rotation=given.rotation,
-            substeps=given.substeps,
-            fast_groups=given.fast_groups,
-            bath=ensemble.bath(int(self.record[SEED])),
-            constant_energy=ensemble.constant_energy,
-            updates_context=ensemble.updates_context,
-        )
+        return self.settings.flow(int(self.record[SEED]))
 
     def _set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
@@ -275,9 +265,9 @@ class Binding:
 
 
 def _written(given: settings.Settings) -> program.Program:
-    groups, updates = groups_of(given.fast_groups), given.ensemble.updates_context
+    groups, flow = groups_of(given.fast_groups), given.flow()
     try:
-        return program.write(given.scheme, given.substeps, groups, updates_context=updates)
+        return program.write(given.scheme, given.substeps, groups, flow.updates_context, flow.bath)
     except ValueError as error:
         return program.Program(given.scheme.name, (), str(error))
 

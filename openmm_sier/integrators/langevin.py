@@ -11,16 +11,11 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.langevin import Langevin
-from openmm_sier.integrators.constant_temperature import (
-    ConstantTemperatureIntegrator,
-    in_kelvin,
-    per_picosecond,
-    volume_move,
-)
-from openmm_sier.system.arguments import Bodies, checked_scheme
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
+from openmm_sier.system.arguments import Bodies
 
 
-class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
+class SIERLangevinIntegrator(SIERThermostatIntegrator):
     """Rigid-body Langevin dynamics at constant temperature.
 
     An exact heat bath is placed in the scheme so that averages keep its order (`Scheme.with_bath`): SIER2 becomes kick,
@@ -70,18 +65,17 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
-        scheme = checked_scheme(scheme).with_bath()
-        ensemble = Langevin(
-            in_kelvin(temperature),
-            per_picosecond("frictionCoeff", frictionCoeff),
-            None if rotationalFriction is None else per_picosecond("rotationalFriction", rotationalFriction),
-            volume_move(pressure, barostatInterval),
-        )
-        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
+        bath = Langevin(temperature, frictionCoeff, rotationalFriction, pressure=pressure, interval=barostatInterval)
+        options = {"rotation": rotation, "engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
+        super().__init__(bath, stepSize, scheme, bodies=bodies, **options)
+
+    def getFriction(self) -> unit.Quantity:
+        """Friction of the translation, a quantity in 1/ps."""
+        return self.binding.ensemble.friction / unit.picosecond
 
     def setFriction(self, coeff: Any) -> None:
         """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
-        self._change_ensemble(friction=per_picosecond("coeff", coeff))
+        self._change_ensemble(friction=coeff)
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Friction of the rotation, a quantity in 1/ps."""
@@ -89,4 +83,4 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
 
     def setRotationalFriction(self, coeff: Any) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""
-        self._change_ensemble(rotational_friction=per_picosecond("coeff", coeff))
+        self._change_ensemble(rotational_friction=coeff)

@@ -29,20 +29,17 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.choice import ENGINES
+from openmm_sier.engines.protocol import Flow
+from openmm_sier.ensembles import ENSEMBLES
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
-from openmm_sier.ensembles.langevin import Langevin
-from openmm_sier.ensembles.metropolis import Metropolis
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, step_size
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: The version of what is stored, and the name of the function that stores it.
-LAYOUT, NAME = 3, "sier settings"
+LAYOUT, NAME = 4, "sier settings"
 
 #: Bytes of text in each value: a double holds whole numbers of six bytes exactly.
 WIDTH = 6
-
-#: Ensembles by the names of their classes.
-ENSEMBLES: dict[str, type[Ensemble]] = {cls.__name__: cls for cls in (ConstantEnergy, Langevin, Metropolis)}
 
 #: Free-rotation maps by name: those of this package, and any with which an integrator was made in this process.
 ROTATIONS: dict[str, Rotation] = {name: getattr(rotation, name) for name in ("exact", "mrdl", "sej4", "rattle")}
@@ -86,6 +83,11 @@ class Settings:
             raise ValueError(f"substeps must be at least 1, got {self.substeps}")
         group_mask("fast_groups", self.fast_groups)
         checked_bodies(self.bodies)
+
+    def flow(self, seed: int = 0) -> Flow:
+        """What an engine is to follow, with the noise of a seed."""
+        plain = Flow(self.scheme, self.step, self.rotation, self.substeps, self.fast_groups)
+        return self.ensemble.flow(plain, seed)
 
 
 # --- in OpenMM's integrator ---
@@ -180,7 +182,8 @@ def _decoded(kind: Any, value: Any, name: str) -> Any:
         return float(number) if abs(number) <= sys.float_info.max else _refuse(name, "a finite number", value)
     if kind in (str, int, bool):
         return _demand(name, value, kind)
-    types = {field: hint for field, hint in get_type_hints(kind).items() if field in kind.__match_args__}
+    names = [each.name for each in fields(kind)] if is_dataclass(kind) else kind.__match_args__
+    types = {field: hint for field, hint in get_type_hints(kind).items() if field in names}
     given = _demand(name, value, dict if is_dataclass(kind) else list)
     if isinstance(given, list):
         given = dict(zip(types, given, strict=False)) if len(given) == len(types) else {}

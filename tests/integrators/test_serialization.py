@@ -27,9 +27,11 @@ from openmm_sier import (
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
+    SIERThermostatIntegrator,
     hooks,
 )
 from openmm_sier.dynamics import rotation
+from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.integrators import settings
 from tests.support.waters import array, cluster_system, context_at, platform, relaxed
 
@@ -87,6 +89,8 @@ DISTINCT = {
     "hybrid Monte Carlo": lambda: SIERHMCIntegrator(300, 0.002),
     "length of trials": lambda: SIERHMCIntegrator(300, 0.002, stepsPerTrial=5),
     "momenta kept in part": lambda: SIERHMCIntegrator(300, 0.002, frictionCoeff=1),
+    "velocity rescaling": lambda: SIERThermostatIntegrator(VelocityRescaling(300, 1), 0.002),
+    "another rate": lambda: SIERThermostatIntegrator(VelocityRescaling(300, 2), 0.002),
     "trials at constant pressure": lambda: SIERHMCIntegrator(300, 0.002, pressure=1 * unit.bar, barostatInterval=5),
 }
 
@@ -292,11 +296,12 @@ def test_xml_of_another_version(monkeypatch):
     monkeypatch.setattr(settings, "LAYOUT", 7)
     xml = serialize(SIER2Integrator(0.001))
     monkeypatch.undo()
-    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 3 is read"):
+    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 4 is read"):
         deserialize(xml)
 
 
-LANGEVIN = {"name": "Langevin", "temperature": 1.0, "friction": 1.0, "rotational_friction": None, "volume_move": None}
+PRESSURE = {"pressure": None, "interval": 1}
+LANGEVIN = PRESSURE | {"name": "Langevin", "temperature": 1.0, "friction": 1.0, "rotational_friction": None}
 
 #: Each a field of the settings, and values that it must not have.
 WRONG = {
@@ -317,9 +322,10 @@ WRONG = {
         LANGEVIN | {"temperature": "hot"},
         LANGEVIN | {"friction": -1.0},
         LANGEVIN | {"friction": None},
-        LANGEVIN | {"volume_move": {"pressure": 1.0}},
-        LANGEVIN | {"volume_move": {"pressure": 1.0, "interval": 0}},
-        {"name": "Metropolis", "temperature": 300.0, "friction": None, "steps_per_trial": 0, "volume_move": None},
+        LANGEVIN | {"volume_move": None},
+        LANGEVIN | {"pressure": "high"},
+        LANGEVIN | {"interval": 0},
+        PRESSURE | {"name": "Metropolis", "temperature": 300.0, "friction": None, "steps_per_trial": 0},
     ],
 }
 

@@ -20,7 +20,7 @@ from openmm_sier.dynamics.constrained import (
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.exact.solute import SoluteForces, solute_system
 from openmm_sier.engines.protocol import Flow
 from openmm_sier.system import tables
@@ -77,7 +77,7 @@ class Motion:
             return operators.body_operators(bodies, forces, rotation)
         return constrained_operators(bodies, forces, bodies.constraints, rotation, groups=self._groups)
 
-    def bath(self, bath: OrnsteinUhlenbeck) -> Operator:
+    def bath(self, bath: Thermostat) -> Operator:
         """A bath as an operator."""
         operator = bath.operator(self._bodies)
         return constrained_bath(operator, self._bodies.constraints) if len(self._members) else operator

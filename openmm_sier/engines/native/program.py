@@ -19,6 +19,7 @@ from typing import NamedTuple
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.variables import PREFIX
 
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
@@ -76,6 +77,9 @@ GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 
 #: A force as a sum of OpenMM's forces, each with its sign.
 Force = list[tuple[str, str]]
+
+#: Writes a drift out from its stage.
+Drift = Callable[[Stage], "Line"]
 
 
 class Line(NamedTuple):
@@ -166,7 +170,11 @@ def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
 
 
 def write(
-    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), updates_context: bool = True
+    scheme: Scheme,
+    substeps: int | None = None,
+    fast_groups: Collection[int] = (),
+    updates_context: bool = True,
+    bath: Thermostat | None = None,
 ) -> Program:
     """The program of a scheme.
 
@@ -188,9 +196,11 @@ def write(
         fast_groups: force groups of the fast forces, which must act on atoms alone, see `refusals.refuse_fast_forces`.
         updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
             counted as heat.
+        bath: executes the scheme's bath, with whatever temperature and friction it is given later.
 
     Raises:
-        ValueError: the scheme has another operator, or needs more than `MOST_PARTS` native steps.
+        ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
+            native steps.
     """
     fast = [f"f{group}" for group in sorted(fast_groups)]
     number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
@@ -199,7 +209,7 @@ def write(
         return _nested_drift(scheme, stage, number, fast) if fast else _drift(stage.fraction, number)
 
     lines = [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))] if updates_context else []
-    lines += _lines(scheme.stages, "h", [("+", "f"), *(("-", name) for name in fast)], drift)
+    lines += _lines(scheme.stages, "h", [("+", "f"), *(("-", name) for name in fast)], drift, bath)
     if scheme.stages[-1].operator != BATH:
         lines.append(Line("end", (Statement(CONSTRAIN_V),)))
     parts = _divided(lines)
@@ -236,7 +246,7 @@ def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) ->
     return Line(title, (), (e,), "e/h", tuple(within))
 
 
-def _lines(stages: Iterable[Stage], h: str, force: Force, drift: Callable[[Stage], Line]) -> list[Line]:
+def _lines(stages: Iterable[Stage], h: str, force: Force, drift: Drift, bath: Thermostat | None = None) -> list[Line]:
     """Stages for a step called `h`; `drift` writes one from its stage."""
     lines: list[Line] = []
     for stage in stages:
@@ -247,8 +257,8 @@ def _lines(stages: Iterable[Stage], h: str, force: Force, drift: Callable[[Stage
             lines.append(Line("kick", tuple(_summed("v", "v", f"{time}*", force))))
         elif stage.operator == GRADIENT_KICK:
             lines += _gradient_kick(time, f"{stage.shift!r}*{h}*{h}", force)
-        elif stage.operator == BATH:
-            lines.append(_bath(time))
+        elif stage.operator == BATH and bath is not None:
+            lines.append(_bath(bath.velocity(time, FRICTION, THERMAL)))
         else:
             raise ValueError(f"the operator '{stage.operator}' cannot be written out")
     return lines
@@ -308,8 +318,7 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
     return [Line("displace", displace), Line("kick from there", kick)]
 
 
-def _bath(time: str) -> Line:
-    """The exact Ornstein-Uhlenbeck process of the constrained velocities: constraining projects the noise too."""
-    spread = f"sqrt((1 - exp(-2*{FRICTION}*{time}))*{THERMAL}/m)"
-    drawn = Statement("v", f"exp(-{FRICTION}*{time})*v + {spread}*gaussian")
+def _bath(velocity: str) -> Line:
+    """A bath of the constrained velocities: constraining projects the noise too."""
+    drawn = Statement("v", velocity)
     return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))
