@@ -11,12 +11,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from openmm_sier.cli import streams
 from openmm_sier.cli.console import REPORT, note, table
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.options import OPTIONS, Options, check_table
 from openmm_sier.cli.plan import RunError, new_plan
 from openmm_sier.measure.ensemble import EnsembleError, Member, Outcome, ensemble, is_complete
-from openmm_sier.measure.forcefields import SHIPPED
+from openmm_sier.measure.forcefields import SHIPPED, ForceFieldError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -132,23 +133,27 @@ def _member(path: Path, options: dict[str, Any], varied: list[str]) -> Member:
         key: [value] if key in OPTIONS and OPTIONS[key].kind.each and not isinstance(value, list) else value
         for key, value in options.items()
     }
-    checked = check_table(str(path), options)
+    check_table(str(path), options)
     if "box" not in options:
         raise PlanError(f"{path}: box is missing")
-    box = _found(path, options["box"])
+    options = {
+        key: _found(path, value) if OPTIONS[key].kind.file == "input" else value for key, value in options.items()
+    }
+    box = options["box"]
     if not (Path(box).is_absolute() and Path(box).is_file()):
         raise PlanError(f"{path}: box {box} is neither a file beside the plan nor one of the project's own boxes")
+    checked = check_table(str(path), options)
     try:
         new_plan(Options(**checked))
-    except RunError as error:
-        raise PlanError(f"{path}: {error}") from None
+    except (RunError, ForceFieldError, FileNotFoundError) as error:
+        raise PlanError(f"{path}: {streams.described(error)}") from None
     for key, value in checked.items():
         if OPTIONS[key].kind.file == "output" and len(value.parts) != 1:
             raise PlanError(f"{path}: {key}: outputs lie in the directory of each member: give a name alone")
     arguments = [COMMAND, box]
     for key, value in options.items():
         if key != "box":
-            arguments += OPTIONS[key].words(_found(path, value) if OPTIONS[key].kind.file == "input" else value)
+            arguments += OPTIONS[key].words(value)
     name = "-".join(_label(key, options[key]) for key in varied) or COMMAND
     return Member(name, tuple(arguments), checked.get("time") or 0.0)
 

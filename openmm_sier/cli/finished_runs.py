@@ -48,8 +48,9 @@ class FinishedRun(NamedTuple):
     def settings(self, but: str = "") -> dict[str, str]:
         """What runs that are pooled have in common, by name; one may be left out."""
         found = {field.name: str(getattr(self.plan, field.name)) for field in fields(Plan)}
-        if self.plan.box is not None:
-            found["box"] = os.path.realpath(self.plan.box)
+        for name in ("box", "topology"):
+            if (path := getattr(self.plan, name)) is not None:
+                found[name] = os.path.realpath(path)
         return {name: value for name, value in found.items() if name not in (*FREE, but)}
 
     def log(self, skip: float) -> dict[str, np.ndarray]:
