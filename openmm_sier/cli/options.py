@@ -29,7 +29,7 @@ MOST_STEPS = 10**15
 Restart = Literal["keeps", "may change", "not noted"]
 
 FORCEFIELD_HELP = (
-    "force-field files, OpenMM's or your own; with a psf file all parameter, topology and stream files of CHARMM, which "
+    "force-field files, OpenMM's or your own; with a psf file all parameter, topology and stream files of CHARMM, that "
     "end in .prm or .par, .rtf or .top, .str, or .inp (default: the file named in a record 'REMARK  99 FORCEFIELD "
     "file.xml' of the PDB file; without such a record the water model whose geometry the file has, if only one has it. "
     "Otherwise the error lists the models to choose from)"

@@ -64,6 +64,9 @@ class Interactions:
     hydrogen_mass: float | None = None
 
 
+USUAL = Interactions()
+
+
 def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> tuple[tuple[str, ...], str]:
     """Force-field files for a PDB file for which the user named none, and the reason in words.
 
@@ -136,7 +139,7 @@ def pme_system(
     topology: app.Topology,
     forcefield: app.ForceField,
     constraints: str | None = None,
-    interactions: Interactions = Interactions(),
+    interactions: Interactions = USUAL,
 ) -> openmm.System:
     """The System: rigid water, PME in a periodic box, no cut-off without one.
 
@@ -160,7 +163,7 @@ def build_system(
     create: Callable[..., openmm.System],
     box: Quantity | None,
     constraints: str | None = None,
-    interactions: Interactions = Interactions(),
+    interactions: Interactions = USUAL,
 ) -> openmm.System:
     """The System that a reader of OpenMM makes, as `pme_system` has it.
 
@@ -261,7 +264,7 @@ def read_box(
     path: str | Path,
     files: Sequence[str | Path] | None = None,
     constraints: str | None = None,
-    interactions: Interactions = Interactions(),
+    interactions: Interactions = USUAL,
     edges: Sequence[float] | None = None,
 ) -> Box:
     """Read a PDB or PDBx/mmCIF file and build its System.

@@ -17,7 +17,7 @@ from openmm import app, unit
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.coordinates import Coordinates, read_coordinates, refuse_other_atoms
 from openmm_sier.measure.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
-from openmm_sier.measure.forcefields import Box, Interactions
+from openmm_sier.measure.forcefields import USUAL, Box, Interactions
 from openmm_sier.measure.pdb_files import check_positions, first_line
 from openmm_sier.measure.water_models import ForceFieldError
 from openmm_sier.system.bonded_terms import BAROSTATS
@@ -41,7 +41,7 @@ def read_input(
     topology: str | Path | None = None,
     files: Sequence[str | Path] | None = None,
     constraints: str | None = None,
-    interactions: Interactions = Interactions(),
+    interactions: Interactions = USUAL,
     edges: Sequence[float] | None = None,
 ) -> Box:
     """Read coordinates and build the System for them.
@@ -69,7 +69,7 @@ def read_input(
             box = _box_of_system(source, interactions)
         else:
             box = _box_of_topology(source, files or (), constraints, interactions)
-    return _with_sources(box, Path(path), topology and Path(topology))
+    return _with_sources(box, Path(path), None if topology is None else Path(topology))
 
 
 def topology_kind(path: str | Path) -> str:
@@ -207,12 +207,12 @@ def _topology_of(system: openmm.System) -> app.Topology:
 
     Water is HOH; residues of other kinds are M1, M2 and so on. Particles without mass have no element.
     """
-    topology, kinds = app.Topology(), {("O", "H", "H"): "HOH"}
+    topology, kinds = app.Topology(), {"OHH": "HOH"}
     chain = topology.addChain()
     for molecule in _molecules(system):
         elements = [_element(system, i) for i in molecule]
         symbols = [element.symbol if element else "X" for element in elements]
-        kind = tuple(symbol for symbol in symbols if symbol != "X")
+        kind = "".join(symbol for symbol in symbols if symbol != "X")
         residue = topology.addResidue(kinds.setdefault(kind, f"M{len(kinds)}"), chain)
         for number, (symbol, element) in enumerate(zip(symbols, elements, strict=True), 1):
             topology.addAtom(f"{symbol}{number}", element, residue)
