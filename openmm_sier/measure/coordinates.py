@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -107,8 +106,8 @@ def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topol
         raise ForceFieldError(
             f"{path} has {len(found.positions)} atoms, expected the {topology.getNumAtoms()} of {source}"
         )
-    for atom, name in itertools.zip_longest(topology.atoms(), found.names):
-        one, two = (_letter(each) for each in (atom.name, name or ""))
+    for atom, name in zip(topology.atoms(), found.names, strict=False):
+        one, two = (_letter(each) for each in (atom.name, name))
         if one and two and one != two and len(atom.residue) > 1:
             raise ForceFieldError(
                 f"{path} has {name} where {source} has {named(atom)}: are the atoms in another order?"

@@ -68,7 +68,9 @@ def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None
 
 def first_line(error: BaseException) -> str:
     """An error's message on one line."""
-    return " ".join(str(error).split()) or type(error).__name__
+    message = " ".join(str(error).split())
+    # The message of a KeyError is the key alone.
+    return f"{type(error).__name__} {message}".rstrip() if isinstance(error, LookupError) or not message else message
 
 
 def check_positions(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:
