@@ -101,7 +101,7 @@ def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
     seen: dict[tuple, Path] = {}
     for path in paths:
         checkpoint = path / "run.chk" if path.is_dir() else path
-        _, notes = checkpoints.read_checkpoint(checkpoint)
+        notes = checkpoints.read_notes(checkpoint)
         run = FinishedRun(checkpoint, noted_plan(checkpoint, notes["plan"]), notes)
         # No two runs arrive at one energy to all digits.
         end = (run.plan.seed, notes["step"], notes.get("potential_energy"), *run.settings().values())

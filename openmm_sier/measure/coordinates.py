@@ -12,7 +12,7 @@ from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.measure.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
-from openmm_sier.measure.pdb_files import box_of, first_line, named, read_pdb
+from openmm_sier.measure.pdb_files import box_of, first_line, named_atom, read_pdb
 from openmm_sier.measure.water_models import ForceFieldError
 
 #: Elements by whose letter atoms are told apart, where a name begins with one of them.
@@ -110,7 +110,7 @@ def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topol
         one, two = (_letter(each) for each in (atom.name, name))
         if one and two and one != two and len(atom.residue) > 1:
             raise ForceFieldError(
-                f"{path} has {name} where {source} has {named(atom)}: are the atoms in another order?"
+                f"{path} has {name} where {source} has {named_atom(atom)}: are the atoms in another order?"
             )
 
 

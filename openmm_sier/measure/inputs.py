@@ -18,8 +18,10 @@ from openmm_sier.measure import forcefields
 from openmm_sier.measure.coordinates import Coordinates, read_coordinates, refuse_other_atoms
 from openmm_sier.measure.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.measure.forcefields import USUAL, Box, Interactions
-from openmm_sier.measure.pdb_files import check_positions, first_line
+from openmm_sier.measure.pdb_files import check_positions, first_line, named_atom
 from openmm_sier.measure.water_models import ForceFieldError
+from openmm_sier.prepare.masses import HEAVIEST_HYDROGEN, hydrogens
+from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import BAROSTATS
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
@@ -32,6 +34,9 @@ IGNORED = {
 
 #: Forces that the ensemble of a run takes the place of.
 _OF_ENSEMBLES = (*BAROSTATS, openmm.AndersenThermostat)
+
+#: Dalton, of hydrogen, and above that of deuterium, below which no other atom is.
+HYDROGEN, LIGHTEST_OTHER = 1.008, 2.5
 
 _INCLUDED = re.compile(r'^\s*#\s*include\s+["<]([^">]+)[">]', re.MULTILINE)
 
@@ -64,7 +69,7 @@ def read_input(
         box = forcefields.read_box(path, files, constraints, interactions, edges)
     else:
         kind = topology_kind(topology)
-        source = _Source(Path(path), Path(topology), kind, edges)
+        source = _Source(Path(path), read_coordinates(path, edges), Path(topology), kind)
         if kind == SYSTEM:
             box = _box_of_system(source, interactions)
         else:
@@ -93,15 +98,12 @@ def fingerprints(sources: Mapping[str, Path]) -> dict[str, str]:
 
 
 class _Source(NamedTuple):
-    """The two files of an input, the kind of the topology, and edges of the box for coordinates without one."""
+    """The two files of an input: the coordinates, which have been read, and the topology with its kind."""
 
     path: Path
+    coordinates: Coordinates
     topology: Path
     kind: str
-    edges: Sequence[float] | None
-
-    def read(self) -> Coordinates:
-        return read_coordinates(self.path, self.edges)
 
 
 def _refuse_half(path: str | Path) -> None:
@@ -141,8 +143,7 @@ _READERS = {PRMTOP: _prmtop, TOP: _top, PSF: _psf}
 def _box_of_topology(
     source: _Source, files: Sequence[str | Path], constraints: str | None, interactions: Interactions
 ) -> Box:
-    path, topology, kind, _ = source
-    found = source.read()
+    path, found, topology, kind = source
     if kind_of(path) == STATE:
         raise ForceFieldError(f"{path} is {STATE}, which goes with a System of OpenMM; {topology} is {kind}")
     if kind == PSF and not files:
@@ -176,8 +177,7 @@ def _box_of_topology(
 
 
 def _box_of_system(source: _Source, interactions: Interactions) -> Box:
-    path, topology, kind, _ = source
-    found = source.read()
+    path, found, topology, kind = source
     try:
         system = openmm.XmlSerializer.deserialize(topology.read_text())
     except openmm.OpenMMException as error:
@@ -188,8 +188,9 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
                 f"{topology} has a {force.getName()}, in whose place the run has an ensemble: leave it out, and use "
                 "--ensemble, --temperature and --pressure"
             )
-    named = _topology_of(system) if found.topology is None else found.topology
-    refuse_other_atoms(path, found, named, topology)
+    named = found.topology or _topology_of(system)
+    refuse_other_atoms(path, found._replace(names=()), named, topology)
+    _refuse_other_masses(path, system, named, topology)
     if not system.usesPeriodicBoundaryConditions():
         named.setPeriodicBoxVectors(None)
     else:
@@ -202,15 +203,37 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     return Box(named, found.positions, system, (str(topology),), kind, np.arange(system.getNumParticles()))
 
 
+def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology, topology: Path) -> None:
+    """Refuse names that are not those of a System's particles, as far as hydrogens tell.
+
+    All other atoms are heavier than light hydrogen even if their own hydrogens have taken most of their mass.
+    """
+    masses = tables.masses(system)
+    for atom in named.atoms():
+        mass = masses[atom.index]
+        if atom.element is None or mass == 0:
+            continue
+        is_hydrogen = atom.element.atomic_number == 1
+        if mass > HEAVIEST_HYDROGEN if is_hydrogen else mass < LIGHTEST_OTHER:
+            raise ForceFieldError(
+                f"{path} has {named_atom(atom)} where {topology} has a particle of {mass:.4g} dalton: are the atoms "
+                "in another order?"
+            )
+
+
 def _topology_of(system: openmm.System) -> app.Topology:
     """A Topology of a System that is known alone: molecules are residues, and elements follow from masses.
 
     Water is HOH; residues of other kinds are M1, M2 and so on. Particles without mass have no element.
     """
     topology, kinds = app.Topology(), {"OHH": "HOH"}
-    chain = topology.addChain()
+    chain, masses = topology.addChain(), tables.masses(system)
+    for centre, found in hydrogens(system).items():
+        # What heavy hydrogens have is from these.
+        masses[centre] += (masses[found] - HYDROGEN).sum()
+        masses[found] = HYDROGEN
     for molecule in _molecules(system):
-        elements = [_element(system, i) for i in molecule]
+        elements = [app.Element.getByMass(masses[i]) if masses[i] > 0 else None for i in molecule]
         symbols = [element.symbol if element else "X" for element in elements]
         kind = "".join(symbol for symbol in symbols if symbol != "X")
         residue = topology.addResidue(kinds.setdefault(kind, f"M{len(kinds)}"), chain)
@@ -233,25 +256,31 @@ def _molecules(system: openmm.System) -> Iterator[list[int]]:
         yield part
 
 
-def _element(system: openmm.System, i: int) -> app.Element | None:
-    mass = system.getParticleMass(i)
-    return app.Element.getByMass(mass) if mass.value_in_unit(unit.dalton) > 0 else None
-
-
 # --- what was read ---
 
 
 def _with_sources(box: Box, path: Path, topology: Path | None) -> Box:
     """A Box with the files that were read, but for OpenMM's own and GROMACS's."""
-    sources = {"box": path}
-    if topology is not None:
-        sources["topology"] = topology
-        sources |= {str(name): topology.parent / name for name in _included(topology)}
-    for name in box.files:
-        place = Path(forcefields.locate(name, path.parent))
-        if place.is_file() and place != topology:
-            sources[name] = place
-    return replace(box, sources=sources)
+    uses = ["box", *([] if topology is None else ["topology", *map(str, _included(topology))]), *box.files]
+    places = {use: source_of(use, path, topology) for use in uses}
+    return replace(
+        box, sources={use: place for use, place in places.items() if place.is_file() and use != str(topology)}
+    )
+
+
+def source_of(use: str, path: Path, topology: Path | None) -> Path:
+    """The file that is used so, which may be missing, or be one of OpenMM's own.
+
+    Args:
+        use: "box", "topology", or the name of a file by which a force field or a top file has it.
+        path, topology: of the coordinates and, if any, of the topology.
+    """
+    if use == "box":
+        return path
+    if topology is not None and use == "topology":
+        return topology
+    included = None if topology is None else topology.parent / use
+    return included if included is not None and included.is_file() else Path(forcefields.locate(use, path.parent))
 
 
 def _included(topology: Path) -> Iterator[Path]:

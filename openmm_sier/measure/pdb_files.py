@@ -114,11 +114,11 @@ def _refuse_coincident(path: str | Path, topology: app.Topology, positions: np.n
     order = np.lexsort(places.T)
     same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
     if len(same):
-        one, two = (named(atoms[order[same[0] + k]]) for k in (0, 1))
+        one, two = (named_atom(atoms[order[same[0] + k]]) for k in (0, 1))
         raise ForceFieldError(f"{path}: {one} and {two} are in the same place: is a molecule listed twice?")
 
 
-def named(atom: app.topology.Atom) -> str:
+def named_atom(atom: app.topology.Atom) -> str:
     """An atom as messages name it."""
     return f"atom {atom.id} ({atom.name} of {atom.residue.name} {atom.residue.id})"
 

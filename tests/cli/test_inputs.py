@@ -20,6 +20,7 @@ from openmm_sier.cli.tune import run_line
 from openmm_sier.measure.file_kinds import kind_of
 from openmm_sier.measure.forcefields import CUTOFF, EWALD_TOLERANCE, LARGEST_CUTOFF, SWITCH
 from openmm_sier.measure.inputs import read_input
+from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme
 from tests.support import inputs
 from tests.support.commands import SMALL, complaint, contents, run, write_lattice
@@ -297,6 +298,19 @@ def test_plans_find_topologies_beside_them(tmp_path):
         read_plan(plan.absolute())
 
 
+@pytest.mark.slow
+def test_plans_whose_files_were_edited_since_are_refused(capsys):
+    """Members that are complete, and new ones, would be of two systems."""
+    plan = '[options]\ntopology = "gromacs.top"\nscheme = "sier2"\nplatform = "Reference"\nequilibrate = 0.01\n'
+    Path("plan.toml").write_text(plan + 'dt = 2\nsteps = 2\n[members]\nbox = ["gromacs.gro"]\nseed = [1]\n')
+    run("ensemble", "plan.toml", "--processes", "1")
+    Path("plan.toml").write_text(Path("plan.toml").read_text().replace("[1]", "[1, 2]"))
+    Path("molecules.itp").write_text(Path("molecules.itp").read_text() + "; edited\n")
+    message = complaint(capsys, "ensemble", "plan.toml", "--processes", "1")
+    assert "molecules.itp was edited since plan/gromacs-seed1/run.chk was written" in message
+    assert not Path("plan/gromacs-seed2").exists()
+
+
 # --- refusals ---
 
 
@@ -358,6 +372,26 @@ def test_files_that_are_damaged_are_named(capsys):
         Path(name).write_text(text[: len(text) // 2])
         assert name in complaint(capsys, "info", *given.arguments)
         Path(name).write_text(text)
+
+
+def test_a_system_of_other_particles_is_refused(capsys):
+    """A System has masses alone; those of the first molecule of water begin with its oxygen."""
+    lines = Path(PDB.coordinates).read_text().splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if " HOH " in line)
+    lines[first : first + 2] = [lines[first + 1], lines[first]]
+    Path("other.pdb").write_text("".join(line for line in lines if not line.startswith("CONECT")))
+    message = complaint(capsys, "info", "other.pdb", "--topology", PDB.topology)
+    assert (
+        "(H1 of HOH 2) where openmm-system.xml has a particle of 16 dalton: are the atoms in another order?" in message
+    )
+
+
+def test_heavy_hydrogens_in_a_system_are_hydrogens():
+    system = openmm.XmlSerializer.deserialize(Path(STATE.topology).read_text())
+    set_hydrogen_masses(system, 4.0)
+    Path(STATE.topology).write_text(openmm.XmlSerializer.serialize(system))
+    symbols = [atom.element.symbol for atom in read(STATE).topology.atoms()]
+    assert symbols == [*"HOOH", *26 * "OHH"]
 
 
 def test_a_barostat_in_a_system_is_refused(capsys):

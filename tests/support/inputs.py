@@ -113,7 +113,7 @@ def _kind(table: dict, types: tuple[str, ...]) -> int:
 
 
 def write_amber(directory: Path, name: str = "amber", box: bool = True) -> tuple[Path, Path]:
-    """A restart file and a prmtop file; without a box if asked for."""
+    """A restart file and a prmtop file, whose box is wider, as before an equilibration; without one if asked for."""
     coordinates, topology = directory / f"{name}.inpcrd", directory / f"{name}.prmtop"
     values = (10 * positions()).ravel().tolist() + (box * [10 * EDGE] * 3 + box * [90.0] * 3)
     rows = [values[i : i + 6] for i in range(0, len(values), 6)]
@@ -195,7 +195,7 @@ def _prmtop(box: bool) -> str:
         "HBOND_ACOEF": ("5E16.8", []),
         "HBOND_BCOEF": ("5E16.8", []),
         "AMBER_ATOM_TYPE": ("20a4", [atom.type for atom in atoms]),
-        **({"BOX_DIMENSIONS": ("5E16.8", [90.0, *3 * [10 * EDGE]])} if box else {}),
+        **({"BOX_DIMENSIONS": ("5E16.8", [90.0, *3 * [11 * EDGE]])} if box else {}),
     }
     blocks = (f"%FLAG {name}\n%FORMAT({how})\n{_formatted(values, how)}" for name, (how, values) in sections.items())
     return "%VERSION  VERSION_STAMP = V0001.000\n" + "".join(blocks)
