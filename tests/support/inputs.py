@@ -322,11 +322,12 @@ def _psf_section(terms: list[tuple[int, ...]], flag: str, count: int) -> str:
 
 
 def write_openmm(directory: Path, system: openmm.System, name: str = "openmm") -> tuple[Path, Path]:
-    """A State and a System in XML."""
+    """A State and a System in XML, whose box is then wider, as before an equilibration; the System is changed."""
     coordinates, topology = directory / f"{name}-state.xml", directory / f"{name}-system.xml"
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     context.setPositions(positions())
     coordinates.write_text(openmm.XmlSerializer.serialize(context.getState(positions=True)))
+    system.setDefaultPeriodicBoxVectors(*(1.1 * EDGE * np.eye(3)))
     topology.write_text(openmm.XmlSerializer.serialize(system))
     return coordinates, topology
 
