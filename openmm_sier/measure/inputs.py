@@ -118,6 +118,14 @@ def _refuse_half(path: str | Path) -> None:
         )
 
 
+def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[str | Path] = ()) -> Box:
+    """A Box of which all particles are in the file of the coordinates; `files` are those of its force field."""
+    positions = source.coordinates.positions
+    check_positions(source.path, topology, positions.value_in_unit(unit.nanometer))
+    names = tuple(map(str, (source.topology, *files)))
+    return Box(topology, positions, system, names, source.kind, np.arange(system.getNumParticles()))
+
+
 # --- topologies of other programs ---
 
 
@@ -164,13 +172,11 @@ def _box_of_topology(
             "edges in nm by --edges"
         )
     refuse_other_atoms(path, found, file.topology, topology)
-    check_positions(path, file.topology, found.positions.value_in_unit(unit.nanometer))
     try:
         system = forcefields.build_system(create, found.box, constraints, interactions)
     except ForceFieldError as error:
         raise ForceFieldError(f"{topology}: {error}") from error
-    names = tuple(map(str, (topology, *files)))
-    return Box(file.topology, found.positions, system, names, kind, np.arange(system.getNumParticles()))
+    return _box(source, system, file.topology, files)
 
 
 # --- a System ---
@@ -198,9 +204,8 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
             system.setDefaultPeriodicBoxVectors(*found.box)
         vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
         named.setPeriodicBoxVectors(vectors * unit.nanometer)
-    check_positions(path, named, found.positions.value_in_unit(unit.nanometer))
     forcefields.finish_system(system, interactions)
-    return Box(named, found.positions, system, (str(topology),), kind, np.arange(system.getNumParticles()))
+    return _box(source, system, named)
 
 
 def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology, topology: Path) -> None:
