@@ -260,8 +260,9 @@ def test_outputs_destroy_no_topology(capsys):
 def test_info_shows_the_bodies(capsys, given):
     run("info", *given.arguments)
     out = capsys.readouterr().out
-    assert "30 bodies, 82 particles" in out
-    assert "2 constraints between bodies, box 0.9600 x 0.9600 x 0.9600 nm" in out
+    # 26 rigid molecules with six each, and four atoms with two constraints.
+    assert "82 particles, 166 degrees of freedom, 2 constraints between" in out
+    assert "box 0.9600 x 0.9600 x 0.9600 nm" in out
 
 
 def test_a_state_alone_has_molecules_by_bonds_and_elements_by_mass(capsys):
@@ -269,7 +270,7 @@ def test_a_state_alone_has_molecules_by_bonds_and_elements_by_mass(capsys):
     assert [residue.name for residue in topology.residues()] == ["M1", *26 * ["HOH"]]
     assert [atom.element.symbol for atom in topology.atoms()][:7] == ["H", "O", "O", "H", "O", "H", "H"]
     run("info", *STATE.arguments, "--rigid", "M1")
-    assert "27 bodies, 82 particles" in capsys.readouterr().out
+    assert "82 particles, 162 degrees of freedom" in capsys.readouterr().out
 
 
 def test_tune_prints_a_run_with_the_topology():
