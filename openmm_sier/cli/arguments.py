@@ -56,10 +56,11 @@ RUNS = (
 
 COMMANDS = {
     "run": Command(
-        "simulate a PDB file",
-        "Read a PDB file, equilibrate it at a temperature and simulate it at constant energy, temperature or pressure. "
-        "Writes a trajectory of the atoms that the PDB file lists, a log (CSV) and a checkpoint, from which --restart "
-        "goes on without a gap and --start begins a new run, in another ensemble say.",
+        "simulate molecules",
+        "Read coordinates with a force field or a topology, equilibrate them at a temperature and simulate them at "
+        "constant energy, temperature or pressure. Writes a trajectory of the atoms that the coordinates list, a log "
+        "(CSV) and a checkpoint, from which --restart goes on without a gap and --start begins a new run, in another "
+        "ensemble say.",
         tuple(OPTIONS),
         epilog=EXIT_CODES,
     ),
@@ -87,7 +88,7 @@ COMMANDS = {
         "standard errors and beside those of water. Writes a figure.",
         own=(
             *RUNS,
-            Option("box", file("BOX.pdb"), "of the runs", otherwise="the one in the checkpoint"),
+            Option("box", file("BOX"), "of the runs", otherwise="the one in the checkpoint"),
             Option(
                 "viscosity",
                 number("mPa*s", 0, 1e9, beyond=True),
@@ -109,8 +110,8 @@ COMMANDS = {
         ),
     ),
     "tune": Command(
-        "find step and trial length of hybrid Monte Carlo for a PDB file",
-        "Equilibrate a PDB file as `run --ensemble hmc` does, then find the step that has the wanted acceptance, "
+        "find step and trial length of hybrid Monte Carlo",
+        "Equilibrate coordinates as `run --ensemble hmc` does, then find the step that has the wanted acceptance, "
         "beginning with --dt, and the number of steps in a trial that gives an independent potential energy for the "
         "fewest force evaluations. Writes no files: it prints the command line of a run.",
         OF_TUNING,
@@ -121,9 +122,9 @@ COMMANDS = {
         ),
     ),
     "info": Command(
-        "show what rigid bodies a PDB file has",
-        "Show the kinds of rigid body that a PDB file has.",
-        ("box", "forcefield", "rigid", "constraints"),
+        "show what rigid bodies there are",
+        "Show the kinds of rigid body that coordinates have, with a force field or a topology.",
+        ("box", "topology", "forcefield", "edges", "rigid", "constraints"),
     ),
 }
 

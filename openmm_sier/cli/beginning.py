@@ -1,7 +1,8 @@
-"""The beginning of a simulation: the System of a PDB file, its integrator, and a Context with a start."""
+"""The beginning of a simulation: the System of its input, its integrator, and a Context with a start."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.measure.forcefields import Box, describe, first_line, read_box
+from openmm_sier.measure.forcefields import Box, describe, first_line
+from openmm_sier.measure.inputs import fingerprints, read_input
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.observe import stock
 from openmm_sier.prepare.preparation import prepare_system
@@ -48,6 +50,7 @@ class Simulated:
         box: with the System.
         bodies: its rigid bodies.
         fast: force groups that are fast.
+        inputs: fingerprints of the files that were read.
     """
 
     options: Options
@@ -55,22 +58,23 @@ class Simulated:
     box: Box
     bodies: RigidBodies
     fast: frozenset[int]
+    inputs: Mapping[str, str]
 
     @classmethod
     def read(cls, options: Options, plan: Plan) -> Simulated:
-        """Read the PDB file, and prepare its System.
+        """Read the files of the input, and prepare their System.
 
         Raises:
-            RunError: the plan needs a periodic box, which the file does not have.
+            RunError: the plan needs a periodic box, which there is none.
             ForceFieldError, RigidityError, OSError: as their messages say.
         """
-        box = read_box(options.box, plan.forcefield, plan.constraints, plan.interactions)
+        box = read_input(options.box, plan.topology, plan.forcefield, plan.constraints, plan.interactions, plan.edges)
         note(f"{options.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}")
         bodies = rigid_bodies(box, plan.rigid)
         fast = prepare_system(box.system, bodies).fastForceGroups
         if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
-            raise RunError("--pressure-tensor needs a periodic box, which the PDB file does not have")
-        return cls(options, plan, box, bodies, fast)
+            raise RunError("--pressure-tensor needs a periodic box, which there is none")
+        return cls(options, plan, box, bodies, fast, fingerprints(box.sources))
 
     def context(self, step: int = 0) -> openmm.Context:
         """The Context of the run when it begins or goes on at a step, without positions.

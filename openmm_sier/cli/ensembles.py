@@ -11,12 +11,16 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from openmm_sier.cli import streams
 from openmm_sier.cli.console import REPORT, note, table
+from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.locks import FileLocks
-from openmm_sier.cli.options import OPTIONS, Options, check_table
-from openmm_sier.cli.plan import RunError, new_plan
+from openmm_sier.cli.member import CHECKPOINT
+from openmm_sier.cli.options import OPTIONS, OptionError, Options, check_table
+from openmm_sier.cli.plan import RunError, new_plan, noted_plan
 from openmm_sier.measure.ensemble import EnsembleError, Member, Outcome, ensemble, is_complete
-from openmm_sier.measure.forcefields import SHIPPED
+from openmm_sier.measure.forcefields import SHIPPED, ForceFieldError
+from openmm_sier.measure.inputs import fingerprints, source_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -41,7 +45,8 @@ def run(
 
     Raises:
         PlanError, EnsembleError, OSError: as their messages say.
-        RunError: another process carries out an ensemble in the same directory.
+        RunError: another process carries out an ensemble in the same directory, or a file that its members read was
+            edited since.
     """
     members = read_plan(plan)
     directory = out or plan.with_suffix("")
@@ -51,6 +56,8 @@ def run(
         rows = [[m.name, "complete" if done else ""] for m, done in zip(members, complete, strict=True)]
         table(str(plan), ("member", ""), rows, 2)
         return
+    for member in members:
+        _refuse_edited(directory / member.name / CHECKPOINT)
     if scheduler is not None and processes is not None:
         raise PlanError("--processes is for this machine: the workers of --scheduler take as many as they are told")
     executor = None if scheduler is None else _workers(scheduler)
@@ -63,6 +70,23 @@ def run(
             _tell(error.outcomes)
             raise
     _tell(outcomes)
+
+
+def _refuse_edited(checkpoint: Path) -> None:
+    """Refuse to add to members whose files were edited since, so that no ensemble holds runs of two systems."""
+    try:
+        notes = checkpoints.read_notes(checkpoint)
+        plan = noted_plan(checkpoint, notes["plan"])
+    except (OSError, records.RecordError, OptionError, KeyError):
+        # There is none yet, or it is damaged, which its member finds.
+        return
+    for use, digest in notes.get("inputs", {}).items():
+        place = source_of(use, plan.box, plan.topology)
+        if place.is_file() and fingerprints({use: place}) != {use: digest}:
+            raise RunError(
+                f"{place} was edited since {checkpoint} was written: name another directory by --out, or remove that "
+                "of this member"
+            )
 
 
 def _tell(outcomes: list[Outcome] | tuple[Outcome, ...]) -> None:
@@ -132,23 +156,27 @@ def _member(path: Path, options: dict[str, Any], varied: list[str]) -> Member:
         key: [value] if key in OPTIONS and OPTIONS[key].kind.each and not isinstance(value, list) else value
         for key, value in options.items()
     }
-    checked = check_table(str(path), options)
+    check_table(str(path), options)
     if "box" not in options:
         raise PlanError(f"{path}: box is missing")
-    box = _found(path, options["box"])
+    options = {
+        key: _found(path, value) if OPTIONS[key].kind.file == "input" else value for key, value in options.items()
+    }
+    box = options["box"]
     if not (Path(box).is_absolute() and Path(box).is_file()):
         raise PlanError(f"{path}: box {box} is neither a file beside the plan nor one of the project's own boxes")
+    checked = check_table(str(path), options)
     try:
         new_plan(Options(**checked))
-    except RunError as error:
-        raise PlanError(f"{path}: {error}") from None
+    except (RunError, ForceFieldError, FileNotFoundError) as error:
+        raise PlanError(f"{path}: {streams.described(error)}") from None
     for key, value in checked.items():
         if OPTIONS[key].kind.file == "output" and len(value.parts) != 1:
             raise PlanError(f"{path}: {key}: outputs lie in the directory of each member: give a name alone")
     arguments = [COMMAND, box]
     for key, value in options.items():
         if key != "box":
-            arguments += OPTIONS[key].words(_found(path, value) if OPTIONS[key].kind.file == "input" else value)
+            arguments += OPTIONS[key].words(value)
     name = "-".join(_label(key, options[key]) for key in varied) or COMMAND
     return Member(name, tuple(arguments), checked.get("time") or 0.0)
 

@@ -48,8 +48,9 @@ class FinishedRun(NamedTuple):
     def settings(self, but: str = "") -> dict[str, str]:
         """What runs that are pooled have in common, by name; one may be left out."""
         found = {field.name: str(getattr(self.plan, field.name)) for field in fields(Plan)}
-        if self.plan.box is not None:
-            found["box"] = os.path.realpath(self.plan.box)
+        for name in ("box", "topology"):
+            if (path := getattr(self.plan, name)) is not None:
+                found[name] = os.path.realpath(path)
         return {name: value for name, value in found.items() if name not in (*FREE, but)}
 
     def log(self, skip: float) -> dict[str, np.ndarray]:
@@ -100,7 +101,7 @@ def open_runs(paths: Sequence[Path]) -> list[FinishedRun]:
     seen: dict[tuple, Path] = {}
     for path in paths:
         checkpoint = path / "run.chk" if path.is_dir() else path
-        _, notes = checkpoints.read_checkpoint(checkpoint)
+        notes = checkpoints.read_notes(checkpoint)
         run = FinishedRun(checkpoint, noted_plan(checkpoint, notes["plan"]), notes)
         # No two runs arrive at one energy to all digits.
         end = (run.plan.seed, notes["step"], notes.get("potential_energy"), *run.settings().values())

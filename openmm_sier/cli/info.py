@@ -1,4 +1,4 @@
-"""The command `openmm-sier info`: the rigid bodies of a PDB file."""
+"""The command `openmm-sier info`: the rigid bodies of an input."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from openmm import app, unit
 
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.options import OPTIONS
+from openmm_sier.cli.plan import ignored_options
 from openmm_sier.dynamics.species import Species
-from openmm_sier.measure.forcefields import Box, read_box
+from openmm_sier.measure.forcefields import Box
+from openmm_sier.measure.inputs import read_input
 from openmm_sier.observe.conservation import density
 from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import RigidBodies
@@ -28,8 +30,8 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
     """The rigid bodies of a box.
 
     Args:
-        box: as `forcefields.read_box` gives it.
-        rigid: names of residues to be held rigid, in the geometry that they have in the PDB file.
+        box: as `inputs.read_input` gives it.
+        rigid: names of residues to be held rigid, in the geometry that they have in the coordinates.
 
     Raises:
         RigidityError: constraints make no rigid bodies, or a named residue cannot be one.
@@ -41,22 +43,27 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
 
 def info(
     box: Path,
+    topology: Path | None = None,
     forcefield: Sequence[str | Path] | None = None,
+    edges: Sequence[float] | None = None,
     rigid: Sequence[str] | None = None,
     constraints: str | None = None,
 ) -> None:
-    """Print the kinds of body of a PDB file, masses in dalton and moments in dalton nm^2.
+    """Print the kinds of body of an input, masses in dalton and moments in dalton nm^2.
 
     Args:
-        box: the PDB file.
-        forcefield: force-field files; None picks one, see `forcefields.pick`.
+        box: the coordinates.
+        topology, forcefield, edges: see `inputs.read_input`.
         rigid: see `rigid_bodies`.
         constraints: besides those of water, see `forcefields.CONSTRAINTS`; None: as in a run.
 
     Raises:
+        RunError: an option would do nothing with the topology.
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
-    read = read_box(box, forcefield, constraints or OPTIONS["constraints"].default)
+    options = {"forcefield": forcefield, "edges": edges, "constraints": constraints}
+    ignored_options(topology, [name for name, value in options.items() if value is not None])
+    read = read_input(box, topology, forcefield, constraints or OPTIONS["constraints"].default, edges=edges)
     bodies = rigid_bodies(read, rigid)
     atoms = list(read.topology.atoms())
     riders = _riders(read.system, bodies)

@@ -29,9 +29,10 @@ MOST_STEPS = 10**15
 Restart = Literal["keeps", "may change", "not noted"]
 
 FORCEFIELD_HELP = (
-    "force-field files, OpenMM's or your own (default: the file named in a record 'REMARK  99 FORCEFIELD file.xml' of "
-    "the PDB file; without such a record the water model whose geometry the file has, if only one has it. Otherwise "
-    "the error lists the models to choose from)"
+    "force-field files, OpenMM's or your own; with a psf file all parameter, topology and stream files of CHARMM, that "
+    "end in .prm or .par, .rtf or .top, .str, or .inp (default: the file named in a record 'REMARK  99 FORCEFIELD "
+    "file.xml' of the PDB file; without such a record the water model whose geometry the file has, if only one has it. "
+    "Otherwise the error lists the models to choose from)"
 )
 
 
@@ -105,16 +106,32 @@ class Options:
     """
 
     box: Path = _option(
-        file("BOX.pdb"),
-        "whole molecules with hydrogens; virtual sites are added",
+        file("BOX"),
+        "coordinates of whole molecules with hydrogens: a PDB or PDBx/mmCIF file, to which virtual sites are added, or "
+        "with --topology an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM, or a State of "
+        "OpenMM in XML",
         restart="may change",
         empty=True,
         positional=True,
     )
-    forcefield: list[Path] | None = _option(several(file("XML")), FORCEFIELD_HELP, empty=True)
+    topology: Path | None = _option(
+        file(),
+        "what the coordinates belong to, with its force field: a prmtop file of AMBER, a top file of GROMACS, a psf "
+        "file of CHARMM, or a System of OpenMM in XML",
+        otherwise="none, for PDB and PDBx/mmCIF files with --forcefield",
+        restart="may change",
+        empty=True,
+    )
+    forcefield: list[Path] | None = _option(several(file()), FORCEFIELD_HELP, empty=True)
+    edges: list[float] | None = _option(
+        several(number("nm", 0.1, 1e4), 3),
+        "edges of a rectangular periodic box, for coordinates without one, as crd files are",
+        otherwise="the box of the coordinates",
+        empty=True,
+    )
     rigid: list[str] | None = _option(
         several(word("RESIDUE")),
-        "names of residues, besides water, to be held rigid in the geometry that they have in the PDB file, but for "
+        "names of residues, besides water, to be held rigid in the geometry that they have in the coordinates, but for "
         "bonds that constraints hold",
         otherwise="none",
         empty=True,
@@ -253,7 +270,10 @@ CONTINUED = tuple(name for name, option in OPTIONS.items() if option.restart == 
 NOTED = tuple(name for name, option in OPTIONS.items() if option.restart != "not noted")
 
 #: Options that make the System. A run with `--start` takes them from the other run unless they are given.
-OF_THE_SYSTEM = ("forcefield", "rigid", "constraints", "cutoff", "switch", "tolerance", "hydrogen_mass")
+OF_THE_SYSTEM = (
+    *("topology", "forcefield", "edges", "rigid", "constraints"),
+    *("cutoff", "switch", "tolerance", "hydrogen_mass"),
+)
 
 #: Options of `openmm-sier tune`: those that make the System and its start, and those with which the search begins.
 OF_TUNING = (
@@ -288,7 +308,7 @@ def add_options(parser: argparse.ArgumentParser, options: Collection[Option], wi
             shared |= {
                 "type": (each or option.kind).read,
                 "metavar": option.kind.metavar,
-                "nargs": "+" if each else None,
+                "nargs": (option.kind.count or "+") if each else None,
             }
         group.add_argument(option.name if option.positional else option.flag, **shared)
 

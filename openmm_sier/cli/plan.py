@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from openmm_sier.cli.methods import METHODS, Method
 from openmm_sier.cli.options import CONTINUED, NOTED, OF_THE_SYSTEM, OPTIONS, Options, check_table
 from openmm_sier.measure.forcefields import Interactions
+from openmm_sier.measure.inputs import IGNORED, topology_kind
 
 #: K; the temperature of the systems that come with the project.
 DEFAULT_TEMPERATURE = 297.0
@@ -97,13 +98,16 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
         origin: of the run from whose checkpoint this one starts. It defines the System.
 
     Raises:
-        RunError: options contradict each other.
+        RunError: options contradict each other, or the topology.
+        ForceFieldError, OSError: the topology is none, or cannot be read.
     """
     given = {entry.name: value for entry in fields(options) if (value := getattr(options, entry.name)) is not None}
     defaults = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
     if origin is not None:
         defaults |= {name: getattr(origin, name) for name in (*OF_THE_SYSTEM, "temperature")}
     values = {"temperature": DEFAULT_TEMPERATURE, **defaults, **given}
+    for name in ignored_options(values.get("topology"), given):
+        values[name] = None
     method = METHODS[values["scheme"]]
     ensemble = values.setdefault("ensemble", method.ensembles[0])
     _check_given(options, ensemble)
@@ -122,6 +126,26 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     plan = Plan(**values)
     _check(plan)
     return plan
+
+
+def ignored_options(topology: Path | None, given: Collection[str]) -> tuple[str, ...]:
+    """Names of options that would do nothing with a topology.
+
+    Args:
+        topology: its file; None without one.
+        given: names of options that the user gave.
+
+    Raises:
+        RunError: one of them was given.
+        ForceFieldError, OSError: the topology is none, or cannot be read.
+    """
+    if topology is None:
+        return ()
+    kind = topology_kind(topology)
+    for name in IGNORED[kind]:
+        if name in given:
+            raise RunError(f"{OPTIONS[name].flag} does nothing with {topology}, which is {kind}: leave it out")
+    return IGNORED[kind]
 
 
 def _steps(time: float, dt: float) -> int:
@@ -191,7 +215,7 @@ def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, objec
                 f"so by {OPTIONS[name].flag} {path}"
             )
     steps = _steps(options.time, 1000 * plan.step_time) if options.time is not None else options.steps or plan.steps
-    return replace(plan, steps=steps, box=options.box)
+    return replace(plan, steps=steps, box=options.box, topology=options.topology or plan.topology)
 
 
 def _same(given: Any, noted: Any) -> bool:

@@ -16,7 +16,8 @@ from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.measure import properties
 from openmm_sier.measure.figures import Curve, can_draw, property_curves, property_figure
-from openmm_sier.measure.forcefields import Box, describe, read_box
+from openmm_sier.measure.forcefields import Box, describe
+from openmm_sier.measure.inputs import read_input
 from openmm_sier.measure.liquid_samples import LiquidSamples, read_samples
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from openmm_sier.observe import pressure
@@ -254,8 +255,9 @@ def read_runs(runs: Sequence[FinishedRun], given: Path | None, skip: float) -> l
         check_alike(run, runs[0], names, "properties are pooled over runs that differ in their seeds alone")
     file = given or (None if runs[0].plan.box is None else Path(runs[0].plan.box))
     if file is None:
-        raise RunError(f"{runs[0].checkpoint} does not know its PDB file: name it with --box")
-    box = read_box(file, runs[0].plan.forcefield, runs[0].plan.constraints)
+        raise RunError(f"{runs[0].checkpoint} does not know its coordinates: name it with --box")
+    plan = runs[0].plan
+    box = read_input(file, plan.topology, plan.forcefield, plan.constraints, edges=plan.edges)
     REPORT.note(f"{file}: {describe(box)}")
     return [_read(run, box, skip) for run in runs]
 

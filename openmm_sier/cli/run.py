@@ -1,8 +1,8 @@
-"""The command `openmm-sier run`: a PDB file in, a trajectory out."""
+"""The command `openmm-sier run`: coordinates in, a trajectory out."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from signal import Signals
@@ -23,7 +23,7 @@ from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.engines.temperature import degrees_of_freedom
 from openmm_sier.measure.force_clock import ForceClock
-from openmm_sier.measure.forcefields import Box, first_line, locate
+from openmm_sier.measure.forcefields import first_line
 from openmm_sier.observe import conservation, stock
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
@@ -65,7 +65,7 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
         checkpoint = plan.out.with_suffix(".chk")
     simulated = Simulated.read(options, plan)
     files = OutputFiles(plan, checkpoint)
-    files.check(_inputs(options, simulated.box))
+    files.check([*simulated.box.sources.values(), *([options.start] if options.start else [])])
     locks.hold(files.everything)
     if not (notes or options.overwrite):
         files.refuse_existing()
@@ -86,12 +86,6 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     outputs.finish()
     _report(plan, outputs, cost)
     note(f"wrote {files}")
-
-
-def _inputs(options: Options, box: Box) -> list[Path]:
-    """Files that are read and must not be written. The checkpoint of --restart, which is both, is not among them."""
-    fields = [Path(locate(file, options.box.parent)) for file in box.files]
-    return [options.box, *fields, *([options.start] if options.start else [])]
 
 
 def _length(plan: Plan, steps: int) -> str:
@@ -134,7 +128,18 @@ def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) 
             f"the positions of {checkpoint} have the energy {energy:.6g} kJ/mol in the system of {box}, "
             f"in the run they had {notes['potential_energy']:.6g}: it is another system or force field"
         )
+    _refuse_other_inputs(simulated, notes.get("inputs", {}))
     return context
+
+
+def _refuse_other_inputs(simulated: Simulated, noted: Mapping[str, str]) -> None:
+    """Refuse to go on with files that are not those of the run, which may hold another system of nearly its energy."""
+    for use, path in simulated.box.sources.items():
+        if noted and simulated.inputs[use] != noted.get(use):
+            raise RunError(
+                f"{path} is not the file that the run of {simulated.options.restart} read, or was edited. Give that, "
+                "or begin a new run with --start"
+            )
 
 
 # --- the run ---

@@ -1,4 +1,4 @@
-"""The command `openmm-sier tune`: step and trial length of hybrid Monte Carlo for a PDB file."""
+"""The command `openmm-sier tune`: step and trial length of hybrid Monte Carlo for an input."""
 
 from __future__ import annotations
 

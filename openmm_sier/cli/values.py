@@ -37,6 +37,7 @@ class Kind:
         file: "input" or "output" for the name of a file that a command reads or writes.
         remark: what to say after a value that is not accepted.
         each: the kind of each of several values, for which a command line has a word each; None for a single one.
+        count: how many these are; 0 for one or more.
     """
 
     expected: str
@@ -47,6 +48,7 @@ class Kind:
     file: str = ""
     remark: Callable[[Any], str] = _nothing
     each: Kind | None = None
+    count: int = 0
 
     def check(self, value: object) -> Any:
         """The value that a file holds.
@@ -128,16 +130,17 @@ def file(metavar: str = "FILE", use: str = "input") -> Kind:
     return Kind("the name of a file", accepts, Path, metavar=metavar, file=use)
 
 
-def several(kind: Kind) -> Kind:
-    """One or more values of a kind."""
+def several(kind: Kind, count: int = 0) -> Kind:
+    """One or more values of a kind, or a certain number of them."""
 
     def accepts(value: Any) -> bool:
-        return isinstance(value, list) and value != []
+        return isinstance(value, list) and (len(value) == count if count else value != [])
 
     def made(value: Any) -> list[Any]:
         return [kind.check(item) for item in value]
 
-    return Kind("a list with at least one value", accepts, made, metavar=kind.metavar, file=kind.file, each=kind)
+    expected = f"a list of {count} values" if count else "a list with at least one value"
+    return Kind(expected, accepts, made, metavar=kind.metavar, file=kind.file, each=kind, count=count)
 
 
 def step(least: float, most: float) -> Kind:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,9 @@ class Interactions:
     switch: float | None = None
     tolerance: float | None = None
     hydrogen_mass: float | None = None
+
+
+USUAL = Interactions()
 
 
 def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> tuple[tuple[str, ...], str]:
@@ -135,7 +139,7 @@ def pme_system(
     topology: app.Topology,
     forcefield: app.ForceField,
     constraints: str | None = None,
-    interactions: Interactions = Interactions(),
+    interactions: Interactions = USUAL,
 ) -> openmm.System:
     """The System: rigid water, PME in a periodic box, no cut-off without one.
 
@@ -151,27 +155,54 @@ def pme_system(
     Raises:
         ForceFieldError: the force field has no template for a residue, or the interactions do not fit the box.
     """
-    settings = {
-        "constraints": CONSTRAINTS[constraints or "none"],
-        **_cut_off(topology.getPeriodicBoxVectors(), interactions),
-    }
+    create = partial(forcefield.createSystem, topology)
+    return build_system(create, topology.getPeriodicBoxVectors(), constraints, interactions)
+
+
+def build_system(
+    create: Callable[..., openmm.System],
+    box: Quantity | None,
+    constraints: str | None = None,
+    interactions: Interactions = USUAL,
+) -> openmm.System:
+    """The System that a reader of OpenMM makes, as `pme_system` has it.
+
+    Args:
+        create: the reader's createSystem.
+        box: periodic box vectors; None without a box.
+        constraints, interactions: see `pme_system`.
+
+    Raises:
+        ForceFieldError: OpenMM can make no System, or the interactions do not fit the box.
+    """
+    settings = {"constraints": CONSTRAINTS[constraints or "none"], **_cut_off(box, interactions)}
     try:
-        system = forcefield.createSystem(topology, rigidWater=True, removeCMMotion=False, **settings)
+        system = create(rigidWater=True, removeCMMotion=False, **settings)
     except Exception as error:
         raise ForceFieldError(first_line(error)) from error
+    finish_system(system, interactions)
+    return system
+
+
+def finish_system(system: openmm.System, interactions: Interactions) -> None:
+    """Give a System the masses of hydrogens that are asked for, and balance its PME.
+
+    Raises:
+        ForceFieldError: its mesh is too large.
+        ValueError: see `balance_pme`.
+    """
     if interactions.hydrogen_mass is not None:
         set_hydrogen_masses(system, interactions.hydrogen_mass)
     if meshed_forces(system):
         balance_pme(system)
     _refuse_huge_meshes(system)
-    return system
 
 
 def _cut_off(box: Quantity | None, interactions: Interactions) -> dict[str, Any]:
     """The arguments of createSystem that cut interactions off."""
     if box is None:
         if interactions.cutoff is not None or interactions.switch is not None:
-            raise ForceFieldError("a cut-off or switch needs a periodic box, which the PDB file does not have")
+            raise ForceFieldError("a cut-off or switch needs a periodic box, which there is none")
         return {"nonbondedMethod": app.NoCutoff}
     # In OpenMM's reduced form, a is along x and b in the xy plane.
     width = float(np.diag(np.array(box.value_in_unit(unit.nanometer))).min())
@@ -208,7 +239,7 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
 
 @dataclass(frozen=True)
 class Box:
-    """A PDB file with its force field, molecules whole.
+    """What is to be simulated: coordinates with their force field, molecules whole.
 
     Attributes:
         topology: openmm.app.Topology, virtual sites included.
@@ -216,7 +247,8 @@ class Box:
         system: openmm.System.
         files: of the force field.
         reason: why these, in words.
-        listed: indices of the particles that the PDB file lists, virtual sites only if it has them.
+        listed: indices of the particles that the file of the coordinates lists, virtual sites only if it has them.
+        sources: the files that were read but for OpenMM's own, by what they are for.
     """
 
     topology: app.Topology
@@ -225,26 +257,29 @@ class Box:
     files: tuple[str, ...]
     reason: str
     listed: np.ndarray
+    sources: Mapping[str, Path] = field(default_factory=dict)
 
 
 def read_box(
     path: str | Path,
     files: Sequence[str | Path] | None = None,
     constraints: str | None = None,
-    interactions: Interactions = Interactions(),
+    interactions: Interactions = USUAL,
+    edges: Sequence[float] | None = None,
 ) -> Box:
-    """Read a PDB file and build its System.
+    """Read a PDB or PDBx/mmCIF file and build its System.
 
     Args:
-        path: the PDB file.
+        path: the file.
         files: force-field files; None picks one, see `pick`.
         constraints, interactions: see `pme_system`.
+        edges: of its periodic box, nm, where the file has none.
 
     Raises:
-        ForceFieldError: the file is no PDB file, has atoms twice or no room in its box, or no force field fits it.
+        ForceFieldError: the file is no such file, has atoms twice or no room in its box, or no force field fits it.
         OSError: the file cannot be read.
     """
-    pdb = read_pdb(path)
+    pdb = read_pdb(path, edges)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     lengths = make_whole(lengths, pdb.topology)
     try:
@@ -272,12 +307,17 @@ def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
 def describe(box: Box) -> str:
     """Size and treatment of the interactions, in words."""
     vectors = box.topology.getPeriodicBoxVectors()
-    residues = f"{box.topology.getNumResidues()} residues"
+    residues, nonbonded = f"{box.topology.getNumResidues()} residues", _described_interactions(box.system)
     if vectors is None:
-        return f"{residues} without a periodic box, no cut-off"
+        return f"{residues} without a periodic box, {nonbonded}"
     edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
-    cutoff = next(f.getCutoffDistance() for f in box.system.getForces() if isinstance(f, openmm.NonbondedForce))
-    return (
-        f"{residues} in {' x '.join(f'{edge:.4f}' for edge in edges)} nm, "
-        f"PME with a cut-off of {cutoff.value_in_unit(unit.nanometer):.3g} nm"
-    )
+    return f"{residues} in {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {nonbonded}"
+
+
+def _described_interactions(system: openmm.System) -> str:
+    force = next((force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)), None)
+    if force is None or force.getNonbondedMethod() == force.NoCutoff:
+        return "no cut-off"
+    names = ("NoCutoff", "CutoffNonPeriodic", "CutoffPeriodic", "Ewald", "PME", "LJPME")
+    name = next(name for name in names if getattr(force, name) == force.getNonbondedMethod())
+    return f"{name} with a cut-off of {force.getCutoffDistance().value_in_unit(unit.nanometer):.3g} nm"

@@ -1,14 +1,17 @@
-"""PDB files, with the mistakes refused of which a simulation would make nonsense."""
+"""PDB and PDBx/mmCIF files, with the mistakes refused of which a simulation would make nonsense."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from openmm import app, unit
+from openmm import Vec3, app, unit
+from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
+from openmm_sier.measure.file_kinds import MMCIF, PDB, kind_of
 from openmm_sier.measure.water_models import ForceFieldError
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
@@ -17,77 +20,118 @@ TWICE = "WARNING: duplicate atom"
 #: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
 
+READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
 
-def read_pdb(path: str | Path) -> app.PDBFile:
-    """Read a PDB file.
+
+def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:
+    """Read a PDB or PDBx/mmCIF file.
+
+    Args:
+        path: of the file.
+        edges: of its periodic box, see `box_of`.
 
     Raises:
         ForceFieldError: it is none, has an atom twice, two atoms in one place, or a box that cannot hold its atoms.
         OSError: the file cannot be read.
     """
-    lines = Path(path).read_text(errors="replace").splitlines()
-    if not any(line.startswith(("ATOM", "HETATM")) for line in lines):
+    kind = kind_of(path)
+    if kind not in READERS:
         raise ForceFieldError(f"{path} is no PDB file with atoms")
-    for line in lines:
-        if line.startswith("CRYST1"):
-            _check_edges(path, line)
+    if kind == PDB:
+        _check_edges(path)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("error", TWICE)
-            pdb = app.PDBFile(str(path))
+            file = READERS[kind](str(path))
     except Exception as error:
         message = first_line(error)
         if message.startswith(TWICE):
             raise ForceFieldError(f"{path} has an atom twice: {message.removeprefix(TWICE).strip()}") from None
-        raise ForceFieldError(f"cannot read {path} as a PDB file: {message}") from error
-    _refuse_coincident(path, pdb)
-    _refuse_dense(path, pdb)
-    return pdb
+        raise ForceFieldError(f"cannot read {path} as {kind}: {message}") from error
+    file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
+    check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
+    return file
+
+
+def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None) -> Quantity | None:
+    """The periodic box of a file: its own or, where it has none, a rectangular one with three edges in nm, if given.
+
+    Raises:
+        ForceFieldError: both are given.
+    """
+    if edges is None:
+        return box
+    if box is not None:
+        raise ForceFieldError(f"{path} has a periodic box of its own: leave out --edges")
+    return [Vec3(*row) for row in np.diag(edges).tolist()] * unit.nanometer
 
 
 def first_line(error: BaseException) -> str:
     """An error's message on one line."""
-    return " ".join(str(error).split()) or type(error).__name__
+    message = " ".join(str(error).split())
+    # The message of a KeyError is the key alone.
+    return f"{type(error).__name__} {message}".rstrip() if isinstance(error, LookupError) or not message else message
 
 
-def _check_edges(path: str | Path, record: str) -> None:
-    try:
-        edges = [float(record[first : first + 9]) for first in (6, 15, 24)]
-    except ValueError:
-        raise ForceFieldError(f"{path}: expected the edges of the box in Angstrom, got {record.strip()!r}") from None
-    if not all(0 < edge < np.inf for edge in edges):
-        raise ForceFieldError(
-            f"{path}: the box has edges of {', '.join(f'{edge:g}' for edge in edges)} Angstrom, expected lengths above "
-            "0; leave out the record CRYST1 where there is no box"
-        )
+def check_positions(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:
+    """Refuse positions (N, 3) in nm of which a simulation would make nonsense; virtual sites may be anywhere.
+
+    Args:
+        path: of the file that they are from, for messages.
+        topology: with the box, and with the elements of all atoms but virtual sites.
+        positions: (N, 3), nm.
+
+    Raises:
+        ForceFieldError: they are no numbers, two atoms are in one place, or the box cannot hold the atoms.
+    """
+    _refuse_coincident(path, topology, positions)
+    _refuse_dense(path, topology)
 
 
-def _refuse_coincident(path: str | Path, pdb: app.PDBFile) -> None:
-    """Refuse atoms in the very same place, as of a molecule that is listed twice. Virtual sites may be anywhere."""
-    atoms = [atom for atom in pdb.topology.atoms() if atom.element is not None]
-    places = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)[[atom.index for atom in atoms]]
+def _check_edges(path: str | Path) -> None:
+    """Refuse the edges of a box that are no lengths."""
+    for record in Path(path).read_text(errors="replace").splitlines():
+        if not record.startswith("CRYST1"):
+            continue
+        try:
+            edges = [float(record[first : first + 9]) for first in (6, 15, 24)]
+        except ValueError:
+            expected = "expected the edges of the box in Angstrom"
+            raise ForceFieldError(f"{path}: {expected}, got {record.strip()!r}") from None
+        if not all(0 < edge < np.inf for edge in edges):
+            raise ForceFieldError(
+                f"{path}: the box has edges of {', '.join(f'{edge:g}' for edge in edges)} Angstrom, expected lengths "
+                "above 0; leave out the record CRYST1 where there is no box"
+            )
+
+
+def _refuse_coincident(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:
+    """Refuse atoms in the very same place, as of a molecule that is listed twice."""
+    atoms = [atom for atom in topology.atoms() if atom.element is not None]
+    places = positions[[atom.index for atom in atoms]]
     if not np.isfinite(places).all():
         raise ForceFieldError(f"{path} has coordinates that are no numbers")
     order = np.lexsort(places.T)
     same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
     if len(same):
-        one, two = (_named(atoms[order[same[0] + k]]) for k in (0, 1))
+        one, two = (named_atom(atoms[order[same[0] + k]]) for k in (0, 1))
         raise ForceFieldError(f"{path}: {one} and {two} are in the same place: is a molecule listed twice?")
 
 
-def _named(atom: app.topology.Atom) -> str:
+def named_atom(atom: app.topology.Atom) -> str:
+    """An atom as messages name it."""
     return f"atom {atom.id} ({atom.name} of {atom.residue.name} {atom.residue.id})"
 
 
-def _refuse_dense(path: str | Path, pdb: app.PDBFile) -> None:
-    vectors = pdb.topology.getPeriodicBoxVectors()
+def _refuse_dense(path: str | Path, topology: app.Topology) -> None:
+    vectors = topology.getPeriodicBoxVectors()
     if vectors is None:
         return
     volume = abs(float(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer)))))
-    elements = [atom.element for atom in pdb.topology.atoms() if atom.element is not None]
+    elements = [atom.element for atom in topology.atoms() if atom.element is not None]
     mass = sum(element.mass.value_in_unit(unit.dalton) for element in elements)
     if not mass < DENSEST * GRAM_PER_CM3 * volume:
         raise ForceFieldError(
-            f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave out the "
-            "record CRYST1 where there is no box"
+            f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
+            "where there is none, in a PDB file the record CRYST1"
         )

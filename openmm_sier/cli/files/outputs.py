@@ -123,7 +123,7 @@ class Outputs:
                 for a new run.
         """
         self.checkpoint, self.saved_step = files.checkpoint, notes["step"] if notes else None
-        self._plan, self._outputs = simulated.plan, files.outputs
+        self._plan, self._inputs, self._outputs = simulated.plan, simulated.inputs, files.outputs
         for name, output in self._outputs.items():
             output.open(simulated, context, Noted(**notes[name]) if notes else None)
         self._intervals = {name: output.interval for name, output in self._outputs.items()}
@@ -159,6 +159,7 @@ class Outputs:
             "step": step,
             "potential_energy": potential,
             "platform": platform_of(context),
+            "inputs": self._inputs,
             **{name: asdict(output.file.noted()) for name, output in self._outputs.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)

@@ -1,0 +1,70 @@
+"""What a file holds, by its contents: AMBER and GROMACS both have files .top, AMBER and CHARMM .crd."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+#: Kinds of files, in words for messages.
+PDB = "a PDB file"
+MMCIF = "a PDBx/mmCIF file"
+AMBER_COORDINATES = "a coordinate file of AMBER"
+GRO = "a gro file of GROMACS"
+CRD = "a crd file of CHARMM"
+STATE = "a State of OpenMM"
+PRMTOP = "a prmtop file of AMBER"
+TOP = "a top file of GROMACS"
+PSF = "a psf file of CHARMM"
+SYSTEM = "a System of OpenMM"
+UNKNOWN = "of no kind that is known"
+
+#: Kinds that have names and residues beside positions, kinds that have positions alone, and kinds of topologies.
+STRUCTURES = (PDB, MMCIF)
+POSITIONS = (AMBER_COORDINATES, GRO, CRD, STATE)
+TOPOLOGIES = (PRMTOP, TOP, PSF, SYSTEM)
+
+#: Bytes that are looked at.
+HEAD = 2**20
+
+#: What files of a kind begin with, after blanks; the bytes of NetCDF files are those of AMBER's binary coordinates.
+_BEGINNINGS = {"%VERSION": PRMTOP, "PSF": PSF, "*": CRD, "CDF": AMBER_COORDINATES, "\ufffdHDF": AMBER_COORDINATES}
+
+_SECTION = re.compile(r"^\s*(\[\s*[a-z_]+\s*\]|#\s*include\s)", re.MULTILINE)
+_ROOT = re.compile(r"<(State|System)\b")
+_ATOM_SITE = re.compile(r"^\s*_atom_site\.", re.MULTILINE)
+_ATOM = re.compile(r"^(ATOM|HETATM)", re.MULTILINE)
+
+
+def kind_of(path: str | Path) -> str:
+    """The kind of a file, one of those above.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with Path(path).open("rb") as file:
+        text = file.read(HEAD).decode(errors="replace")
+    # Titles may begin with anything.
+    if kind := _counted(text.splitlines()[:3]):
+        return kind
+    begun = text.lstrip()
+    for beginning, kind in _BEGINNINGS.items():
+        if begun.startswith(beginning):
+            return kind
+    if begun.startswith("<"):
+        root = _ROOT.search(begun)
+        return {"State": STATE, "System": SYSTEM}[root[1]] if root else UNKNOWN
+    if _ATOM_SITE.search(text):
+        return MMCIF
+    if _ATOM.search(text):
+        return PDB
+    return TOP if _SECTION.search(text) else UNKNOWN
+
+
+def _counted(lines: list[str]) -> str:
+    """The kind of a file that has a title, the number of atoms and then the atoms; empty for others."""
+    if len(lines) < 3 or not lines[1].split() or not lines[1].split()[0].isdigit():
+        return ""
+    if re.match(r"( *-?\d+\.\d+){3}", lines[2]):
+        return AMBER_COORDINATES
+    # Number and name of the residue, name and number of the atom, in five columns each, then the coordinates.
+    return GRO if re.match(r"[ \d]{5}.{10}[ \d]{5}( *-?\d+\.\d+){3}", lines[2]) else ""

@@ -1,0 +1,471 @@
+"""What people bring: files of AMBER, GROMACS, CHARMM and OpenMM are read as OpenMM reads them, run and restarted."""
+
+import shutil
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+from scipy.io import netcdf_file
+
+from openmm_sier.cli.ensembles import PlanError, read_plan
+from openmm_sier.cli.files.checkpoints import read_checkpoint
+from openmm_sier.cli.main import main
+from openmm_sier.cli.options import Options
+from openmm_sier.cli.tune import run_line
+from openmm_sier.measure.file_kinds import kind_of
+from openmm_sier.measure.forcefields import CUTOFF, EWALD_TOLERANCE, LARGEST_CUTOFF, SWITCH
+from openmm_sier.measure.inputs import read_input
+from openmm_sier.prepare.masses import set_hydrogen_masses
+from openmm_sier.prepare.pme import balance_pme
+from tests.support import inputs
+from tests.support.commands import SMALL, complaint, contents, run, write_lattice
+from tests.support.inputs import EDGE
+
+EDGES = ("--edges", "0.96", "0.96", "0.96")
+
+#: What `openmm-sier run` does with a box of this width.
+CUT_OFF = LARGEST_CUTOFF * EDGE
+SETTINGS = {
+    "nonbondedMethod": app.PME,
+    "nonbondedCutoff": CUT_OFF * unit.nanometer,
+    "switchDistance": CUT_OFF * SWITCH / CUTOFF * unit.nanometer,
+    "constraints": app.HBonds,
+    "rigidWater": True,
+    "ewaldErrorTolerance": EWALD_TOLERANCE,
+    "removeCMMotion": False,
+}
+
+
+class Input(NamedTuple):
+    """Coordinates, a topology, and what goes with them."""
+
+    coordinates: str
+    topology: str
+    forcefield: tuple[str, ...] = ()
+    edges: tuple[float, ...] = ()
+
+    @property
+    def arguments(self):
+        files = ("--forcefield", *self.forcefield) if self.forcefield else ()
+        edges = ("--edges", *map(str, self.edges)) if self.edges else ()
+        return (self.coordinates, "--topology", self.topology, *files, *edges)
+
+
+AMBER = Input("amber.inpcrd", "amber.prmtop")
+GROMACS = Input("gromacs.gro", "gromacs.top")
+CHARMM = Input("charmm.crd", "charmm.psf", ("charmm.prm", "charmm.rtf"), 3 * (EDGE,))
+STATE = Input("openmm-state.xml", "openmm-system.xml")
+PDB = Input("structure.pdb", "openmm-system.xml")
+MMCIF = Input("structure.cif", "amber.prmtop")
+ALL = {"amber": AMBER, "gromacs": GROMACS, "charmm": CHARMM, "state": STATE, "pdb": PDB, "mmcif": MMCIF}
+EACH = pytest.mark.parametrize("given", ALL.values(), ids=ALL)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A directory with all of them. The System is that of the prmtop file, and removes the motion of the centre."""
+    place = tmp_path_factory.mktemp("inputs")
+    coordinates, topology = inputs.write_amber(place)
+    inputs.write_amber(place, "vacuum", box=False)
+    inputs.write_gromacs(place)
+    inputs.write_charmm(place)
+    box = app.AmberInpcrdFile(str(coordinates)).boxVectors
+    prmtop = app.AmberPrmtopFile(str(topology), periodicBoxVectors=box)
+    inputs.write_openmm(place, prmtop.createSystem(**SETTINGS | {"removeCMMotion": True}))
+    for name in ("structure.pdb", "structure.cif"):
+        inputs.write_pdb(place / name, prmtop.topology, inputs.positions())
+    return place
+
+
+@pytest.fixture(autouse=True)
+def here(written, directory):
+    """Copies of all files, in the current directory."""
+    shutil.copytree(written, ".", dirs_exist_ok=True)
+
+
+def energy(system, positions):
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    return context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+
+
+def read(given):
+    return read_input(given.coordinates, given.topology, given.forcefield, "hbonds", edges=given.edges or None)
+
+
+# --- energies ---
+
+
+def of_amber():
+    coordinates = app.AmberInpcrdFile("amber.inpcrd")
+    prmtop = app.AmberPrmtopFile("amber.prmtop", periodicBoxVectors=coordinates.boxVectors)
+    return prmtop.createSystem, coordinates.positions
+
+
+def of_gromacs():
+    coordinates = app.GromacsGroFile("gromacs.gro")
+    top = app.GromacsTopFile("gromacs.top", periodicBoxVectors=coordinates.getPeriodicBoxVectors())
+    return top.createSystem, coordinates.positions
+
+
+def of_charmm():
+    psf = app.CharmmPsfFile("charmm.psf")
+    psf.setBox(*3 * [EDGE * unit.nanometer])
+    parameters = app.CharmmParameterSet("charmm.prm", "charmm.rtf")
+    return partial(psf.createSystem, parameters, flexibleConstraints=False), app.CharmmCrdFile("charmm.crd").positions
+
+
+def of_openmm():
+    state = openmm.XmlSerializer.deserialize(Path("openmm-state.xml").read_text())
+
+    def create(**_):
+        system = openmm.XmlSerializer.deserialize(Path("openmm-system.xml").read_text())
+        system.setDefaultPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+        return system
+
+    return create, state.getPositions()
+
+
+@pytest.mark.parametrize(
+    ("given", "reader"), [(AMBER, of_amber), (GROMACS, of_gromacs), (CHARMM, of_charmm), (STATE, of_openmm)]
+)
+def test_energies_are_those_of_openmms_own_reader_to_the_last_bit(given, reader):
+    found = read(given)
+    create, positions = reader()
+    system = create(**SETTINGS)
+    balance_pme(system)
+    assert energy(found.system, found.positions) == energy(system, positions)
+    assert found.system.getNumConstraints() == system.getNumConstraints() == 3 * 26 + 2
+    assert len(found.listed) == found.topology.getNumAtoms() == 82
+
+
+def test_all_formats_hold_one_system():
+    """They were written from the same numbers; a prmtop file has nine digits of them.
+
+    Energies of some 1e3 kJ/mol between molecules are then off by 1e-5 at most. Tails of Lennard-Jones, which OpenMM
+    leaves out for CHARMM, are left out.
+    """
+    found = {}
+    for name, given in ALL.items():
+        box = read(given)
+        for force in box.system.getForces():
+            if isinstance(force, openmm.NonbondedForce):
+                force.setUseDispersionCorrection(False)
+        found[name] = energy(box.system, box.positions)
+    assert found["gromacs"] > 100
+    for name in found:
+        assert found[name] == pytest.approx(found["gromacs"], abs=1e-5), name
+
+
+@pytest.mark.slow
+def test_interactions_are_those_that_are_asked_for():
+    options = ["--cutoff", "0.4", "--switch", "0.3", "--tolerance", "0.0002", "--hydrogen-mass", "2"]
+    run("run", *AMBER.arguments, *SMALL, *options, "--steps", "1")
+    plan = read_checkpoint(Path("amber.chk"))[1]["plan"]
+    assert (plan["cutoff"], plan["switch"], plan["tolerance"], plan["hydrogen_mass"]) == (0.4, 0.3, 0.0002, 2)
+    assert plan["topology"] == "amber.prmtop"
+
+
+# --- runs ---
+
+
+@pytest.mark.slow
+def test_run_with_no_other_option_restarts_bit_for_bit():
+    """It equilibrates until the liquid has settled; `--time` alone says where it is cut."""
+    command = ["run", *AMBER.arguments, "--platform", "Reference"]
+    run(*command, "--time", "0.09", "--out", "whole.dcd", "--every", "0.009", "--checkpoint-every", "0.045")
+    run(*command, "--time", "0.045", "--out", "cut.dcd", "--every", "0.009", "--checkpoint-every", "0.045")
+    run("run", AMBER.coordinates, "--platform", "Reference", "--time", "0.09", "--restart", "cut.chk")
+    assert_same_runs("cut", "whole")
+
+
+@pytest.mark.slow
+@EACH
+@pytest.mark.parametrize("ensemble", ["nve", "npt"])
+def test_restarts_are_bit_for_bit_alike(given, ensemble):
+    command = ["run", *given.arguments, *SMALL, "--ensemble", ensemble, "--checkpoint-every", "0.04"]
+    run(*command, "--steps", "20", "--out", "whole.dcd")
+    run(*command, "--steps", "10", "--out", "cut.dcd")
+    # The checkpoint knows the topology and everything else.
+    run("run", given.coordinates, "--platform", "Reference", "--steps", "20", "--restart", "cut.chk")
+    assert_same_runs("cut", "whole")
+
+
+def assert_same_runs(one, two):
+    for ending in (".dcd", ".csv"):
+        assert Path(one + ending).read_bytes() == Path(two + ending).read_bytes()
+    first, second = (openmm.XmlSerializer.serialize(read_checkpoint(Path(f"{name}.chk"))[0]) for name in (one, two))
+    assert first == second
+
+
+@pytest.mark.slow
+def test_run_that_starts_from_a_checkpoint_has_its_topology():
+    run("run", *CHARMM.arguments, *SMALL, "--steps", "2")
+    run("run", CHARMM.coordinates, "--start", "charmm.chk", "--steps", "1", "--platform", "Reference", "--out", "b.dcd")
+    plans = [read_checkpoint(Path(name))[1]["plan"] for name in ("charmm.chk", "b.chk")]
+    for name in ("topology", "forcefield", "edges"):
+        assert plans[0][name] == plans[1][name] is not None
+
+
+@pytest.mark.slow
+def test_trajectories_have_all_atoms_of_the_coordinates():
+    run("run", *GROMACS.arguments, *SMALL, "--steps", "5", "--out", "a.h5")
+    mdtraj = pytest.importorskip("mdtraj")
+    assert mdtraj.load("a.h5").n_atoms == 82
+
+
+@pytest.mark.parametrize("name", ["amber.prmtop", "molecules.itp", "charmm.prm", "amber.inpcrd"])
+@pytest.mark.slow
+def test_input_that_was_edited_since_is_refused(capsys, name):
+    """The notes hold fingerprints of all files, those too that others include."""
+    given = {"molecules.itp": GROMACS, "charmm.prm": CHARMM}.get(name, AMBER)
+    run("run", *given.arguments, *SMALL, "--steps", "2", "--out", "a.dcd")
+    text = Path(name).read_text()
+    # A title or comment, of which no energy depends.
+    changed = {"amber.prmtop": ("made", "mada"), "amber.inpcrd": ("water", "Water")}.get(name, ("\n", "\n\n"))
+    Path(name).write_text(text.replace(*changed, 1))
+    before = contents(Path())
+    message = complaint(
+        capsys, "run", given.coordinates, "--platform", "Reference", "--steps", "4", "--restart", "a.chk"
+    )
+    assert f"{name} is not the file that the run of a.chk read, or was edited" in message
+    assert contents(Path()) == before
+
+
+@pytest.mark.slow
+def test_files_may_be_moved_before_a_restart():
+    run("run", *AMBER.arguments, *SMALL, "--steps", "2", "--out", "a.dcd")
+    for path in (AMBER.coordinates, AMBER.topology):
+        Path("moved").mkdir(exist_ok=True)
+        Path(path).rename(Path("moved") / path)
+    again = ["run", f"moved/{AMBER.coordinates}", "--topology", f"moved/{AMBER.topology}", "--platform", "Reference"]
+    run(*again, "--steps", "4", "--restart", "a.chk")
+    assert read_checkpoint(Path("a.chk"))[1]["step"] == 4
+
+
+def test_outputs_destroy_no_topology(capsys):
+    message = complaint(capsys, "run", *GROMACS.arguments, "--report", "molecules.itp", "--overwrite")
+    assert "molecules.itp would destroy the input" in message
+
+
+# --- other commands ---
+
+
+@EACH
+def test_info_shows_the_bodies(capsys, given):
+    run("info", *given.arguments)
+    out = capsys.readouterr().out
+    # 26 rigid molecules with six each, and four atoms with two constraints.
+    assert "82 particles, 166 degrees of freedom, 2 constraints between" in out
+    assert "box 0.9600 x 0.9600 x 0.9600 nm" in out
+
+
+def test_a_state_alone_has_molecules_by_bonds_and_elements_by_mass(capsys):
+    topology = read(STATE).topology
+    assert [residue.name for residue in topology.residues()] == ["M1", *26 * ["HOH"]]
+    assert [atom.element.symbol for atom in topology.atoms()][:7] == ["H", "O", "O", "H", "O", "H", "H"]
+    run("info", *STATE.arguments, "--rigid", "M1")
+    assert "82 particles, 162 degrees of freedom" in capsys.readouterr().out
+
+
+def test_tune_prints_a_run_with_the_topology():
+    options = Options(
+        box=Path(CHARMM.coordinates),
+        topology=Path(CHARMM.topology),
+        forcefield=[Path(name) for name in CHARMM.forcefield],
+        edges=list(CHARMM.edges),
+    )
+    line = run_line(options, SimpleNamespace(stepSize=0.006, stepsPerTrial=10))
+    files = "--topology charmm.psf --forcefield charmm.prm charmm.rtf --edges 0.96 0.96 0.96"
+    assert line == f"openmm-sier run charmm.crd --ensemble hmc {files} --dt 6.0 --steps-per-trial 10"
+
+
+def test_plans_find_topologies_beside_them(tmp_path):
+    plan = Path("plan.toml")
+    plan.write_text(
+        '[options]\ntopology = "amber.prmtop"\ntime = 1\n[members]\nbox = ["amber.inpcrd"]\nseed = [1, 2]\n'
+    )
+    members = read_plan(plan.absolute())
+    assert [member.name for member in members] == ["amber-seed1", "amber-seed2"]
+    found = members[0].arguments
+    assert found[found.index("--topology") + 1] == str(Path("amber.prmtop").resolve())
+    plan.write_text(plan.read_text().replace("time", 'forcefield = "amber14-all.xml"\ntime'))
+    with pytest.raises(PlanError, match=r"--forcefield does nothing with .*amber.prmtop, which is a prmtop file"):
+        read_plan(plan.absolute())
+    plan.write_text('[members]\nbox = "amber.inpcrd"\ntopology = "none.prmtop"\n')
+    with pytest.raises(PlanError, match=r"none.prmtop: No such file"):
+        read_plan(plan.absolute())
+
+
+@pytest.mark.slow
+def test_plans_whose_files_were_edited_since_are_refused(capsys):
+    """Members that are complete, and new ones, would be of two systems."""
+    plan = '[options]\ntopology = "gromacs.top"\nscheme = "sier2"\nplatform = "Reference"\nequilibrate = 0.01\n'
+    Path("plan.toml").write_text(plan + 'dt = 2\nsteps = 2\n[members]\nbox = ["gromacs.gro"]\nseed = [1]\n')
+    run("ensemble", "plan.toml", "--processes", "1")
+    Path("plan.toml").write_text(Path("plan.toml").read_text().replace("[1]", "[1, 2]"))
+    Path("molecules.itp").write_text(Path("molecules.itp").read_text() + "; edited\n")
+    message = complaint(capsys, "ensemble", "plan.toml", "--processes", "1")
+    assert "molecules.itp was edited since plan/gromacs-seed1/run.chk was written" in message
+    assert not Path("plan/gromacs-seed2").exists()
+
+
+# --- refusals ---
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, without a force field: name its topology by"),
+        (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
+        (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER: give coordinates, and this file by --topology"),
+        (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, expected as top"),
+        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, expected coordinates"),
+        (["amber.inpcrd", "--topology", "structure.pdb"], "structure.pdb is a PDB file, expected as topology a prmtop"),
+        (["amber.inpcrd", "--topology", "molecules.rtf"], "molecules.rtf: No such file"),
+        (["charmm.crd", "--topology", "charmm.psf"], "charmm.psf is a psf file of CHARMM, which needs its parameters"),
+        ([*AMBER.arguments, "--forcefield", "tip3p.xml"], "--forcefield does nothing with amber.prmtop, which is a pr"),
+        ([*GROMACS.arguments, "--forcefield", "a.xml"], "--forcefield does nothing with gromacs.top"),
+        (
+            [*STATE.arguments, "--forcefield", "a.xml"],
+            "--forcefield does nothing with openmm-system.xml, which is a Sy",
+        ),
+        ([*STATE.arguments, "--constraints", "none"], "--constraints does nothing with openmm-system.xml"),
+        ([*STATE.arguments, *EDGES], "--edges does nothing with openmm-system.xml"),
+        ([*AMBER.arguments, *EDGES], "amber.inpcrd has a periodic box of its own: leave out --edges"),
+        (["openmm-state.xml", "--topology", "amber.prmtop"], "openmm-state.xml is a State of OpenMM, which goes with"),
+        (["vacuum.inpcrd", "--topology", "amber.prmtop"], "vacuum.inpcrd has no periodic box, and amber.prmtop was"),
+        (["charmm.crd", "--topology", "charmm.psf", "--forcefield", "none.prm"], "none.prm"),
+        (["charmm.crd", "--topology", "charmm.psf", "--forcefield", "charmm.crd"], "Unrecognized file type"),
+    ],
+)
+def test_inputs_that_are_refused(capsys, arguments, message):
+    assert message in complaint(capsys, "info", *arguments)
+
+
+@pytest.mark.parametrize("option", ["--cutoff 0.4", "--switch 0.3", "--tolerance 0.0001"])
+def test_options_of_a_run_that_a_system_has_already(capsys, option):
+    name, value = option.split()
+    message = complaint(capsys, "run", *STATE.arguments, name, value)
+    assert f"{name} does nothing with openmm-system.xml, which is a System of OpenMM: leave it out" in message
+
+
+def test_coordinates_of_other_atoms_are_refused(capsys):
+    lines = Path("gromacs.gro").read_text().splitlines(keepends=True)
+    # Of the first molecule of water, the oxygen after a hydrogen.
+    Path("other.gro").write_text("".join([*lines[:6], lines[7], lines[6], *lines[8:]]))
+    message = complaint(capsys, "info", "other.gro", "--topology", "gromacs.top")
+    assert "other.gro has H1 where gromacs.top has atom 5 (O of HOH 2): are the atoms in another order?" in message
+    Path("short.gro").write_text("".join([lines[0], "   79\n", *lines[2:-4], lines[-1]]))
+    assert "short.gro has 79 atoms, expected the 82 of gromacs.top" in complaint(
+        capsys, "info", "short.gro", "--topology", "gromacs.top"
+    )
+    Path("twice.gro").write_text("".join([*lines[:9], f"{lines[9][:20]}{lines[6][20:]}", *lines[10:]]))
+    assert "are in the same place" in complaint(capsys, "info", "twice.gro", "--topology", "gromacs.top")
+
+
+def test_files_that_are_damaged_are_named(capsys):
+    for name in (AMBER.topology, GROMACS.topology, CHARMM.topology, STATE.topology, STATE.coordinates):
+        given = next(given for given in ALL.values() if name in given[:2])
+        text = Path(name).read_text()
+        Path(name).write_text(text[: len(text) // 2])
+        assert name in complaint(capsys, "info", *given.arguments)
+        Path(name).write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("residue", "message"),
+    [
+        ("HPO", "(OA of HPO 1) where openmm-system.xml has a particle of 1.008 dalton"),
+        ("HOH", "(H1 of HOH 2) where openmm-system.xml has a particle of 16 dalton"),
+    ],
+)
+def test_a_system_of_other_particles_is_refused(capsys, residue, message):
+    """A System has masses alone. The first two atoms of a residue change places."""
+    lines = Path(PDB.coordinates).read_text().splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if f" {residue} " in line)
+    lines[first : first + 2] = [lines[first + 1], lines[first]]
+    Path("other.pdb").write_text("".join(line for line in lines if not line.startswith("CONECT")))
+    assert message in complaint(capsys, "info", "other.pdb", "--topology", PDB.topology)
+
+
+def test_heavy_hydrogens_in_a_system_are_hydrogens():
+    system = openmm.XmlSerializer.deserialize(Path(STATE.topology).read_text())
+    set_hydrogen_masses(system, 4.0)
+    Path(STATE.topology).write_text(openmm.XmlSerializer.serialize(system))
+    symbols = [atom.element.symbol for atom in read(STATE).topology.atoms()]
+    assert symbols == [*"HOOH", *26 * "OHH"]
+
+
+def test_a_barostat_in_a_system_is_refused(capsys):
+    system = openmm.XmlSerializer.deserialize(Path(STATE.topology).read_text())
+    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0))
+    Path(STATE.topology).write_text(openmm.XmlSerializer.serialize(system))
+    message = complaint(capsys, "info", *STATE.arguments)
+    assert "openmm-system.xml has a MonteCarloBarostat, in whose place the run has an ensemble: leave it out" in message
+
+
+def test_without_a_box_there_is_no_cut_off(capsys):
+    arguments = ["vacuum.inpcrd", "--topology", "vacuum.prmtop"]
+    run("run", *arguments, *SMALL, "--steps", "1")
+    assert "27 residues without a periodic box, no cut-off" in capsys.readouterr().out
+    assert "a cut-off or switch needs a periodic box" in complaint(capsys, "run", *arguments, "--cutoff", "0.4")
+
+
+def test_mmcif_files_are_read_with_a_force_field(capsys):
+    pdb = app.PDBFile(str(write_lattice(Path("lattice.pdb"), 8)))
+    inputs.write_pdb(Path("lattice.cif"), pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)))
+    run("info", "lattice.cif", "--forcefield", "tip3p.xml")
+    run("info", "lattice.pdb", "--forcefield", "tip3p.xml")
+    structure, same = capsys.readouterr().out.split("lattice.pdb")
+    assert structure.replace("lattice.cif", "").split() == same.split()
+
+
+def test_restart_files_of_amber_may_be_netcdf():
+    """Of their velocities nothing is taken."""
+    with netcdf_file("amber.rst7", "w") as file:
+        for name, length in {"atom": 82, "spatial": 3, "cell_spatial": 3, "cell_angular": 3}.items():
+            file.createDimension(name, length)
+        values = 10 * inputs.positions()
+        for name, content, axes in (
+            ("coordinates", values, ("atom", "spatial")),
+            ("cell_lengths", np.full(3, 10 * EDGE), ("cell_spatial",)),
+            ("cell_angles", np.full(3, 90.0), ("cell_angular",)),
+        ):
+            file.createVariable(name, "d", axes)[:] = content
+    text, binary = read(AMBER), read(AMBER._replace(coordinates="amber.rst7"))
+    # The text has 1e-8 nm; the box agrees to rounding.
+    np.testing.assert_allclose(binary.positions._value, text.positions._value, atol=1e-8)
+    edges = np.array(binary.topology.getPeriodicBoxVectors()._value)
+    np.testing.assert_allclose(edges, EDGE * np.eye(3), atol=1e-12)
+
+
+def test_edges_are_three(capsys):
+    with pytest.raises(SystemExit):
+        main(["info", "structure.pdb", "--edges", "1", "2"])
+    assert "--edges" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        (
+            "* title\n*\n 2\n    1    1 ALA  N      0.00000   0.00000   0.00000 A    1      0.00000\n",
+            "a crd file of CHARMM",
+        ),
+        ("* a title with a star\n 2 1.0\n   0.0000000   0.0000000   0.0000000\n", "a coordinate file of AMBER"),
+        ("\n  3\n    1SOL     OW    1   0.126   1.624   1.679  0.1227 -0.0580  0.0434\n", "a gro file of GROMACS"),
+        ('\n#include "oplsaa.ff/forcefield.itp"\n', "a top file of GROMACS"),
+        ("data_1\n_atom_site.id\nATOM 1\n", "a PDBx/mmCIF file"),
+        ("<?xml version='1.0'?>\n<ForceField>", "of no kind that is known"),
+        ("", "of no kind that is known"),
+    ],
+)
+def test_kinds_follow_from_contents(text, kind):
+    Path("file").write_text(text)
+    assert kind_of("file") == kind
