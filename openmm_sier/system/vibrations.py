@@ -264,7 +264,7 @@ def _fastest_bonds(
     for force in system.getForces():
         if not isinstance(force, openmm.HarmonicBondForce) or not force.getNumBonds():
             continue
-        ends, strength = harmonic_bonds(force)
+        ends, _, strength = harmonic_bonds(force)
         held, owner = constraints.by_pair(), bodies.owners[ends]
         apart = (owner[:, 0] != owner[:, 1]) | (owner[:, 0] < 0)
         apart &= np.array([pair not in held for pair in map(tuple, np.sort(ends, axis=1).tolist())])
