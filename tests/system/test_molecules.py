@@ -16,6 +16,10 @@ from tests.support.peptides import capped_alanine_box, forcefield
 VECTORS = np.array([[2.4, 0, 0], [0.5, 2.3, 0], [-0.6, 0.7, 2.2]])
 
 
+#: Atoms of a bond between two residues.
+BOND = ("ALA", "C"), ("NME", "N")
+
+
 @pytest.fixture(scope="module")
 def peptide():
     """Topology in an oblique box, positions (N, 3) in nm of whole molecules, and the System by constraints."""
@@ -154,7 +158,7 @@ def test_positions_of_another_shape_are_refused(peptide):
 
 @pytest.mark.parametrize("constraints", ["none", "hbonds"])
 def test_files_are_read_whole_or_not_at_all(peptide, tmp_path, constraints):
-    """Three chains of residues and their water, wrapped atom by atom; and with an atom that is misplaced by 1 nm."""
+    """Cut in the middle of a bond between two residues; and with an atom that is misplaced by 1 nm."""
     topology, whole, _ = peptide
     files = ["amber14/protein.ff14SB.xml", "amber14/tip3p.xml"]
     path = tmp_path / "box.pdb"
@@ -165,7 +169,10 @@ def test_files_are_read_whole_or_not_at_all(peptide, tmp_path, constraints):
         return read_box(path, files, constraints)
 
     system, positions = read(whole).system, read(whole).positions
-    cut = read(wrapped(whole + np.array([0.3, 1.1, 0.9]), VECTORS)).positions
+    carbon, nitrogen = (next(a.index for a in topology.atoms() if (a.residue.name, a.name) == name) for name in BOND)
+    cut = wrapped(whole - (whole[carbon] + whole[nitrogen]) / 2, VECTORS)
+    assert np.linalg.norm(cut[carbon] - cut[nitrogen]) > 1
+    cut = read(cut).positions
     # Coordinates of a PDB file have 1e-4 nm, which changes the energy of each of some hundred bonds by 0.1 kJ/mol.
     assert energy(system, cut) == pytest.approx(energy(system, positions), abs=10)
     torn = whole.copy()
