@@ -21,6 +21,7 @@ from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, mol
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from openmm_sier.observe import conservation, pressure
 
+#: Columns of the log.
 TRANSLATION, ROTATION, FLEXIBLE = conservation.TEMPERATURES
 
 
