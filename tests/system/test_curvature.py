@@ -169,7 +169,7 @@ def test_a_stiff_restraint_is_refused_by_what_causes_it():
     system.addForce(force)
     integrator = SIERIntegrator(0.006, SIER2)
     context = context_at(system, integrator, (np.zeros((1, 3)), np.zeros((1, 3))))
-    with pytest.raises(openmm.OpenMMException, match="the motion that CustomExternalForce causes of atom 0 is not constrained and has a per"):
+    with pytest.raises(openmm.OpenMMException, match="the motion that CustomExternalForce causes of atom 0 is"):
         integrator.step(1)
     assert context.getStepCount() == 0
 
