@@ -12,6 +12,7 @@ from openmm_sier.integrators.tuning import Tuning, tune
 from openmm_sier.prepare.pme import balance_pme
 from openmm_sier.prepare.preparation import Preparation, prepare_system
 from openmm_sier.system.find_bodies import RigidBodies
+from openmm_sier.system.molecules import make_whole
 from openmm_sier.version import __version__
 
 hooks.install()
@@ -40,6 +41,7 @@ __all__ = [
     "Tuning",
     "__version__",
     "balance_pme",
+    "make_whole",
     "prepare_system",
     "tune",
 ]

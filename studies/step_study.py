@@ -89,7 +89,7 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
 
     Raises:
         RunError: temperatures or pressures differ, or no run is finished.
-        RecordError, NoLiquidError, OSError: as their messages say.
+        RecordError, OSError: as their messages say.
     """
     record = _measured(settings, report) if settings.runs else records.read(KEPT)
     tables = [table(record), *(deviations(record, key) for key in COMPARED)]

@@ -113,7 +113,7 @@ def read_plan(path: Path) -> list[Member]:
         OSError: the file cannot be read.
     """
     try:
-        plan = tomllib.loads(path.read_text())
+        plan = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise PlanError(f"{path} is no TOML file: {error}") from None
     if unknown := sorted(set(plan) - set(KEYS)):

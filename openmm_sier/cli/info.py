@@ -1,4 +1,4 @@
-"""The command `openmm-sier info`: the rigid bodies of an input."""
+"""The command `openmm-sier info`: what moves in an input, as rigid bodies and as points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from openmm_sier.system.find_bodies import RigidBodies
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
 
-COLUMNS = ("residues", "bodies", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
+COLUMNS = ("residues", "number", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
 
 
 def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
@@ -49,7 +49,7 @@ def info(
     rigid: Sequence[str] | None = None,
     constraints: str | None = None,
 ) -> None:
-    """Print the kinds of body of an input, masses in dalton and moments in dalton nm^2.
+    """Print the kinds of rigid body and of point of an input, masses in dalton and moments in dalton nm^2.
 
     Args:
         box: the coordinates.
@@ -69,9 +69,13 @@ def info(
     riders = _riders(read.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
     table(f"{box}, {' '.join(read.files)} ({read.reason})", COLUMNS, rows)
-    counts = f"{bodies.n} bodies, {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
+    points = int(np.count_nonzero(bodies.point_particles))
+    counts = f"{bodies.n - points} rigid bodies" if bodies.n > points else ""
+    if points:
+        counts += f"{', ' if counts else ''}{points} points (atoms that move by themselves)"
+    counts += f", {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
     if count := len(bodies.constraints.pairs):
-        counts += f", {count} constraints between bodies"
+        counts += f", {count} constraints between points"
     note(counts + _extent(read))
 
 

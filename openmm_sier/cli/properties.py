@@ -18,19 +18,32 @@ from openmm_sier.measure import properties
 from openmm_sier.measure.figures import Curve, can_draw, property_curves, property_figure
 from openmm_sier.measure.forcefields import Box, describe
 from openmm_sier.measure.inputs import read_input
-from openmm_sier.measure.liquid_samples import LiquidSamples, read_samples
+from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, molecules_of_liquid, read_samples
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
-from openmm_sier.observe import pressure
+from openmm_sier.observe import conservation, pressure
+
+#: Columns of the log.
+TRANSLATION, ROTATION, FLEXIBLE = conservation.TEMPERATURES
 
 
 class Row(NamedTuple):
-    """A property: its key, its name with the unit, how a run gives it, its value in water, and if it needs motion."""
+    """A property.
+
+    Attributes:
+        key: by which it is known.
+        name: with the unit.
+        estimate: how a run gives it.
+        water: its value in water.
+        of_motion: whether it needs motion.
+        of_liquid: whether it is one of a liquid of one kind of molecule; otherwise any box has it.
+    """
 
     key: str
     name: str
     estimate: Callable[[Run], Estimate | None]
     water: str = ""
     of_motion: bool = False
+    of_liquid: bool = True
 
 
 class Run(NamedTuple):
@@ -39,14 +52,14 @@ class Run(NamedTuple):
     Attributes:
         plan: of the command.
         log: columns of the log, without the skipped part.
-        samples: of the trajectory.
+        samples: of the trajectory; None where the box is not a liquid of one kind of molecule.
         molecules: their number.
         tensors: columns of the file of pressure tensors, without the skipped part; None where there is no file.
     """
 
     plan: Plan
     log: dict[str, np.ndarray]
-    samples: LiquidSamples
+    samples: LiquidSamples | None
     molecules: int
     tensors: dict[str, np.ndarray] | None
 
@@ -55,6 +68,13 @@ class Run(NamedTuple):
         """K, of the heat bath; the mean temperature where there is no bath."""
         nve = self.plan.ensemble == "nve"
         return float(self.log["Temperature (K)"].mean()) if nve else self.plan.temperature
+
+    @property
+    def liquid(self) -> LiquidSamples:
+        """The samples of a run that has some."""
+        if self.samples is None:
+            raise RunError(f"{self.plan.out} is not that of a liquid of one kind of molecule")
+        return self.samples
 
     @property
     def stress(self) -> tuple[np.ndarray, float, float, float]:
@@ -70,10 +90,15 @@ def _temperature(run: Run) -> Estimate | None:
     return mean_and_error(run.log["Temperature (K)"]) if run.plan.ensemble == "nve" else None
 
 
-def _mean_temperature(column: str, run: Run) -> Estimate | None:
-    """None where nothing moves in this way: points do not rotate."""
+def _mean_column(column: str, run: Run) -> Estimate | None:
+    """None where there is no such thing: points do not rotate, and without a box there is no density."""
     values = run.log[column]
     return mean_and_error(values) if np.isfinite(values).all() else None
+
+
+def _energy_of_mixture(run: Run) -> Estimate | None:
+    """None in a liquid of one kind, which has it for each molecule."""
+    return mean_and_error(run.log["Potential Energy (kJ/mole)"]) if run.samples is None else None
 
 
 def _capacity(run: Run) -> Estimate | None:
@@ -92,21 +117,22 @@ def _vaporization(run: Run) -> Estimate:
 
 
 def _dielectric(run: Run) -> Estimate | None:
-    if run.samples.dipoles is None:
+    samples = run.liquid
+    if samples.dipoles is None:
         return None
-    return properties.dielectric_constant(run.samples.dipoles, run.samples.volumes, run.temperature)
+    return properties.dielectric_constant(samples.dipoles, samples.volumes, run.temperature)
 
 
 def _diffusion(run: Run) -> Estimate:
-    return properties.self_diffusion(run.samples.centres, run.samples.interval)
+    return properties.self_diffusion(run.liquid.centres, run.liquid.interval)
 
 
 def _rotation(run: Run) -> Estimate:
-    return properties.rotation_time(run.samples.directions, run.samples.interval)
+    return properties.rotation_time(run.liquid.directions, run.liquid.interval)
 
 
 def _maximum_of_pairs(which: int, run: Run) -> Estimate:
-    return properties.maximum_of_pairs(run.samples.distances, run.samples.pairs_by_frame)[which]
+    return properties.maximum_of_pairs(run.liquid.distances, run.liquid.pairs_by_frame)[which]
 
 
 def _viscosity(run: Run) -> Estimate | None:
@@ -117,10 +143,12 @@ def _viscosity(run: Run) -> Estimate | None:
 #: viscosity are by the IAPWS formulations; self-diffusion of Holz et al., Phys. Chem. Chem. Phys. 2, 4740 (2000); the
 #: first maximum of the O-O distribution of Skinner et al., J. Chem. Phys. 138, 074506 (2013).
 ROWS = (
-    Row("", "temperature, K", _temperature),
-    Row("translation", "temperature of translation, K", partial(_mean_temperature, "Translational Temperature (K)")),
-    Row("rotation", "temperature of rotation, K", partial(_mean_temperature, "Rotational Temperature (K)")),
-    Row("density", "density, g/cm³", lambda run: mean_and_error(run.log["Density (g/mL)"]), "0.9970"),
+    Row("", "temperature, K", _temperature, of_liquid=False),
+    Row("translation", "temperature of translation, K", partial(_mean_column, TRANSLATION), of_liquid=False),
+    Row("rotation", "temperature of rotation, K", partial(_mean_column, ROTATION), of_liquid=False),
+    Row("", "temperature of flexible molecules, K", partial(_mean_column, FLEXIBLE), of_liquid=False),
+    Row("density", "density, g/cm³", partial(_mean_column, "Density (g/mL)"), "0.9970", of_liquid=False),
+    Row("", "potential energy of the box, kJ/mol", _energy_of_mixture, of_liquid=False),
     Row(
         "energy",
         "potential energy, kJ/mol of molecules",
@@ -129,7 +157,7 @@ ROWS = (
     Row("vaporization", "enthalpy of vaporization, kJ/mol, rigid and without polarization", _vaporization, "43.99"),
     Row("capacity", "heat capacity (total energy or enthalpy), classical, J/mol/K", _capacity, "75.3"),
     Row("dielectric", "static dielectric constant", _dielectric, "78.4"),
-    Row("viscosity", "shear viscosity, mPa s", _viscosity, "0.890", of_motion=True),
+    Row("viscosity", "shear viscosity, mPa s", _viscosity, "0.890", of_motion=True, of_liquid=False),
     Row("diffusion", "self-diffusion in the box, 10⁻⁹ m²/s", _diffusion, "2.30", of_motion=True),
     Row("", "rotational correlation time of second order, ps", _rotation, of_motion=True),
     Row("peak", "maximum of the pair distribution", partial(_maximum_of_pairs, 0), "2.57"),
@@ -149,7 +177,7 @@ def properties_of(runs: Sequence[Path], box: Path | None, skip: float, viscosity
 
     Raises:
         RunError: runs differ in more than the seed and the length.
-        RecordError, NoLiquidError, OSError: as their messages say.
+        RecordError, OSError: as their messages say.
     """
     found = read_runs(open_runs(runs), box, skip)
     moving = found[0].plan.ensemble != "hmc"
@@ -158,9 +186,10 @@ def properties_of(runs: Sequence[Path], box: Path | None, skip: float, viscosity
     rows, stressed = _rows(found, None if viscosity is None else Estimate(viscosity, 0.0))
     title = title_of(found)
     table(title, ("", "", "water, 298.15 K, 1 bar"), rows)
-    if can_draw(REPORT):
+    curves = curves_of(found, stressed)
+    if curves and can_draw(REPORT):
         out.mkdir(parents=True, exist_ok=True)
-        property_figure(curves_of(found, stressed), title, out / "properties.png")
+        property_figure(curves, title, out / "properties.png")
         REPORT.note(f"wrote {out / 'properties.png'}")
 
 
@@ -178,7 +207,7 @@ def curves_of(runs: Sequence[Run], stressed: Sequence[Run]) -> dict[str, Curve]:
         runs: all of them.
         stressed: those among them that give a viscosity.
     """
-    samples = [run.samples for run in _written_as_often(runs)]
+    samples = [run.samples for run in _written_as_often(runs) if run.samples is not None]
     viscosities = None
     if stressed:
         integrals = [properties.viscosity_integrals(*run.stress) for run in _written_as_often(stressed)]
@@ -222,7 +251,7 @@ def estimated(row: Row, runs: Sequence[Run]) -> dict[Path, Estimate | None]:
     short: dict[str, list[Path]] = {}
     for run in runs:
         found[run.plan.out] = None
-        if row.of_motion and run.plan.ensemble == "hmc":
+        if (row.of_motion and run.plan.ensemble == "hmc") or (row.of_liquid and run.samples is None):
             continue
         try:
             found[run.plan.out] = row.estimate(run)
@@ -244,7 +273,7 @@ def _note_tail(runs: Sequence[Run]) -> None:
 
 
 def _without_the_box(runs: Sequence[Run], diffusion: Estimate, viscosity: Estimate) -> Estimate:
-    edge = float(np.mean([run.samples.volumes.mean() ** (1 / 3) for run in runs]))
+    edge = float(np.mean([run.liquid.volumes.mean() ** (1 / 3) for run in runs]))
     return properties.without_finite_size(diffusion, runs[0].temperature, edge, viscosity)
 
 
@@ -259,6 +288,11 @@ def read_runs(runs: Sequence[FinishedRun], given: Path | None, skip: float) -> l
     plan = runs[0].plan
     box = read_input(file, plan.topology, plan.forcefield, plan.constraints, edges=plan.edges)
     REPORT.note(f"{file}: {describe(box)}")
+    try:
+        molecules_of_liquid(box)
+    except NoLiquidError as error:
+        REPORT.note(f"properties of molecules and of their motion are left out: {error}")
+        return [Run(run.plan, run.log(skip), None, box.topology.getNumResidues(), run.tensors(skip)) for run in runs]
     return [_read(run, box, skip) for run in runs]
 
 

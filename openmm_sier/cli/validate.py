@@ -93,17 +93,21 @@ def _at_constant_temperature(points: Sequence[Point]) -> Iterator[Checked]:
         title = f"{one.plan.method.name}, {one.plan.ensemble.upper()}{one.plan.hydrogens}, {one.plan.dt:g} fs"
         yield from _tried(title, partial(_compared, one, two))
     if warm and not pairs:
-        _suggest(warm[0])
+        _tried(warm[0].title, partial(_suggested, warm[0]))
 
 
 def _compared(one: Point, two: Point) -> list[Verdict]:
     return [validation.ensemble_verdict(one.sample, two.sample)]
 
 
-def _suggest(point: Point) -> None:
+def _suggested(point: Point) -> list[Verdict]:
+    """Say which second run would add a check; there is no verdict."""
     interval = validation.suggested_interval(point.sample)
-    pressure = f", or one of a pressure higher by {interval['dP']:.3g} bar" if "dP" in interval else ""
-    note(f"{point.title}: a second run at a temperature higher by {interval['dT']:.3g} K{pressure} adds a check")
+    names = {"dT": ("temperature", "K"), "dP": ("pressure", "bar")}
+    runs = [f"{names[key][0]} higher by {value:.3g} {names[key][1]}" for key, value in interval.items()]
+    if runs:
+        note(f"{point.title}: a second run at a {', or one at a '.join(runs)} adds a check")
+    return []
 
 
 def _at_constant_energy(points: Sequence[Point]) -> Iterator[Checked]:

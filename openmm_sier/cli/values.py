@@ -123,9 +123,10 @@ def file(metavar: str = "FILE", use: str = "input") -> Kind:
     """The name of a file that a command reads (`use` is "input") or writes ("output")."""
 
     def accepts(value: Any) -> bool:
-        # No file is written by the name of this directory, or of the one above.
-        refused = ("", ".", "..") if use == "output" else ("",)
-        return isinstance(value, str) and value not in refused and "\0" not in value
+        if not isinstance(value, str) or "\0" in value or not value:
+            return False
+        # No file is written by the name of the root, of this directory, or of the one above.
+        return use != "output" or Path(value).name not in ("", "..")
 
     return Kind("the name of a file", accepts, Path, metavar=metavar, file=use)
 

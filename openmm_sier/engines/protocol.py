@@ -120,6 +120,12 @@ class Engine(ABC):
         """What moves, by the numbers of which the engine knows it."""
         return self.bodies
 
+    def _check_motion(self) -> None:
+        """The same as `_check_step`, with what only positions tell."""
+        if self._vibrations.measure(self._context):
+            self._checked = ()
+        self._check_step()
+
     def _check_step(self) -> None:
         """Refuse steps that are too long for bonds and librations."""
         flow, groups = self._flow, self._integrator.getIntegrationForceGroups()

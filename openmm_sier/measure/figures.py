@@ -99,12 +99,14 @@ def property_curves(
     """Curves of a liquid by the keys of `LABELS`, the mean of all runs.
 
     Args:
-        samples: of runs with the same interval between frames.
+        samples: of runs with the same interval between frames; none where the box is no liquid.
         viscosities: times (k,), ps, and running Green-Kubo integrals (c, k), mPa s; None leaves them out.
         moving: whether frames follow each other by motion; otherwise displacements and orientations are left out.
     """
-    found = {"pairs": Curve(samples[0].distances, np.mean([run.pairs for run in samples], axis=0))}
-    if moving:
+    found = {}
+    if samples:
+        found["pairs"] = Curve(samples[0].distances, np.mean([run.pairs for run in samples], axis=0))
+    if samples and moving:
         longest = min(len(run.centres) for run in samples) // 4
         times = np.arange(longest) * samples[0].interval
         squares = np.mean([mean_square_displacements(run.centres)[:longest] for run in samples], axis=0)

@@ -18,7 +18,7 @@ from openmm_sier.measure.pdb_files import first_line, read_pdb
 from openmm_sier.measure.water_models import ForceFieldError, recognize
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
-from openmm_sier.system.boxes import wrapped
+from openmm_sier.system.molecules import Bonds, joined_by, make_whole
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
@@ -276,32 +276,31 @@ def read_box(
         edges: of its periodic box, nm, where the file has none.
 
     Raises:
-        ForceFieldError: the file is no such file, has atoms twice or no room in its box, or no force field fits it.
+        ForceFieldError: the file is no such file, has atoms twice or no room in its box, no force field fits it, or a
+            molecule is broken, see `openmm_sier.make_whole`.
         OSError: the file cannot be read.
     """
     pdb = read_pdb(path, edges)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-    lengths = make_whole(lengths, pdb.topology)
+    # What a force field is recognized by, and where it puts virtual sites.
+    lengths = joined_by(Bonds.guessed(pdb.topology), lengths, _box_of(pdb.topology))
     try:
         chosen, reason = (tuple(map(str, files)), "named by the user") if files else pick(path, pdb.topology, lengths)
         forcefield = load(chosen, Path(path).parent)
         topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)
-    except ForceFieldError as error:
+        whole = make_whole(system, positions, topology)
+    except ValueError as error:
         raise ForceFieldError(f"{path}: {error}") from None
     listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
     if len(listed) != pdb.topology.getNumAtoms():
         listed = np.arange(topology.getNumAtoms())
-    return Box(topology, positions, system, chosen, reason, listed)
+    return Box(topology, whole * unit.nanometer, system, chosen, reason, listed)
 
 
-def make_whole(positions: np.ndarray, topology: app.Topology) -> np.ndarray:
-    """Positions (N, 3) in nm, every atom at the periodic image that is nearest to the first one of its residue."""
-    box = topology.getPeriodicBoxVectors()
-    if box is None:
-        return positions
-    first = np.array([next(atom.residue.atoms()).index for atom in topology.atoms()])
-    return positions[first] + wrapped(positions - positions[first], box.value_in_unit(unit.nanometer), np.round)
+def _box_of(topology: app.Topology) -> np.ndarray | None:
+    vectors = topology.getPeriodicBoxVectors()
+    return None if vectors is None else np.array(vectors.value_in_unit(unit.nanometer))
 
 
 def describe(box: Box) -> str:

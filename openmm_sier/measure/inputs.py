@@ -23,6 +23,7 @@ from openmm_sier.measure.water_models import ForceFieldError
 from openmm_sier.prepare.masses import HEAVIEST_HYDROGEN, hydrogens
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import BAROSTATS
+from openmm_sier.system.molecules import make_whole
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
 IGNORED = {
@@ -122,8 +123,12 @@ def _box(source: _Source, system: openmm.System, topology: app.Topology, files: 
     """A Box of which all particles are in the file of the coordinates; `files` are those of its force field."""
     positions = source.coordinates.positions
     check_positions(source.path, topology, positions.value_in_unit(unit.nanometer))
+    try:
+        whole = make_whole(system, positions, topology)
+    except ValueError as error:
+        raise ForceFieldError(f"{source.path}: {error}") from None
     names = tuple(map(str, (source.topology, *files)))
-    return Box(topology, positions, system, names, source.kind, np.arange(system.getNumParticles()))
+    return Box(topology, whole * unit.nanometer, system, names, source.kind, np.arange(system.getNumParticles()))
 
 
 # --- topologies of other programs ---

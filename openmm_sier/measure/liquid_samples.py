@@ -57,7 +57,7 @@ class LiquidSamples(NamedTuple):
 
 
 class NoLiquidError(ValueError):
-    """A trajectory is not of a periodic liquid of one kind of molecule with three atoms or more."""
+    """A box is not one of a periodic liquid of one kind of molecule with three atoms or more."""
 
 
 def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0) -> LiquidSamples:
@@ -70,19 +70,19 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         skip: ps to leave out at the beginning.
 
     Raises:
-        NoLiquidError: there is more than one kind of molecule, no rectangular periodic box, or no frame.
-        ValueError: a position or an edge of the box is not finite.
+        NoLiquidError: see `molecules_of_liquid`.
+        ValueError: there is no frame, or a position or an edge of the box is not finite.
         OSError: the file cannot be read.
     """
     topology = mdtraj.Topology.from_openmm(box.topology).subset(box.listed)
-    first = _first_atoms(topology)
+    first, box_edges = molecules_of_liquid(box)
     frames, lengths, directions, pairs = [], [], [], []
     dipoles: list[np.ndarray] = []
     stride, first_frame, done = max(1, round(APART / interval)), round(skip / interval), 0
     dipole_of = _dipole_of(box)
     chosen = topology.select_pairs(first[:512], first)
     # All runs need the same bins, and their boxes may become smaller than that of the PDB file.
-    reach = min(1.0, 0.45 * float(_edges(box, trajectory).min()))
+    reach = min(1.0, 0.45 * float(box_edges.min()))
     for chunk in read_chunks(trajectory, topology, first_frame):
         finite = np.isfinite(chunk.xyz).all(axis=(1, 2)) & np.isfinite(chunk.unitcell_lengths).all(axis=1)
         if not finite.all():
@@ -99,7 +99,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
             pairs.append(found)
         done += len(chunk)
     if not frames:
-        raise NoLiquidError(f"{trajectory} has no frames after {skip:g} ps")
+        raise ValueError(f"{trajectory} has no frames after {skip:g} ps")
     edges = np.concatenate(lengths)
     return LiquidSamples(
         interval,
@@ -138,25 +138,26 @@ def read_chunks(trajectory: Path, topology: mdtraj.Topology, skip: int = 0) -> I
         yield chunk
 
 
-def _edges(box: Box, trajectory: Path) -> np.ndarray:
+def molecules_of_liquid(box: Box) -> tuple[np.ndarray, np.ndarray]:
+    """The first atom of each molecule among the listed ones, (m,), and the edges of the box, (3,), nm.
+
+    Raises:
+        NoLiquidError: there is more than one kind of molecule, or one of less than three atoms, or no rectangular
+            periodic box.
+    """
     vectors = box.topology.getPeriodicBoxVectors()
     if vectors is None:
-        raise NoLiquidError(f"{trajectory} has no periodic box")
+        raise NoLiquidError("there is no periodic box")
     lengths = np.array(vectors.value_in_unit(unit.nanometer))
     edges = np.diag(lengths)
     if (lengths != np.diag(edges)).any():
-        raise NoLiquidError(f"the box of {trajectory} is not rectangular: its molecules cannot be followed through it")
-    return edges
-
-
-def _first_atoms(topology: mdtraj.Topology) -> np.ndarray:
+        raise NoLiquidError("the box is not rectangular: its molecules cannot be followed through it")
+    topology = mdtraj.Topology.from_openmm(box.topology).subset(box.listed)
     kinds = sorted({residue.name for residue in topology.residues})
     if len(kinds) > 1 or min(residue.n_atoms for residue in topology.residues) < 3:
-        raise NoLiquidError(
-            f"properties are those of one kind of molecule with three atoms or more, the box has residues "
-            f"{', '.join(kinds)}"
-        )
-    return np.array([residue.atom(0).index for residue in topology.residues])
+        shown = ", ".join(kinds[:8]) + (", ..." if len(kinds) > 8 else "")
+        raise NoLiquidError(f"the box is not one of one kind of molecule with three atoms or more, but has {shown}")
+    return np.array([residue.atom(0).index for residue in topology.residues]), edges
 
 
 def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:

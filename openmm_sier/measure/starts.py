@@ -233,6 +233,7 @@ def _step_of(context: openmm.Context) -> float:
     integrator = context.getIntegrator()
     groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
     vibrations = Vibrations(context.getSystem(), integrator.bodies)
+    vibrations.measure(context)
     return min(STEP, SHARE_OF_LONGEST * vibrations.longest_step(SCHEME, groups & ~fast, groups & fast))
 
 

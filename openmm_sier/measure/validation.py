@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.statistics import inefficiency
+from openmm_sier.dynamics.statistics import inefficiency, is_constant
 from openmm_sier.measure.observables import blocks, fluctuation_within_1_ps
 from openmm_sier.measure.statistics import FEWEST, Estimate, of_independent
 from openmm_sier.observe.conservation import TEMPERATURES
@@ -203,9 +203,7 @@ def ensemble_verdict(one: Sampled, two: Sampled) -> Verdict:
     pressed = pressures[0] != pressures[1]
     if pressed == (temperatures[0] != temperatures[1]):
         raise ValueError(f"two runs must differ in temperature or pressure, got {temperatures} K and {pressures} bar")
-    n = min(len(one.potential), len(two.potential))
-    if n < FEWEST:
-        raise TooFewError(f"there are {n} independent samples, {FEWEST} are needed: longer runs, or more")
+    _refuse_few(min(len(one.potential), len(two.potential)))
     quantity = "volume" if pressed else "potential energy" if one.pressure is None else "enthalpy"
     values, unit, interval = (pressures, "bar", "dP") if pressed else (temperatures, "K", "dT")
     check = f"{quantity} at {values[0]:g} and {values[1]:g} {unit}"
@@ -216,15 +214,30 @@ def ensemble_verdict(one: Sampled, two: Sampled) -> Verdict:
             )
     except pv.util.error.InputError as error:
         raise TooFewError(f"{check}: {error.message}") from error
-    detail = f"slope of ln(P2/P1); the best interval is {suggested_interval(one)[interval]:.3g} {unit}"
+    best = suggested_interval(one).get(interval, math.nan)
+    detail = f"slope of ln(P2/P1); the best interval is {best:.3g} {unit}"
     return Verdict(check, abs(float(quantiles[0])), len(one.potential) + len(two.potential), detail)
 
 
 def suggested_interval(sample: Sampled) -> dict[str, float]:
-    """Intervals of temperature (dT, K) and pressure (dP, bar) to the most telling second run, two widths apart."""
+    """Intervals of temperature (dT, K) and pressure (dP, bar) to the most telling second run, two widths apart.
+
+    There is none of temperature where the energy is constant, and none of pressure where the volume is.
+
+    Raises:
+        TooFewError: fewer than `FEWEST` independent samples, whose widths tell nothing.
+    """
+    _refuse_few(len(sample.potential))
     pv = _package()
     with contextlib.redirect_stdout(io.StringIO()):
-        return pv.ensemble.estimate_interval(_data(pv, sample), verbosity=0, data_is_uncorrelated=True)
+        found = pv.ensemble.estimate_interval(_data(pv, sample), verbosity=0, data_is_uncorrelated=True)
+    widths = {"dT": sample.potential, "dP": sample.volume}
+    return {name: found[name] for name, values in widths.items() if values is not None and not is_constant(values)}
+
+
+def _refuse_few(samples: int) -> None:
+    if samples < FEWEST:
+        raise TooFewError(f"there are {samples} independent samples, {FEWEST} are needed: longer runs, or more")
 
 
 def _data(pv: Any, sample: Sampled) -> Any:

@@ -44,10 +44,11 @@ def bonded_terms(force: openmm.Force) -> np.ndarray:
     return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
 
 
-def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray]:
-    """Particles of each bond, (b, 2), and force constants, (b,), kJ/mol/nm^2."""
-    strengths = [float(term.attrib["k"]) for term in _elements(force)]
-    return bonded_terms(force), np.array(strengths, dtype=float)
+def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Particles of each bond, (b, 2), lengths, (b,), nm, and force constants, (b,), kJ/mol/nm^2."""
+    parameters = [(float(term.attrib["d"]), float(term.attrib["k"])) for term in _elements(force)]
+    lengths, strengths = np.array(parameters, dtype=float).reshape(-1, 2).T
+    return bonded_terms(force), lengths, strengths
 
 
 def _elements(force: openmm.Force) -> list[ElementTree.Element]:

@@ -21,7 +21,8 @@ from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import BAROSTATS, harmonic_bonds
+from openmm_sier.system.bonded_terms import BAROSTATS, TERMS, WITHOUT_FORCES, harmonic_bonds
+from openmm_sier.system.curvature import EXPRESSIONS, fastest_vibration
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
 from openmm_sier.system.notices import tell
 
@@ -82,6 +83,18 @@ AT_USUAL_STEP, RESONANCE_DECAY = 4e-4, 1.5
 #: Steps up to this multiple of the usual one draw no notice; the error is then up to twice that at the usual step.
 TOLERATED = 1.06
 
+#: ps. The fastest bonds that molecules have, those of oxygen to hydrogen.
+FASTEST_BOND = 0.009
+
+#: Forces whose stiffness is read, measured or estimated here, or that are softer than bonds.
+KNOWN = (
+    *(*TERMS, *EXPRESSIONS, *WITHOUT_FORCES, openmm.CustomVolumeForce, openmm.ConstantPotentialForce),
+    *(openmm.NonbondedForce, openmm.GBSAOBCForce, openmm.GayBerneForce, openmm.LCPOForce),
+    *(openmm.CustomNonbondedForce, openmm.CustomGBForce, openmm.CustomHbondForce, openmm.CustomManyParticleForce),
+    *(openmm.AmoebaVdwForce, openmm.AmoebaMultipoleForce, openmm.AmoebaGeneralizedKirkwoodForce),
+    *(openmm.AmoebaWcaDispersionForce, openmm.AmoebaTorsionTorsionForce, openmm.HippoNonbondedForce),
+)
+
 SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
 MORE_SUBSTEPS = "Take more substeps or a shorter step"
 CONSTRAIN = (
@@ -98,35 +111,60 @@ class Motion(NamedTuple):
         atoms: particle indices of the ends of the bond, or of the one atom that swings.
         group: the force group that moves them.
         share: stiffness of the surroundings over that of the bond.
+        force: name of the Force, where it is an expression.
     """
 
     period: float
     atoms: tuple[int, ...]
     group: int
     share: float = 0.0
+    force: str = ""
 
 
 class Vibrations:
     """The fastest unconstrained bonds and librations of a System, and whether a step is short enough for them.
 
-    Bonds inside bodies do not count, nor do those that constraints hold. Of bonded forces only the System's
-    HarmonicBondForces are looked at, as they are when the Context is created. Each bond is treated on its own, which
-    gives its period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter
-    faster. Angles are ignored: those of hydrogens are slower than bonds by a factor of two. Of forces between molecules
-    only the NonbondedForces are looked at. The energy of any other force is an expression, from which no period can be
-    read.
+    Bonds inside bodies do not count, nor do those that constraints hold. The periods of HarmonicBondForces are read
+    from the System, as it is when the Context is created. Those of the terms of CustomBondForces,
+    CustomCompoundBondForces and CustomExternalForces, which are expressions, are found by `measure`, once there are
+    positions. Each bond is treated on its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms
+    that share an atom (CO2) vibrate up to a quarter faster. Angles are ignored: those of hydrogens are slower than
+    bonds by a factor of two. Of forces between molecules only the NonbondedForces are looked at. Of Forces of which
+    nothing is known `check` says so.
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
-        self._bodies = bodies
-        mobility = mobilities(bodies)
-        constraints = tables.constraints(system)
-        self._bonds = list(_fastest_bonds(system, bodies, constraints, mobility))
-        self._librations = list(_fastest_librations(system, bodies, constraints, mobility))
+        self._bodies, self._mobility = bodies, mobilities(bodies)
+        self._constraints = tables.constraints(system)
+        self._bonds = list(_fastest_bonds(system, bodies, self._constraints, self._mobility))
+        self._librations = list(_fastest_librations(system, bodies, self._constraints, self._mobility))
+        self._is_measured = not any(map(_is_expression, system.getForces()))
+        self._unknown = [force for force in map(_unknown, system.getForces()) if force is not None]
         self._isolated = not any(
             isinstance(force, (openmm.AndersenThermostat, *BAROSTATS)) for force in system.getForces()
         )
         self._told: set[str] = set()
+
+    def measure(self, context: openmm.Context) -> bool:
+        """Measure, once, how fast the terms are that are expressions; returns whether anything was measured.
+
+        They are looked at where their atoms are. What is far from its minimum there, by `curvature.FAR`, does not
+        count.
+
+        Args:
+            context: of the System, with positions.
+        """
+        if self._is_measured:
+            return False
+        self._is_measured, system = True, context.getSystem()
+        held = self._constraints.by_pair()
+        for force in filter(_is_expression, system.getForces()):
+            if found := fastest_vibration(force, context, self._bodies, self._mobility, held):
+                strength = found.square / self._mobility[list(found.atoms)].sum()
+                share = _slow_share(system, found.atoms, strength, self._mobility)
+                period = 2 * math.pi / math.sqrt(found.square)
+                self._bonds.append(Motion(period, found.atoms, force.getForceGroup(), share, force.getName()))
+        return True
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
         """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.
@@ -138,6 +176,7 @@ class Vibrations:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
         """
         self._check_bonds("A step", scheme, h, groups, SHORTER_STEP)
+        self._tell_of_unknown("A step", scheme, h, groups)
         libration = _fastest(self._librations, groups)
         if libration is None:
             return
@@ -164,6 +203,7 @@ class Vibrations:
                 window or beyond `DESTROYED`.
         """
         self._check_bonds("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
+        self._tell_of_unknown("An inner step", inner, inner_step, groups)
         bond = _fastest(self._bonds, groups)
         if bond is None or h <= RESONANCE * bond.period:
             return
@@ -220,6 +260,15 @@ class Vibrations:
         )
         self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
 
+    def _tell_of_unknown(self, what: str, scheme: Scheme, h: float, groups: int) -> None:
+        """Name, once, the Forces that may be too fast for a step at which the fastest bonds would be."""
+        names = [name for group, name in self._unknown if groups >> group & 1]
+        if names and h > _limits(scheme, FASTEST_BOND)[1]:
+            self._tell_once(
+                f"{what} of {_fs(h)} cannot be judged: of {', '.join(names)} no stiffness is known. If the energy "
+                "changes with half the step, or the temperature is too high, the step is too long for it"
+            )
+
     def _judge(self, what: str, h: float, refused: float, accurate: float, described: str) -> None:
         if h >= refused:
             raise openmm.OpenMMException(f"{what} is too long: {described}")
@@ -229,7 +278,11 @@ class Vibrations:
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels
         residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in bond.atoms))})"
-        return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}"
+        if len(bond.atoms) == 2:
+            by = f" by {bond.force}" if bond.force else ""
+            return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}{by}"
+        plural = "s" if len(bond.atoms) > 1 else ""
+        return f"the motion that {bond.force} causes of atom{plural} {', '.join(map(str, bond.atoms))}{residues}"
 
     def _tell_once(self, message: str) -> None:
         # The same words with other numbers are not said again: tuning tries many steps.
@@ -252,6 +305,18 @@ def _percent(fraction: float) -> str:
     return f"{100 * fraction:.1g} %"
 
 
+def _is_expression(force: openmm.Force) -> bool:
+    # The close pairs of `prepare_system` are nonbonded interactions.
+    return isinstance(force, EXPRESSIONS) and not force.getName().startswith("openmm_sier: ")
+
+
+def _unknown(force: openmm.Force) -> tuple[int, str] | None:
+    """Group and name of a Force whose terms nobody can tell apart; None for others."""
+    if isinstance(force, KNOWN):
+        return None
+    return force.getForceGroup(), f"{force.getName()} ({type(force).__name__})"
+
+
 def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
     """The motion of shortest period in force groups, a bit mask; None if there is none."""
     return min((motion for motion in motions if groups >> motion.group & 1), default=None)
@@ -264,7 +329,7 @@ def _fastest_bonds(
     for force in system.getForces():
         if not isinstance(force, openmm.HarmonicBondForce) or not force.getNumBonds():
             continue
-        ends, strength = harmonic_bonds(force)
+        ends, _, strength = harmonic_bonds(force)
         held, owner = constraints.by_pair(), bodies.owners[ends]
         apart = (owner[:, 0] != owner[:, 1]) | (owner[:, 0] < 0)
         apart &= np.array([pair not in held for pair in map(tuple, np.sort(ends, axis=1).tolist())])

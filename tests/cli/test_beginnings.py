@@ -158,7 +158,7 @@ def test_named_residues_stay_rigid(rings, capsys):
 
 def test_info_of_named_residues(rings, capsys):
     run("info", rings / "rings.pdb", "--forcefield", rings / "ring.xml", "--rigid", "RNG")
-    assert "8 bodies, 48 particles, 48 degrees of freedom" in capsys.readouterr().out
+    assert "8 rigid bodies, 48 particles, 48 degrees of freedom" in capsys.readouterr().out
     field = ["--forcefield", str(rings / "ring.xml")]
     message = complaint(capsys, "info", rings / "rings.pdb", *field, "--rigid", "BNZ")
     assert "BNZ" in message

@@ -312,7 +312,7 @@ def test_info_shows_the_bodies_of_a_salt_solution(capsys):
         "NA": ("9", "NA", "point", "3"),
         "CL": ("9", "CL", "point", "3"),
     }
-    assert "512 bodies, 1500 particles, 3018 degrees of freedom" in out
+    assert "494 rigid bodies, 18 points (atoms that move by themselves), 1500 particles, 3018 degrees of freedom" in out
 
 
 def test_info_shows_virtual_sites(capsys):

@@ -78,11 +78,13 @@ def test_help_says_every_default(command):
         ("--dt", "0.006", "from 0.05 to 1000 fs, got '0.006' fs. It is in fs, not in ps: did you mean 6?"),
         ("--hydrogen-mass", "12", "from 1 to 4 dalton, got '12'"),
         ("--steps", "1e3", "from 1 to 1000000000000000, got '1e3'"),
+        ("--out", "/", "the name of a file, got '/'"),
+        ("--report", "a/..", "the name of a file, got 'a/..'"),
     ],
 )
 def test_values_out_of_range(capsys, option, value, expected):
     message = complaint(capsys, "run", "box.pdb", option, value, code=MISUSED)
-    assert f"argument {option}: expected a" in message
+    assert f"argument {option}: expected " in message
     assert expected in message
 
 

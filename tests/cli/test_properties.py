@@ -1,5 +1,6 @@
 """Properties of a liquid from finished runs."""
 
+import io
 import math
 import re
 from pathlib import Path
@@ -15,13 +16,15 @@ from openmm_sier.cli.files.checkpoints import read_checkpoint
 from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import Options, new_plan
+from openmm_sier.cli.streams import SPELLED
 from openmm_sier.measure import liquid_samples
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, read_samples, unwrapped
 from openmm_sier.measure.statistics import Estimate
+from openmm_sier.observe.conservation import TEMPERATURES
 from openmm_sier.observe.pressure import COLUMNS
 from tests.support.commands import SMALL, SYSTEMS, complaint, log, run
-from tests.support.finished_runs import note_count, write_rows
+from tests.support.finished_runs import note_count, write_rows, write_run
 from tests.support.series import stresses
 
 SETTINGS = ["--scheme", "sier2", "--dt", "2", "--ensemble", "npt", "--platform", "CPU", "--equilibrate", "0.01"]
@@ -74,7 +77,7 @@ def test_samples_are_those_of_all_charges(runs):
     assert samples.volumes[-1] == pytest.approx(state.getPeriodicBoxVolume()._value, rel=1e-5)
     np.testing.assert_allclose(np.linalg.norm(samples.directions, axis=2), 1)
     assert len(read_samples(runs[0].with_suffix(".dcd"), box, 0.004, skip=0.04).volumes) == 20
-    with pytest.raises(NoLiquidError, match="no frames after 5 ps"):
+    with pytest.raises(ValueError, match="no frames after 5 ps"):
         read_samples(runs[0].with_suffix(".dcd"), box, 0.004, skip=5)
 
 
@@ -119,6 +122,43 @@ def test_boxes_that_are_not_rectangular_are_refused(runs):
     box.topology.setPeriodicBoxVectors([[2.5, 0, 0], [0.8, 2.5, 0], [0, 0, 2.5]] * unit.nanometer)
     with pytest.raises(NoLiquidError, match="is not rectangular"):
         read_samples(runs[0].with_suffix(".dcd"), box, 0.004)
+
+
+def test_a_box_that_is_no_liquid_has_its_density(capsys):
+    """It was refused. What belongs to molecules of one kind is left out, and so is the figure."""
+    rng = np.random.default_rng(5)
+    values = {"Time (ps)": np.arange(100) * 0.1, "Density (g/mL)": rng.normal(1.01, 0.01, 100)}
+    values |= {"Potential Energy (kJ/mole)": rng.normal(-2e4, 10, 100), TEMPERATURES[2]: np.full(100, np.nan)}
+    for seed in (1, 2):
+        write_run(f"{seed}", values, box=SYSTEMS / "tip3p-nacl-512.pdb", ensemble="npt", seed=seed)
+    run("properties", "1", "2")
+    out = " ".join(capsys.readouterr().out.split())
+    assert "properties of molecules and of their motion are left out: the box is not one of one kind of" in out
+    assert "but has CL, HOH, NA" in out
+    assert f"density, g/cm³ │ {values['Density (g/mL)'].mean():.4f}"[:-1] in out
+    assert "potential energy of the box" in out
+    for name in ("flexible", "per mol of molecules", "vaporization", "dielectric", "diffusion", "pair distribution"):
+        assert name not in out
+    assert not Path("out").exists()
+
+
+def test_signs_are_spelled_where_a_stream_has_no_such_letters(monkeypatch):
+    """As with LC_ALL=C, where a finished run ended with exit code 1 on "±"."""
+    time = np.arange(100) * 0.1
+    write_run("å", {"Time (ps)": time, "Density (g/mL)": np.sin(7 * time)}, box=SYSTEMS / "tip3p-nacl-512.pdb")
+    printed = io.TextIOWrapper(io.BytesIO(), "ascii", "surrogateescape")
+    monkeypatch.setattr("sys.stdout", printed)
+    assert main(["properties", "å"]) == 0
+    printed.flush()
+    said = printed.buffer.getvalue().decode("ascii")
+    assert re.search(r"density, g/cm3 +\| +-?[\d.]+ \+- ", said)
+    assert "potential energy of the box, kJ/mol" in said
+    # What has no spelling, and bytes of a file's name that are no letters.
+    printed.write("ø \udcff")
+    printed.flush()
+    assert printed.buffer.getvalue().endswith(b"? \xff")
+    every = "".join(row.name for row in properties.ROWS) + str(Estimate(1.0, 0.1, 3))
+    assert {letter for letter in every if not letter.isascii()} <= set(SPELLED)
 
 
 def test_places_are_followed_through_faces():
@@ -211,8 +251,7 @@ def test_viscosity_corrects_diffusion(tmp_path):
     directions = np.tile([0.0, 0.0, 1.0], (n, 20, 1))
     samples = LiquidSamples(0.1, centres, directions, None, np.full(n, 8.0), np.linspace(0, 0.9, 50), np.ones((4, 50)))
     names = ("Density (g/mL)", "Potential Energy (kJ/mole)", "Total Energy (kJ/mole)")
-    temperatures = ("Translational Temperature (K)", "Rotational Temperature (K)")
-    log = dict.fromkeys((*names, *temperatures), np.arange(100.0))
+    log = dict.fromkeys((*names, *TEMPERATURES), np.arange(100.0))
     made = properties.Run(plan, log, samples, 20, read_log(tmp_path / "p.csv"))
     table = {name: value for name, value, _ in properties._rows([made], None)[0]}
     (name,) = [name for name in table if "without the box" in name]

@@ -25,6 +25,24 @@ def test_runs_that_differ_in_their_seeds_are_one(capsys):
     assert "a pressure higher by" in said
 
 
+def test_runs_that_tell_no_widths_suggest_no_second_run(capsys):
+    """Volumes that did not move asked for a pressure higher by 9.23e+16 bar."""
+    options = {"ensemble": "npt", "temperature": T, "pressure": P}
+    still = log(rows=200) | {"Box Volume (nm^3)": np.full(200, 8.0)}
+    still["Box Volume (nm^3)"][1::2] += 1e-14
+    run("validate", write_run("still", still, **options))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "a second run at a temperature higher by" in said
+    assert "pressure higher" not in said
+    # All samples of a slow drift are worth one.
+    drift = np.linspace(0, 1, 200)
+    slow = {"Potential Energy (kJ/mole)": drift, "Box Volume (nm^3)": 8 + drift}
+    run("validate", write_run("slow", log(rows=200) | slow, **options))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "independent samples, 20 are needed" in said
+    assert "a second run" not in said
+
+
 def test_a_failed_check_is_the_exit_code(capsys):
     write_run("cold", log(heated=(1.0, 0.95)), ensemble="nvt", temperature=T, scheme="sier2", dt=4.0)
     said = complaint_after_table(capsys, "cold")

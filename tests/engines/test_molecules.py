@@ -292,13 +292,14 @@ def test_steps_that_fast_bonds_do_not_bear():
 # --- faults and refusals ---
 
 
-def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step():
+def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step(monkeypatch):
     """A step in which hydrogens would go round the carbon."""
     system, positions = system_of(rotor(3))
     integrator = SIER4GIntegrator(0.002)
     context = started(system, integrator, positions)
     integrator.step(3)
     good = everything(context)
+    monkeypatch.setattr("openmm_sier.system.vibrations.Vibrations.check", lambda *_: None)
     integrator.setStepSize(2.0)
     with pytest.raises(openmm.OpenMMException, match=r"In step 4 the constraints of .*last completed step"):
         integrator.step(1)

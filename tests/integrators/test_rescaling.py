@@ -200,7 +200,7 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
     context = context_at(system, made, point)
     made.step(1)
     before = everything(context)
-    engine = made._bound()
+    engine = made.binding.engine
     follow = engine.follow
 
     def failing(steps):

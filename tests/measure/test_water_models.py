@@ -12,6 +12,7 @@ from openmm import app, unit
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import ForceFieldError, read_box
 from openmm_sier.measure.water_models import WATER_MODELS
+from openmm_sier.system.molecules import Bonds, joined_by
 from tests.support.commands import SYSTEMS
 from tests.support.waters import platform
 
@@ -177,5 +178,5 @@ def test_molecules_cut_by_the_boundary_are_recognized(tmp_path):
         app.PDBFile.writeFile(pdb.topology, cut * unit.nanometer, file)
     assert read_box(path).files == ("tip4p.xml",)
     # Positions in the file have 0.0001 nm.
-    mended = forcefields.make_whole(cut, pdb.topology).reshape(-1, 4, 3)
+    mended = joined_by(Bonds.guessed(pdb.topology), cut, 1.5 * np.eye(3)).reshape(-1, 4, 3)
     np.testing.assert_allclose(np.linalg.norm(mended[:, 1] - mended[:, 0], axis=1), 0.09572, atol=2e-4)

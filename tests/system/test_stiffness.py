@@ -36,7 +36,10 @@ def at(system, positions, parameters, step=0.004):
 
 
 def test_a_restraint_is_named_by_the_failing_step():
-    integrator, context = at(*restrained(1e6))
+    integrator, context = at(*restrained(1.0))
+    # Had it been so stiff at the first step, that would have been refused.
+    integrator.step(1)
+    context.setParameter("k", 1e6)
     with pytest.raises(openmm.OpenMMException) as error:
         integrator.step(200)
     message = str(error.value)

@@ -67,11 +67,13 @@ def _mark(descriptor: int) -> None:
     command = shlex.join([PROGRAM, *sys.argv[1:]])[:LONGEST]
     with suppress(OSError):
         os.ftruncate(descriptor, 0)
-        os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()} since {since}: {command}".encode())
+        holder = f"process {os.getpid()} on {socket.gethostname()} since {since}: {command}"
+        # The command may name files whose names are no text.
+        os.write(descriptor, holder.encode("utf-8", "surrogateescape"))
 
 
 def _holder(place: Path) -> str:
     """Who holds a lock, in words."""
     with suppress(OSError):
-        return place.read_text() or "another process"
+        return place.read_text("utf-8", "surrogateescape") or "another process"
     return "another process"

@@ -153,7 +153,7 @@ class ExactEngine(Engine):
     def begin(self, flow: Flow) -> None:
         self._flow = flow
         self._adopt()
-        self._check_step()
+        self._check_motion()
 
     def follow(self, steps: int) -> None:
         flow = self._flow

@@ -154,7 +154,7 @@ class NativeEngine(Engine):
 
     def begin(self, flow: Flow) -> None:
         self._flow = flow
-        self._check_step()
+        self._check_motion()
         set_variables(self._integrator, flow.bath, is_guarded=False)
         state = self._context.getState(parameters=True)
         environment = state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())

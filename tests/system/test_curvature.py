@@ -1,0 +1,214 @@
+"""Bonded forces that are expressions limit the step as harmonic bonds do: their curvature is measured."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, prepare_system
+from openmm_sier.system.vibrations import Vibrations
+from tests.support.waters import cluster_system, context_at, platform
+
+#: kJ/mol/nm^2.
+K = 1e5
+
+
+def of_masses(*masses):
+    system = openmm.System()
+    for mass in masses:
+        system.addParticle(mass)
+    return system
+
+
+def bond(energy, atoms=(0, 1), **parameters):
+    """A CustomBondForce with one term, all of whose parameters are global."""
+    force = openmm.CustomBondForce(energy)
+    for name, value in parameters.items():
+        force.addGlobalParameter(name, value)
+    force.addBond(*atoms, [])
+    return force
+
+
+def compound(energy, atoms):
+    force = openmm.CustomCompoundBondForce(len(atoms), energy)
+    force.addBond(atoms, [])
+    return force
+
+
+def measured(system, positions, bodies=None, **parameters):
+    """The motions that are found at positions (N, 3) in nm, with values of global parameters."""
+    vibrations = Vibrations(system, bodies or RigidBodies.from_system(system))
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform())
+    context.setPositions(np.array(positions, dtype=float))
+    for name, value in parameters.items():
+        context.setParameter(name, value)
+    assert vibrations.measure(context)
+    assert not vibrations.measure(context)
+    return vibrations._bonds
+
+
+def squares(motions):
+    return [(2 * math.pi / motion.period) ** 2 for motion in motions]
+
+
+@pytest.mark.parametrize("stretch", [-0.003, 0.0, 0.003])
+@pytest.mark.parametrize(
+    ("energy", "curvature"),
+    [
+        ("50000*(r-0.1)^2", lambda x: K),
+        # As AMOEBA has it.
+        ("50000*(d^2-20*d^3); d=r-0.1", lambda x: K * (1 - 60 * x)),
+        ("depth*(1-exp(-20*(r-0.1)))^2", lambda x: 2 * 125 * 400 * (2 * math.exp(-40 * x) - math.exp(-20 * x))),
+    ],
+)
+def test_a_bond_has_the_period_of_its_curvature_where_it_is(energy, curvature, stretch):
+    system = of_masses(1.0, 16.0)
+    system.addForce(bond(energy, **({"depth": 125.0} if "depth" in energy else {})))
+    (found,) = measured(system, [[0, 0, 0], [0, 0.06, 0.08 + stretch * 1.25]])
+    x = math.hypot(0.06, 0.08 + stretch * 1.25) - 0.1
+    # Displacements of 1e-5 nm leave 1e-6 by the fourth derivative.
+    assert squares([found])[0] == pytest.approx(curvature(x) * (1 + 1 / 16), rel=1e-5)
+    assert found.atoms == (0, 1)
+
+
+def test_every_term_counts_with_its_own_parameters_and_masses():
+    system = of_masses(1.0, 16.0, 12.0, 12.0, 0.0, 4.0)
+    force = openmm.CustomBondForce("k*(r-0.1)^2/2")
+    force.addPerBondParameter("k")
+    for atoms, k in (((1, 0), K), ((3, 2), 4 * K), ((4, 5), 2 * K)):
+        force.addBond(*atoms, [k])
+    system.addForce(force)
+    x = [[0, 0, 0], [0.1, 0, 0], [1, 0, 0], [1, 0.1, 0], [2, 0, 0], [2, 0, 0.1]]
+    (found,) = measured(system, x)
+    assert squares([found])[0] == pytest.approx(K * (1 + 1 / 16), rel=1e-5)
+    assert found.atoms == (1, 0)
+
+
+def test_parameters_are_those_of_the_context():
+    system = of_masses(1.0, 1.0)
+    system.addForce(bond("scale*50000*(r-0.1)^2", scale=1.0))
+    x = [[0, 0, 0], [0.1, 0, 0]]
+    assert squares(measured(system, x, scale=0.25)) == pytest.approx([0.25 * K * 2], rel=1e-5)
+    assert measured(system, x, scale=0.0) == []
+
+
+def test_nearest_images_are_those_of_the_box():
+    system = of_masses(1.0, 1.0)
+    force = bond("50000*(r-0.1)^2")
+    force.setUsesPeriodicBoundaryConditions(True)
+    system.addForce(force)
+    assert squares(measured(system, [[0, 0, 0], [1.9, 0, 0]])) == pytest.approx([K * 2], rel=1e-5)
+
+
+def test_bonds_within_a_body_or_held_by_a_constraint_do_not_count():
+    system = of_masses(1.0, 16.0, 1.0)
+    system.addForce(bond("50000*(r-0.1)^2"))
+    x = np.array([[0.1, 0, 0], [0, 0, 0], [0, 0.1, 0]])
+    named = RigidBodies.from_system(system, rigid=[[0, 1, 2]], positions=x)
+    assert measured(system, x, named) == []
+    assert len(measured(system, x)) == 1
+    system.addConstraint(0, 1, 0.1)
+    assert measured(system, x) == []
+
+
+def test_a_term_of_three_atoms_has_the_fastest_of_its_modes():
+    """The asymmetric stretch of a molecule in line: k (1/m + 2/M); and with one bond held, that of m against m + M."""
+    chain = "50000*((distance(p1,p2)-0.1)^2+(distance(p2,p3)-0.1)^2)"
+    system = of_masses(16.0, 12.0, 16.0)
+    system.addForce(compound(chain, [0, 1, 2]))
+    x = [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]]
+    (found,) = measured(system, x)
+    assert squares([found])[0] == pytest.approx(K * (1 / 16 + 2 / 12), rel=1e-5)
+    assert found.atoms == (0, 1, 2)
+    system.addConstraint(0, 1, 0.1)
+    assert squares(measured(system, x)) == pytest.approx([K * (1 / 16 + 1 / 28)], rel=1e-5)
+
+
+def test_what_is_far_from_its_minimum_is_no_vibration():
+    """Two atoms that overlap in a start, and a restraint that does not hold yet."""
+    system = of_masses(12.0, 12.0, 12.0)
+    # 4 epsilon (s/r)^12 with the curvature 4e6 kJ/mol/nm^2 at 0.2 nm.
+    system.addForce(bond("0.4*4*((0.34/r)^12-(0.34/r)^6)"))
+    system.addForce(bond("50000*(r-0.1)^2", (0, 2)))
+    x = [[0, 0, 0], [0.2, 0, 0], [0, 0.4, 0]]
+    assert measured(system, x) == []
+    x[2] = [0, 0.11, 0]
+    assert squares(measured(system, x)) == pytest.approx([K / 6], rel=1e-5)
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_a_step_that_is_too_long_is_refused_when_there_are_positions(engine):
+    system = of_masses(1.0, 16.0)
+    system.addForce(bond("231375*(r-0.1)^2"))
+    integrator = SIERIntegrator(0.006, SIER4G, engine=engine)
+    x = np.array([[0, 0, 0], [0.1, 0, 0]])
+    context = context_at(system, integrator, (x, 0 * x))
+    period = 2 * math.pi / math.sqrt(462750 * (1 + 1 / 16))
+    with pytest.raises(openmm.OpenMMException) as refusal:
+        integrator.step(1)
+    said = "A step of 6 fs is too long: the bond between atoms 0 and 1 by CustomBondForce is not constrained and has a"
+    assert f"{said} period of {1000 * period:.3g} fs" in str(refusal.value)
+    assert context.getStepCount() == 0
+    assert np.array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, x)
+    integrator.setStepSize(0.003)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        integrator.step(1)
+
+
+def test_a_stiff_restraint_is_refused_by_what_causes_it():
+    system = of_masses(1.0)
+    force = openmm.CustomExternalForce("k*x^2/2")
+    force.addPerParticleParameter("k")
+    force.addParticle(0, [1e6])
+    system.addForce(force)
+    integrator = SIERIntegrator(0.006, SIER2)
+    context = context_at(system, integrator, (np.zeros((1, 3)), np.zeros((1, 3))))
+    with pytest.raises(openmm.OpenMMException, match="the motion that CustomExternalForce causes of atom 0 is"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_amoebas_flexible_water_is_refused_where_kicks_destroy_it(engine):
+    """Prepared, at 6 fs, it reached 2e15 kJ/mol in one step, and OpenMM crashed."""
+    topology, positions, _ = cluster_system(2)
+    forcefield = app.ForceField("amoeba2018.xml")
+    system = forcefield.createSystem(topology, nonbondedMethod=app.NoCutoff, rigidWater=False)
+    # OpenMM takes long to make a Context of the others, which do not matter here.
+    for i in reversed(range(system.getNumForces())):
+        if system.getForce(i).getName() not in ("AmoebaBondForce", "HarmonicBondForce", "AmoebaAngleForce"):
+            system.removeForce(i)
+    prepare_system(system)
+    integrator = SIERIntegrator(0.006, SIER4G, engine=engine, substeps=8)
+    context = context_at(system, integrator, (positions, 0 * np.array(positions)))
+    with pytest.raises(openmm.OpenMMException, match=r"resonates with fast forces: the bond between atoms \d and \d"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+def test_a_force_of_which_nothing_is_known_is_named_once():
+    system = of_masses(1.0, 1.0)
+    force = openmm.CustomCVForce("50*d^2")
+    force.addCollectiveVariable("d", bond("r"))
+    force.setName("bias")
+    system.addForce(force)
+    x = np.array([[0, 0, 0], [0.1, 0, 0]])
+    integrator = SIERIntegrator(0.002, SIER4G)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # No bond of a molecule is too fast for this step.
+        context = context_at(system, integrator, (x, 0 * x))
+        integrator.step(1)
+    integrator.setStepSize(6 * unit.femtoseconds)
+    with pytest.warns(
+        UserWarning, match=r"A step of 6 fs cannot be judged: of bias \(CustomCVForce\) no stiffness"
+    ) as s:
+        integrator.step(2)
+    assert len(s) == 1
+    assert context.getStepCount() == 3
