@@ -20,6 +20,8 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck, Thermostat
 from openmm_sier.ensembles import Langevin
+from tests.support.flexible import chains
+from tests.support.flexible_systems import FAST, system_of
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 TEMPERATURE = 297.0
@@ -208,3 +210,28 @@ def test_noise_that_a_state_does_not_hold_is_spoken_of():
                 later.setState(state)
         other.step(3)
         assert np.array_equal(phase_point(later)[0], end) is (engine == "exact")
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
+    """Half a kick of the slow forces, and half an inner one of the fast forces, after the end of a step of SIER2."""
+    points = chains()
+    state = points.start(np.random.default_rng(4), 300.0)
+    deviations = {"end": [], "whole": []}
+    for h in (0.002, 0.001):
+        integrator = SIERLangevinIntegrator(300, 2, h, SIER2, engine=engine, fastForceGroups={FAST}, substeps=2)
+        integrator.setRandomNumberSeed(3)
+        context = context_at(system_of(points)[0], integrator, (state.q.T, (state.p / points.masses).T))
+        found = []
+        for _ in range(round(0.2 / h)):
+            integrator.step(1)
+            potential = energies(context)[0] - integrator.getHeat()._value
+            pair = integrator.getBodyState(), integrator.getWholeStepState()
+            found.append([potential + sum(integrator.bodies.kinetic_energies(each)) for each in pair])
+        for name, spread in zip(deviations, np.std(found, axis=0), strict=True):
+            deviations[name].append(spread)
+    # First order at the end of steps and second at whole ones. Noise differs from one step length to the other, which
+    # changes the amplitudes of 54 degrees of freedom by some tenth.
+    assert np.log2(deviations["end"][0] / deviations["end"][1]) == pytest.approx(1, abs=0.5)
+    assert np.log2(deviations["whole"][0] / deviations["whole"][1]) == pytest.approx(2, abs=0.6)
+    assert deviations["whole"][1] < deviations["end"][1] / 5
