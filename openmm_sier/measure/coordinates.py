@@ -73,7 +73,7 @@ def _gro(path: str) -> Coordinates:
     file = app.GromacsGroFile(path)
     box = file.getPeriodicBoxVectors()
     # A box of zeros is none.
-    return Coordinates(file.getPositions(asNumpy=True), box if np.any(box._value) else None, file.atomNames)
+    return Coordinates(file.getPositions(asNumpy=True), box if np.any(box.value_in_unit(unit.nanometer)) else None, file.atomNames)
 
 
 def _crd(path: str) -> Coordinates:
