@@ -63,7 +63,6 @@ FUNCTIONS = {
     "run": ("run", "run"),
     "ensemble": ("ensembles", "run"),
     "properties": ("properties", "properties_of"),
-    "validate": ("validate", "validate"),
     "tune": ("tune", "run"),
     "info": ("info", "info"),
 }

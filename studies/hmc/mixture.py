@@ -125,8 +125,8 @@ def study(settings: MixtureSettings, report: Report = SILENT) -> None:
     rows = table(runs)
     names = [name.removesuffix("_error") for name in rows if name.endswith("_error")]
     report.table(records.table("A mixture at 1 bar", records.with_text(rows, *names), COLUMNS))
-    tests = verdicts(runs)
-    report.table(records.table("Tests of kinetic energies", tests, VERDICTS, left=2))
+    tests = kinetic_tests(runs)
+    report.table(records.table("Tests of kinetic energies, standard errors", tests, TESTS, left=2))
     Record(settings.recorded(), {"rows": rows, "tests": tests}, {}).write(settings.out / "mixture.json")
 
 
@@ -269,36 +269,31 @@ def configurational(samples: pd.DataFrame, kind: str) -> Estimate:
     return found.times(1 / GAS_CONSTANT)
 
 
-VERDICTS = {
+TESTS = {
     "run": "{label}",
-    "check": "{check}",
+    "group": "{group}",
     "samples": "{samples}",
-    "found": "{detail}",
-    "standard errors": "{distance:.1f}",
-    "p": "{probability:.2g}",
+    "mean": "{mean:.1f}",
+    "width": "{width:.1f}",
+    "shape, p": "{shape:.2g}",
 }
 
 
-def verdicts(runs: dict[str, list[Record]]) -> pd.DataFrame:
-    """What `openmm-sier validate` says of kinetic energies."""
+def kinetic_tests(runs: dict[str, list[Record]]) -> pd.DataFrame:
+    """physical_validation's tests: standard errors of mean and width, and the probability of Kolmogorov and Smirnov."""
+    from physical_validation.kinetic_energy import distribution
+
+    columns = {"kinetic": "Kinetic Energy (kJ/mole)"}
+    columns |= dict(zip(TEMPERATURES, validation.GROUPS.values(), strict=True))
+    options = {"data_is_uncorrelated": True, "bootstrap_seed": 5, "verbosity": 0}
     rows = []
     for label, several in runs.items():
-        logs = []
-        for record in several:
-            samples = record.tables["samples"]
-            log = {"Potential Energy (kJ/mole)": samples["potential"], "Kinetic Energy (kJ/mole)": samples["kinetic"]}
-            log |= {"Box Volume (nm^3)": samples["volume"]}
-            log |= {validation.GROUPS[name]: samples[column] for name, column in _groups()}
-            logs.append({name: values.to_numpy() for name, values in log.items()})
-        sample = validation.sampled(logs, several[0].settings["temperature"], 1.0)
-        for verdict in validation.kinetic_verdicts(sample):
-            probability = math.erfc(verdict.distance / math.sqrt(2))
-            rows.append({"label": label, **verdict._asdict(), "probability": probability})
+        logs = [record.tables["samples"].rename(columns=columns) for record in several]
+        for group, data in validation.kinetic_data(logs, several[0].settings["temperature"]).items():
+            mean, width = distribution(data, strict=False, **options)
+            row = {"label": label, "group": group, "samples": len(data.observables.kinetic_energy)}
+            rows.append(row | {"mean": mean, "width": width, "shape": distribution(data, strict=True, **options)})
     return pd.DataFrame(rows)
-
-
-def _groups() -> zip:
-    return zip(validation.GROUPS, TEMPERATURES, strict=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

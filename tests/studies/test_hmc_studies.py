@@ -72,6 +72,11 @@ def test_a_mixture(tmp_path, monkeypatch):
     # Means of 1.8 ps after a sudden start.
     assert rows["conf_rotation"].between(150, 450).all()
     assert rows["density"].between(0.8, 1.2).all()
+    pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
+    tests = mixture.kinetic_tests(made)
+    assert tests["group"].tolist() == 2 * ["translation", "rotation", "flexible molecules"]
+    # The same: no mean is off by more than the 150 K of above, which is some ten standard errors.
+    assert tests["mean"].between(0, 30).all()
 
 
 def test_a_dihedral():
