@@ -198,7 +198,7 @@ class Options:
         restart="not noted",
     )
     out: Path = _option(
-        file("FILE", "output"), "trajectory, .dcd, .xtc or .h5", otherwise="BOX.dcd, in the current directory"
+        file("FILE", "output"), "trajectory, .dcd or .xtc", otherwise="BOX.dcd, in the current directory"
     )
     unwrapped: bool = _option(
         SWITCH, "frames have molecules where they went, not in the box", False, otherwise="in the box"

@@ -3,7 +3,7 @@
     python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--ensemble npt] [--signals KILL TERM]
 
 At the end the trajectory must have every frame once, in order. Trajectory, log and body states must be those of an
-undisturbed run: byte for byte for .dcd, .xtc and .csv files, number by number for .h5. A signal that can be handled
+undisturbed run: byte for byte, and body states number by number. A signal that can be handled
 must give its exit code and, after the first step, leave a checkpoint of the step that the message names. The status is
 1 if not.
 """
@@ -121,9 +121,9 @@ def trace(directory: Path, out: str) -> dict[str, int]:
     if not checkpoint.exists():
         return {"before the first checkpoint": 1}
     _, notes = checkpoints.read_checkpoint(checkpoint)
-    growing = directory / (out + ".dcd" if out.endswith(".h5") else out)
+    grown = (directory / out).stat().st_size > notes["trajectory"]["size"]
     return {
-        "with something written after the checkpoint": int(growing.stat().st_size > notes["trajectory"]["size"]),
+        "with something written after the checkpoint": int(grown),
         "while a checkpoint was being written": int(checkpoint.with_name(checkpoint.name + ".tmp").exists()),
     }
 
@@ -147,14 +147,13 @@ def compare(directory: Path, one: str, two: str, steps: int) -> int:
     Raises:
         Lost: naming what differs.
     """
-    load = {"top": str(directory / "box.pdb")} if not one.endswith(".h5") else {}
-    trajectories = [mdtraj.load(str(directory / name), **load) for name in (one, two)]
+    trajectories = [mdtraj.load(str(directory / name), top=str(directory / "box.pdb")) for name in (one, two)]
     logs = [(directory / name).with_suffix(".csv").read_bytes() for name in (one, two)]
     if trajectories[0].n_frames != steps // EVERY:
         raise Lost(f"{one} has {trajectories[0].n_frames} frames, expected {steps // EVERY}")
     if not np.array_equal(trajectories[0].xyz, trajectories[1].xyz):
         raise Lost(f"the frames of {one} are not those of {two}")
-    if not one.endswith(".h5") and (directory / one).read_bytes() != (directory / two).read_bytes():
+    if (directory / one).read_bytes() != (directory / two).read_bytes():
         raise Lost(f"{one} and {two} differ, though their coordinates are the same")
     if logs[0] != logs[1] or logs[0].count(b"\n") != steps // ROWS + 2:
         raise Lost(f"the log of {one} is not that of {two}, or not all of it")
@@ -218,7 +217,7 @@ class LoopSettings(Settings):
     """
 
     kills: int = 50
-    suffix: Literal[".dcd", ".xtc", ".h5"] = ".dcd"
+    suffix: Literal[".dcd", ".xtc"] = ".dcd"
     ensemble: Literal["nve", "nvt", "npt"] = "npt"
     signals: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = SIGNALS
     out: Path = Path("killed")
