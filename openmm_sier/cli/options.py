@@ -30,8 +30,7 @@ Restart = Literal["keeps", "may change", "not noted"]
 
 FORCEFIELD_HELP = (
     "force-field files, OpenMM's or your own (default: the file named in a record 'REMARK  99 FORCEFIELD file.xml' of "
-    "the PDB file; without such a record the water model whose geometry the file has, if only one has it. Otherwise "
-    "the error lists the models to choose from)"
+    "the PDB file)"
 )
 
 

@@ -9,13 +9,16 @@ import numpy as np
 from openmm import app, unit
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.measure.water_models import ForceFieldError
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom"
 
 #: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
+
+
+class ForceFieldError(ValueError):
+    """No force field is named, found or applied, or there is no PDB file that one could be for."""
 
 
 def read_pdb(path: str | Path) -> app.PDBFile:
