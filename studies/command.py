@@ -14,7 +14,7 @@ import openmm
 import tyro
 from tyro.conf import Positional
 
-from openmm_sier.measure.ensemble import EnsembleError
+from openmm_sier.cli.pool import EnsembleError
 from studies.report import PrintedReport, Report
 
 #: The boxes of the repository.

@@ -15,7 +15,7 @@ from openmm_sier.cli.console import REPORT, note, table
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.options import OPTIONS, Options, check_table
 from openmm_sier.cli.plan import RunError, new_plan
-from openmm_sier.measure.ensemble import EnsembleError, Member, Outcome, ensemble, is_complete
+from openmm_sier.cli.pool import EnsembleError, Member, Outcome, ensemble, is_complete
 from openmm_sier.measure.forcefields import SHIPPED
 
 if sys.version_info >= (3, 11):

@@ -23,8 +23,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal
 
+from openmm_sier.cli.pool import WORKER, Member, Outcome, ensemble
 from openmm_sier.dynamics.backend.threads import cores
-from openmm_sier.measure.ensemble import WORKER, Member, Outcome, ensemble
 from studies.command import BoxSettings, execute
 from studies.report import SILENT, Report
 
