@@ -33,6 +33,7 @@ from studies.checks.soak import deformation, water
 from studies.command import Settings, chosen, execute
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 STEP, TEMPERATURE, FRICTION = 0.001, 297.0, 5.0
 
@@ -147,7 +148,7 @@ class Subject:
         """Positions, velocities and box."""
         state = self.context.getState(positions=True, velocities=True)
         places, speeds = state.getPositions(asNumpy=True), state.getVelocities(asNumpy=True)
-        return places._value, speeds._value, state.getPeriodicBoxVectors(asNumpy=True)._value
+        return md(places), md(speeds), md(state.getPeriodicBoxVectors(asNumpy=True))
 
 
 def start_of(molecules: int, seed: int) -> openmm.State:
@@ -229,17 +230,17 @@ def look(tested: Subject, engine: str) -> dict[str, float]:
         Broken: it is not at a completed step.
     """
     state = tested.context.getState(energy=True)
-    steps, size = state.getStepCount(), tested.integrator.getStepSize()._value
-    off = abs(state.getTime()._value - steps * size)
+    steps, size = state.getStepCount(), md(tested.integrator.getStepSize())
+    off = abs(md(state.getTime()) - steps * size)
     # Each of the sums that made the time was rounded.
-    if off > steps * np.finfo(float).eps * state.getTime()._value:
+    if off > steps * np.finfo(float).eps * md(state.getTime()):
         raise Broken(f"after {steps} steps of {size:g} ps the time is {state.getTime()}")
     bodies, motion = tested.integrator.bodies, tested.integrator.getBodyState()
     bent = deformation(tested.now[0], bodies)
     if not bent < EXACTNESS[engine]:
         raise Broken(f"after {steps} steps a distance in a molecule is off by {bent:.1e} nm")
     kinetic = sum(bodies.kinetic_energies(motion))
-    conserved = state.getPotentialEnergy()._value + kinetic - motion.heat
+    conserved = md(state.getPotentialEnergy()) + kinetic - motion.heat
     momentum = bodies.total_momenta(motion)[0]
     return {
         "steps": steps,

@@ -35,6 +35,7 @@ from studies.command import SYSTEMS, Settings, execute
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import observe
+from studies.units import md
 
 CUTOFF, TOLERANCE = 0.7, 1e-4
 
@@ -129,7 +130,7 @@ def run(settings: LiquidSettings) -> Record:
     pdb, system = water(settings.box)
     bodies = RigidBodies.from_system(system, pdb.topology)
     nonbonded = next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
-    charges = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(system.getNumParticles())])
+    charges = np.array([md(nonbonded.getParticleParameters(i)[0]) for i in range(system.getNumParticles())])
     integrator, steps = integrator_of(settings, system)
     integrator.setRandomNumberSeed(settings.seed)
     context = make_context(system, integrator, settings.platform)
@@ -141,7 +142,7 @@ def run(settings: LiquidSettings) -> Record:
     rows, begun = [], perf_counter()
     for done in range(1, round(settings.time / EVERY) + 1):
         integrator.step(steps)
-        dipole = charges @ context.getState(positions=True).getPositions(asNumpy=True)._value
+        dipole = charges @ md(context.getState(positions=True).getPositions(asNumpy=True))
         sample = observe(context, bodies, False)
         rows.append(sample._asdict() | {"density": density(bodies.masses.sum(), sample.volume)})
         rows[-1] |= dict(zip(DIPOLE, dipole, strict=True))

@@ -36,6 +36,7 @@ from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.samples import cost
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: What is observed, with its column in the log.
 OBSERVED = {"potential": "Potential Energy (kJ/mole)", "volume": "Box Volume (nm^3)"}
@@ -156,7 +157,7 @@ def in_frames(run: FinishedRun, skip: float) -> dict[str, pd.DataFrame]:
     found = {}
     if len(box.listed) == box.topology.getNumAtoms():
         force = next(each for each in box.system.getForces() if isinstance(each, openmm.NonbondedForce))
-        charges = np.array([force.getParticleParameters(i)[0]._value for i in range(len(box.listed))])
+        charges = np.array([md(force.getParticleParameters(i)[0]) for i in range(len(box.listed))])
         found["dipole"] = pd.DataFrame(np.einsum("i,kix->kx", charges, positions), columns=["x", "y", "z"])
     # Amides and water have no psi.
     with contextlib.suppress(ValueError):

@@ -41,6 +41,7 @@ from studies.hmc.curvature import KINDS, Curvature
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import body_state
+from studies.units import md
 from systems import peptide
 
 #: nm: the edge of the box that is filled with water, and the cut-off.
@@ -217,8 +218,8 @@ def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
             integrator.step(every)
             state = context.getState(positions=True, energy=True)
             found = temperatures(bodies, body_state(context, bodies), False)
-            row = {"potential": state.getPotentialEnergy()._value, "kinetic": state.getKineticEnergy()._value}
-            row |= {"volume": state.getPeriodicBoxVolume()._value, **found._asdict()}
+            row = {"potential": md(state.getPotentialEnergy()), "kinetic": md(state.getKineticEnergy())}
+            row |= {"volume": md(state.getPeriodicBoxVolume()), **found._asdict()}
             rows.append(row | curvature(state))
             if done % round(SAVED / EVERY) == 0 or done == count:
                 notes = {

@@ -36,6 +36,7 @@ from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 COLUMNS = {
     "box": "{box}",
@@ -133,7 +134,7 @@ def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
         "atoms": context.getSystem().getNumParticles(),
         "solute": len(solution.solute),
         "waters": solution.waters,
-        "length": 1e3 * integrator.getStepSize()._value,
+        "length": 1e3 * md(integrator.getStepSize()),
         "reversal": integrator.reversalError,
     }
     with report.progress(name, settings.trials) as show:

@@ -28,6 +28,7 @@ from studies import boxes, records
 from studies.command import BoxSettings, chosen, execute
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: Steps of 2 fs before the runs, and of 1 fs in a strong bath before those of boxes that are set up here.
 EQUILIBRATION, MELTING = 1000, 2000
@@ -177,7 +178,7 @@ def run(context: openmm.Context, state: openmm.State, step: float, time: float) 
     for _ in range(round(time / (step * every))):
         integrator.step(every)
         found = context.getState(energy=True)
-        rows.append([found.getTime()._value, found.getPotentialEnergy()._value, found.getKineticEnergy()._value])
+        rows.append([md(found.getTime()), md(found.getPotentialEnergy()), md(found.getKineticEnergy())])
     times, potential, kinetic = np.array(rows).T
     total = potential + kinetic
     return 100 * rms(total) / rms(potential), slope_and_error(times, total).value

@@ -30,6 +30,7 @@ from studies.command import execute
 from studies.native.accuracy import NativeSettings, context_on, start
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: ps: the step, and what is left out at the beginning; steps between two moves of the volume.
 STEP, SETTLING, MOVES = 0.006, 2.0, 5
@@ -83,12 +84,12 @@ def _run(engine: str, settings: EnsembleSettings) -> dict[str, Any]:
     context = context_on(settings.on[0], system, integrator)
     context.setState(state)
     integrator.step(round(SETTLING / STEP) * (10 if settings.ensemble == "npt" else 1))
-    mass = sum(system.getParticleMass(i)._value for i in range(system.getNumParticles()))
+    mass = sum(md(system.getParticleMass(i)) for i in range(system.getNumParticles()))
     rows = []
     for _ in range(round(settings.time / STEP)):
         integrator.step(1)
         found = integrator.computeTemperatures()
-        volume = context.getState().getPeriodicBoxVolume()._value
+        volume = md(context.getState().getPeriodicBoxVolume())
         rows.append([found.translation, found.rotation, found.rotation - found.translation, density(mass, volume)])
     row: dict[str, Any] = {"engine": engine}
     for name, values in zip(("translation", "rotation", "difference", "density"), np.array(rows).T, strict=True):

@@ -59,39 +59,10 @@ def test_the_table_is_by_box_method_and_step(tmp_path):
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_errors_are_shared_by_rows_of_one_box_and_method():
-    rows = [
-        row("SIER2", 4.0, time=90.0, density=(1.0, 0.002), energy=(-46.0, math.nan)),
-        row("SIER2", 1.0, time=10.0, density=(0.99, 0.001), energy=(-47.0, math.nan)),
-        row("SIER4G", 1.0, 3, density=(0.99, 0.007)),
-    ]
-    found = step_study.with_shared_errors(pd.DataFrame(rows))
-    # (90^2 0.002^2 + 10^2 0.001^2)/100 is the square of the error of 1 ps.
-    factor = math.sqrt(0.000325)
-    assert list(found["density"]) == [1.0, 0.99, 0.99]
-    assert list(found["density_error"]) == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
-    # An error that no row has stays unknown.
-    assert found["energy_error"].isna().all()
-
-
 def test_momenta_that_are_drawn_anew_tell_no_diffusion():
     plan = new_plan(Options(Path("box.pdb"), ensemble="hmc"))
     (diffusion,) = [row for row in ROWS if row.key == "diffusion"]
     assert estimated(diffusion, [Run(plan, {}, None, 512, None)]) == {plan.out: None}
-
-
-def test_deviations_are_from_the_shortest_step_and_share_its_error():
-    rows = [
-        row("SIER2", 1.0, energy=(-46.0, 0.3)),
-        row("SIER4G", 1.0, 3, energy=(-45.0, 0.3)),
-        # Left out of the reference, since its bath heats the liquid.
-        row("OpenMM Verlet", 1.0, energy=(-40.0, 0.3)),
-        row("SIER4G", 2.0, 3, energy=(-45.3, 0.4)),
-    ]
-    made = step_study.deviations(Record({}, {"rows": pd.DataFrame(rows)}, {}), "energy")
-    assert made.columns == ["method", "fs per force", "SPC/E"]
-    # The mean of two rows with errors of 0.3 has 0.3 / sqrt(2), and the difference sqrt(0.4^2 + 0.3^2 / 2).
-    assert made.rows == [["mean at the shortest step", "1", "-45.50 ± 0.21"], ["SIER4G", "2", "0.20 ± 0.45"]]
 
 
 @pytest.mark.slow
