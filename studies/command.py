@@ -100,6 +100,24 @@ def execute(
     return 0
 
 
+def command(
+    kind: type[Given], study: Callable[[Given, Report], object], description: str | None, module: str
+) -> Callable[[Sequence[str] | None], int]:
+    """The function `main` of a study, see `execute`; it is called at once in the module that Python was started with.
+
+    Args:
+        kind, study, description: see `execute`.
+        module: `__name__` of the study's module, whose last line this is.
+    """
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        return execute(kind, study, description, arguments)
+
+    if module == "__main__":
+        sys.exit(main())
+    return main
+
+
 def _program() -> str:
     """The command as it was given, for the help."""
     module = getattr(sys.modules["__main__"].__spec__, "name", "studies")

@@ -13,7 +13,6 @@ Writes mesh.json, mesh.md and mesh.png.
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.prepare.pme import meshed_forces
 from studies import boxes, records, style
 from studies.bench.timing import ON_PROCESSORS, interleaved, median_and_error
-from studies.command import BoxSettings, execute
+from studies.command import BoxSettings, command
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.units import md
@@ -316,9 +315,4 @@ def figure(record: Record, path: Path) -> None:
         times.legend()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(MeshSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(MeshSettings, study, __doc__, __name__)

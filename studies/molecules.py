@@ -16,8 +16,6 @@ drifts (`--kicks` leaves them in the kicks).
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
@@ -38,7 +36,7 @@ from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import block_means, mean_and_error, rms, slope_and_error
 from studies import boxes
-from studies.command import BoxSettings, execute
+from studies.command import BoxSettings, command
 from studies.report import SILENT, Report
 from studies.sampling import body_state
 from studies.units import md
@@ -297,9 +295,4 @@ def study(settings: MoleculeSettings, report: Report = SILENT) -> None:
     COMMANDS[settings.what](settings, report)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(MoleculeSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(MoleculeSettings, study, __doc__, __name__)

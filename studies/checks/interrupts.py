@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +30,7 @@ from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIn
 from openmm_sier.cli.stopping import interrupt_behind
 from studies import records
 from studies.checks.soak import deformation, water
-from studies.command import Settings, chosen, execute
+from studies.command import Settings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.units import md
@@ -352,14 +352,7 @@ def study(settings: InterruptSettings, report: Report = SILENT) -> Record:
         report.note(records.cell("{run}, {engine}: {interrupts} interrupts, {steps} steps", rows[-1]))
     found = pd.DataFrame(rows)
     report.table(records.table(f"SIGINT, {settings.molecules} molecules of water", found, COLUMNS, left=2))
-    record = Record(settings.recorded(), {"rows": found}, {})
-    record.write(settings.out / "interrupts.json")
-    return record
+    return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "interrupts.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(InterruptSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(InterruptSettings, study, __doc__, __name__)

@@ -27,7 +27,7 @@ import numpy as np
 
 from openmm_sier.cli.files import checkpoints
 from studies.boxes import write_lattice
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.report import SILENT, Report
 
 #: A frame every 4 steps, a row every 6, body states every 5 and a checkpoint every 10, so that many kills come while
@@ -65,7 +65,7 @@ class Lost(ValueError):
     """Something did not survive the kills."""
 
 
-def command(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
+def line_of(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
     """The command that begins a run, or goes on from its checkpoint if there is one."""
     checkpoint = Path(out).with_suffix(".chk")
     begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out, "--bodies", bodies_of(out)]
@@ -88,7 +88,7 @@ def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, 
     checkpoint = (directory / out).with_suffix(".chk")
     before = _changed(checkpoint)
     with open(directory / "said.txt", "w") as said:
-        process = subprocess.Popen(command(directory, out, ENDLESS, ensemble), cwd=directory, stdout=said, stderr=said)
+        process = subprocess.Popen(line_of(directory, out, ENDLESS, ensemble), cwd=directory, stdout=said, stderr=said)
     while not early and _changed(checkpoint) == before:
         if process.poll() is not None:
             raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
@@ -135,7 +135,7 @@ def last_step(directory: Path, out: str) -> int:
 
 def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:
     """Run to a step undisturbed."""
-    line = command(directory, out, steps, ensemble)
+    line = line_of(directory, out, steps, ensemble)
     done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
     if done.returncode:
         raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
@@ -231,9 +231,4 @@ def study(settings: LoopSettings, report: Report = SILENT) -> None:
     report.note("every frame and row once, in order, as in the run that nothing disturbed")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(LoopSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(LoopSettings, study, __doc__, __name__)

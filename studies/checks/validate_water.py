@@ -11,8 +11,6 @@ independent. What is complete is not done again. Needs the extra `validation`.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +20,7 @@ from openmm_sier.cli.finished_runs import open_runs
 from openmm_sier.cli.main import main as main_command
 from openmm_sier.measure.validation import ensemble_data, kinetic_data
 from studies.boxes import write_lattice
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.records import table
 from studies.report import SILENT, Report
 
@@ -143,9 +141,4 @@ def study(settings: ValidationSettings, report: Report = SILENT) -> None:
         raise ValueError("the mean rotation of SIER2 at both temperatures should fail, and nothing else")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(ValidationSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(ValidationSettings, study, __doc__, __name__)

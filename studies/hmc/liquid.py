@@ -12,7 +12,6 @@ many samples can be afforded.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, mean_and_error
 from openmm_sier.observe.conservation import density
 from studies import records
-from studies.command import SYSTEMS, Settings, execute
+from studies.command import SYSTEMS, Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import observe
@@ -192,9 +191,4 @@ def _inefficiency(tables: Sequence[pd.DataFrame], name: str) -> float:
     return float(np.average([inefficiency(frame[name].to_numpy()) for frame in tables], weights=list(map(len, tables))))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(LiquidSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(LiquidSettings, study, __doc__, __name__)

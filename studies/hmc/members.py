@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ from openmm_sier.measure.liquid_samples import quietly
 from openmm_sier.measure.statistics import mean_and_error, pooled
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
 from studies import records
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.samples import cost
 from studies.records import Record
@@ -93,9 +92,7 @@ def study(settings: MemberSettings, report: Report = SILENT) -> Record:
     rows = pd.DataFrame([row_of(label, runs, settings.skip) for label, runs in alike.items()])
     shown = records.with_text(rows, *MEANS, *(f"{name}_cost" for name in COSTS))
     report.table(records.table("Samples", shown, COLUMNS))
-    record = Record({"skip": settings.skip}, {"rows": rows}, {})
-    record.write(settings.out / "members.json")
-    return record
+    return Record({"skip": settings.skip}, {"rows": rows}, {}).write(settings.out / "members.json")
 
 
 def label_of(run: FinishedRun) -> str:
@@ -166,9 +163,4 @@ def in_frames(run: FinishedRun, skip: float) -> dict[str, pd.DataFrame]:
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(MemberSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(MemberSettings, study, __doc__, __name__)

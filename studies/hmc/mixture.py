@@ -16,8 +16,6 @@ probability by a Kolmogorov-Smirnov test that independent potential energies of 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -36,7 +34,7 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, pooled
 from openmm_sier.observe.conservation import density
 from studies import records
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.hmc.curvature import KINDS, Curvature
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -297,9 +295,4 @@ def kinetic_tests(runs: dict[str, list[Record]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(MixtureSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(MixtureSettings, study, __doc__, __name__)

@@ -15,7 +15,6 @@ as a force. `--held` compares the dihedrals in one of their basins, at constant 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +31,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.statistics import inefficiency_and_error
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from studies import records
-from studies.command import execute
+from studies.command import command
 from studies.hmc import solutes
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.solutes import SoluteSettings, Solution
@@ -294,9 +293,4 @@ def cost(samples: pd.DataFrame, forces: float) -> Estimate:
     return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(SampleSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(SampleSettings, study, __doc__, __name__)

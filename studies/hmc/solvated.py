@@ -15,8 +15,6 @@ so that trajectories can be reversed. All schemes begin at one equilibrated star
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -31,7 +29,7 @@ from openmm_sier.dynamics.rotation import exact, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 from studies import records
 from studies.acceptance import expected_acceptance, pooled_spread
-from studies.command import execute
+from studies.command import command
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
 from studies.records import Record
@@ -196,9 +194,4 @@ def laws(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(SolvatedSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(SolvatedSettings, study, __doc__, __name__)

@@ -12,8 +12,6 @@ engines have the same box.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -26,7 +24,7 @@ from openmm_sier import SIER4G, SIERLangevinIntegrator
 from openmm_sier.measure.statistics import mean_and_error
 from openmm_sier.observe.conservation import density
 from studies import records
-from studies.command import execute
+from studies.command import command
 from studies.native.accuracy import NativeSettings, context_on, start
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -101,14 +99,7 @@ def study(settings: EnsembleSettings, report: Report = SILENT) -> Record:
     """Run the engines, and write native-ensembles.json."""
     rows = pd.DataFrame([_run(engine, settings) for engine in settings.engines])
     report.table(records.table(f"{settings.ensemble.upper()}, {settings.time:g} ps", rows, COLUMNS))
-    record = Record(settings.recorded(), {"rows": rows}, {})
-    record.write(settings.out / "native-ensembles.json")
-    return record
+    return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "native-ensembles.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(EnsembleSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(EnsembleSettings, study, __doc__, __name__)

@@ -298,7 +298,7 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"openmm-sier {__version__}\n"
 
 
-# --- info and the choice of a force field ---
+# --- info ---
 
 
 def test_info_shows_the_bodies_of_a_salt_solution(capsys):
@@ -318,16 +318,3 @@ def test_info_shows_virtual_sites(capsys):
     out = capsys.readouterr().out
     assert "M1 M2" in out
     assert "no periodic box" in out
-
-
-def test_choices_that_are_refused(box, capsys):
-    text = box.read_text()
-    lines = [line for line in text.splitlines(keepends=True) if not line.startswith("REMARK")]
-    atoms = [i for i, line in enumerate(lines) if line.startswith("HETATM")]
-    Path("odd.pdb").write_text("".join(lines[: atoms[2]] + lines[atoms[3] :]))
-    assert "residue HOH 1 has the atoms O H1," in complaint(capsys, "info", "odd.pdb")
-    oxygens = [line for i, line in enumerate(lines) if i not in atoms or " O " in line]
-    Path("dry.pdb").write_text("".join(oxygens))
-    assert "Are hydrogens missing?" in complaint(capsys, "info", "dry.pdb")
-    Path("ions.pdb").write_text("HETATM    1 NA    NA A   1       0.000   0.000   0.000  1.00  0.00          NA\nEND\n")
-    assert "has no water" in complaint(capsys, "info", "ions.pdb")
