@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.properties import ROWS, Run, estimated
-from studies import records, step_study
-from studies.records import Record
-from studies.step_study import MEASURED, StepSettings
+from studies import step_study
+from studies.step_study import StepSettings
 from tests.support.commands import log, run, write_lattice
 from tests.support.reports import Told
 
@@ -25,38 +22,6 @@ def box(tmp_path, monkeypatch):
     """A box, and a directory for runs of it."""
     monkeypatch.chdir(tmp_path)
     return write_lattice(tmp_path / "box.pdb")
-
-
-def row(method, h, forces=1, box="spce-512", time=180.0, **found):
-    place = {"box": box, "method": method, "step": forces * h, "fs_per_force": h, "runs": 2, "time": time}
-    unknown = dict.fromkeys((name for key in MEASURED for name in (key, f"{key}_error")), math.nan)
-    given = {name: x for key, pair in found.items() for name, x in zip((key, f"{key}_error"), pair, strict=True)}
-    return place | unknown | given
-
-
-READ = pd.DataFrame(
-    [
-        row("SIER4G", 2.0, 3, rotation=(296.8, 0.4), density=(0.998, 0.002), diffusion=(2.5, 0.1)),
-        row("OpenMM Verlet", 4.0, density=(0.98, 0.001), energy=(-46.0, math.nan)),
-        row("OpenMM Verlet", 1.0, density=(0.99, 0.001)),
-        row("SIER4G HMC", 2.0, 3, density=(1.0, 0.003)),
-        row("SIER4G", 2.0, 3, box="tip3p-512", density=(0.985, 0.002)),
-    ]
-)
-
-
-@pytest.mark.slow
-def test_the_table_is_by_box_method_and_step(tmp_path):
-    record = Record({}, {"rows": step_study.in_order(READ)}, {"title": "Water"})
-    lines = records.markdown(step_study.table(record)).splitlines()
-    assert len(lines) == 2 + len(READ)
-    assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | 2.50 ± 0.10"
-    assert lines[2] == f"| spce-512 | SIER4G | 6 | 2 | 2 | 180 | {found} |"
-    assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
-    assert lines[-1].startswith("| tip3p-512")
-    step_study.figure(record, tmp_path / "figure.png")
-    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_momenta_that_are_drawn_anew_tell_no_diffusion():

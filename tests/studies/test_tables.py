@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from openmm_sier.dynamics.schemes import SIER2V2, SIER4P, SIER4V
-from studies import acceptance, equipartition, schemes, speed, step_study, whole_run
+from studies import acceptance, equipartition, records, schemes, speed, step_study, whole_run
 from studies.bench import accuracy, timing
 from studies.equipartition import MEASURED, EquipartitionSettings
 from studies.hmc import solvated
@@ -176,11 +176,36 @@ def test_palindromes_by_their_fractions():
 # --- steps and costs --------------------------------------------------------------------------------------------------
 
 
-def point(method, h, forces=1, time=180.0, **found):
-    place = {"box": "spce-512", "method": method, "step": forces * h, "fs_per_force": h, "runs": 2, "time": time}
+def point(method, h, forces=1, box="spce-512", time=180.0, **found):
+    place = {"box": box, "method": method, "step": forces * h, "fs_per_force": h, "runs": 2, "time": time}
     unknown = dict.fromkeys((name for key in step_study.MEASURED for name in (key, f"{key}_error")), math.nan)
     given = {name: x for key, pair in found.items() for name, x in zip((key, f"{key}_error"), pair, strict=True)}
     return place | unknown | given
+
+
+READ = pd.DataFrame(
+    [
+        point("SIER4G", 2.0, 3, rotation=(296.8, 0.4), density=(0.998, 0.002), diffusion=(2.5, 0.1)),
+        point("OpenMM Verlet", 4.0, density=(0.98, 0.001), energy=(-46.0, math.nan)),
+        point("OpenMM Verlet", 1.0, density=(0.99, 0.001)),
+        point("SIER4G HMC", 2.0, 3, density=(1.0, 0.003)),
+        point("SIER4G", 2.0, 3, box="tip3p-512", density=(0.985, 0.002)),
+    ]
+)
+
+
+@pytest.mark.slow
+def test_the_table_is_by_box_method_and_step(tmp_path):
+    record = Record({}, {"rows": step_study.in_order(READ)}, {"title": "Water"})
+    lines = records.markdown(step_study.table(record)).splitlines()
+    assert len(lines) == 2 + len(READ)
+    assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
+    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | 2.50 ± 0.10"
+    assert lines[2] == f"| spce-512 | SIER4G | 6 | 2 | 2 | 180 | {found} |"
+    assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
+    assert lines[-1].startswith("| tip3p-512")
+    step_study.figure(record, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_errors_are_shared_by_rows_of_one_box_and_method():
