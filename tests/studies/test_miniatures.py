@@ -185,7 +185,7 @@ def processed_state(found):
 
 def solvated_trials(found):
     rows = found["rows"]
-    assert list(rows["trials"]) == [2, 2, 2]
+    assert list(rows["trials"]) == [3, 3, 3]
     assert set(rows["moving"]) == {"all", "solute", "water"}
     assert set(zip(rows["solute"], rows["waters"], strict=True)) == {(22, 233)}
 
@@ -264,7 +264,7 @@ MINIATURES = {
         (
             "--method hmc --time 1.8 --settling 0.06",
             "--method langevin --time 1.8 --settling 0.06",
-            "--table {out}/hmc-2-1-1.json {out}/langevin-2-1-1.json",
+            "--table {runs}",
         ),
         mixtures,
         "mixture",
@@ -300,7 +300,7 @@ MINIATURES = {
                 f"--box {{dipeptide}} --time 0.72 --settling 0.12 --equilibrate 0.01 {more}"
                 for more in ("", "--method langevin", "--method wrong --held")
             ),
-            "--table {samples}",
+            "--table {runs}",
         ),
         sampled,
         "samples",
@@ -323,7 +323,7 @@ MINIATURES = {
                 f"{{dipeptide}} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1 --moving {moving}"
                 for moving in ("all", "solute", "water")
             ),
-            "--table {samples}",
+            "--table {runs}",
         ),
         solvated_trials,
         "solvated",
@@ -386,8 +386,8 @@ def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(*patch)
 
     def execute(line):
-        table = " ".join(map(str, sorted(tmp_path.glob("*-1.json"))))
-        arguments = line.format(**boxes, out=tmp_path, samples=table).split()
+        runs = " ".join(map(str, sorted(tmp_path.glob("*.json"))))
+        arguments = line.format(**boxes, out=tmp_path, runs=runs).split()
         return made.study.main([*arguments, "--out", str(tmp_path)]), capsys.readouterr()
 
     for line in made.lines:
