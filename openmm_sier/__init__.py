@@ -3,6 +3,7 @@
 from openmm_sier import hooks
 from openmm_sier.dynamics.bodies import BodyState, RigidityError
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER2V2, SIER4, SIER4G, SIER4P, SIER4V, Scheme
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
@@ -34,6 +35,7 @@ __all__ = [
     "SIERHMCIntegrator",
     "SIERIntegrator",
     "SIERLangevinIntegrator",
+    "SIERThermostatIntegrator",
     "Scheme",
     "Tuning",
     "__version__",

@@ -27,12 +27,9 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.dynamics.stages import BATH
-from openmm_sier.engines.protocol import Engine
-from openmm_sier.engines.variables import DRAWS, SEED
+from openmm_sier.integrators.binding import Binding, revived
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.integrators.settings import is_stored, revived
-from openmm_sier.system.notices import tell
+from openmm_sier.integrators.settings import is_stored
 from openmm_sier.system.unchanged import UnchangedSystem
 
 #: Methods that change a System without changing the number of its particles, constraints or Forces.
@@ -48,11 +45,11 @@ def install() -> None:
     _replace(openmm.Context, "__init__", _bind)
     _replace(openmm.Context, "reinitialize", _bind_again)
     _replace(openmm.Context, "setState", _set_state)
-    for name in ("setPositions", "setVelocities", "setVelocitiesToTemperature"):
-        _replace(openmm.Context, name, _tell_of_moved_atoms)
-    _replace(openmm.Context, "loadCheckpoint", _load_checkpoint)
-    _replace(openmm.Context, "createCheckpoint", _go_on_as_a_restart)
     _replace(openmm.Context, "getState", _mark_state)
+    for name in ("setPositions", "setVelocities", "setVelocitiesToTemperature"):
+        _replace(openmm.Context, name, functools.partial(_tell, Binding.moved))
+    _replace(openmm.Context, "loadCheckpoint", functools.partial(_tell, Binding.take_over))
+    _replace(openmm.Context, "createCheckpoint", functools.partial(_tell, Binding.start_anew))
     _replace(openmm.XmlSerializer, "serialize", _write_restart_point)
     for owner, name in _CHANGES_OF_SYSTEMS:
         _replace(owner, name, _count_change)
@@ -80,14 +77,9 @@ def _replace(cls: type, name: str, instead: Callable[..., Any]) -> None:
     setattr(cls, name, staticmethod(wrapper) if static else wrapper)
 
 
-def _integrator_of(context: openmm.Context) -> SIERIntegrator | None:
+def _binding_of(context: openmm.Context) -> Binding | None:
     integrator = getattr(context, "_integrator", None)
-    return integrator if isinstance(integrator, SIERIntegrator) else None
-
-
-def _engine_of(context: openmm.Context) -> Engine | None:
-    integrator = _integrator_of(context)
-    return None if integrator is None else integrator._engine
+    return integrator.binding if isinstance(integrator, SIERIntegrator) else None
 
 
 # --- a Context and its integrator ---
@@ -98,10 +90,10 @@ def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) 
     if len(args) > 1:
         _refuse_parts(args[1])
         if isinstance(revived(args[1], SIERIntegrator), SIERIntegrator):
-            args[1]._prepare_for(args[0])
+            args[1].binding.prepare(args[0])
     method(context, *args, **kwargs)
-    if (integrator := _integrator_of(context)) is not None:
-        integrator._bind(context)
+    if binding := _binding_of(context):
+        binding.bind(context)
 
 
 def _refuse_parts(integrator: openmm.Integrator) -> None:
@@ -116,11 +108,8 @@ def _refuse_parts(integrator: openmm.Integrator) -> None:
 
 def _bind_again(method: Callable, context: openmm.Context, preserveState: bool = False) -> None:
     method(context, preserveState)
-    if (integrator := _integrator_of(context)) is not None:
-        # OpenMM clears the per-atom variables without the state, but not the global ones.
-        if not preserveState:
-            integrator._record.clear()
-        integrator._bind(context)
+    if binding := _binding_of(context):
+        binding.bind(context, keeps_record=preserveState)
 
 
 def _revive(method: Callable, source: Any) -> openmm.Integrator:
@@ -130,19 +119,12 @@ def _revive(method: Callable, source: Any) -> openmm.Integrator:
 # --- saved and loaded states ---
 
 
-def _go_on_as_a_restart(method: Callable, context: openmm.Context) -> bytes:
-    found = method(context)
-    if (engine := _engine_of(context)) is not None:
-        engine.start_anew()
-    return found
-
-
 def _mark_state(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) -> openmm.State:
     """Change nothing; but a State that is written as XML later is a restart point."""
     state = method(context, *args, **kwargs)
     # Engines ask for forces several times a step, so that most calls are told by their arguments alone.
     may_have = args or kwargs.get("integratorParameters") or kwargs.get("getIntegratorParameters")
-    if may_have and _integrator_of(context) and state.getDataTypes() & openmm.State.IntegratorParameters:
+    if may_have and _binding_of(context) and state.getDataTypes() & openmm.State.IntegratorParameters:
         state._sier_origin = weakref.ref(context)
     return state
 
@@ -151,53 +133,30 @@ def _write_restart_point(method: Callable, thing: Any) -> str:
     """Serialize a State with the integrator's parameters, such as `Simulation.saveState` writes, or anything else."""
     context = getattr(thing, "_sier_origin", lambda: None)()
     is_current = context is not None and context.getStepCount() == thing.getStepCount()
-    if is_current and (engine := _engine_of(context)) is not None:
-        engine.start_anew()
+    if is_current and (binding := _binding_of(context)):
+        binding.start_anew()
     return method(thing)
-
-
-def _load_checkpoint(method: Callable, context: openmm.Context, checkpoint: bytes) -> None:
-    """Load a checkpoint, which may come from the other engine."""
-    method(context, checkpoint)
-    if (integrator := _integrator_of(context)) is not None:
-        integrator._take_over()
 
 
 def _set_state(method: Callable, context: openmm.Context, state: openmm.State) -> None:
     """Set a State as users of OpenMM's integrators know it.
 
-    OpenMM would set all of a State of another kind of integrator and then fail on its parameters. Runs with different
-    seeds from one State differ, and so do replicas that share a Context.
+    OpenMM would set all of a State of another kind of integrator and then fail on its parameters.
     """
-    integrator = _integrator_of(context)
-    if integrator is None:
-        method(context, state)
-        return
-    has_parameters = state.getDataTypes() & openmm.State.IntegratorParameters
-    seed, draws = map(integrator.getGlobalVariableByName, (SEED, DRAWS))
-    try:
-        method(context, state)
-    except openmm.OpenMMException:
-        if not has_parameters:
-            raise
-        _set_all_but_integrator(context, state)
-    integrator.setGlobalVariableByName(SEED, seed)
-    integrator.setGlobalVariableByName(DRAWS, max(draws, integrator.getGlobalVariableByName(DRAWS)))
-    integrator._take_over()
-    if has_parameters:
-        _tell_of_lost_noise(integrator)
+    has_parameters = bool(state.getDataTypes() & openmm.State.IntegratorParameters)
 
+    def set_state() -> None:
+        try:
+            method(context, state)
+        except openmm.OpenMMException:
+            if not has_parameters:
+                raise
+            _set_all_but_integrator(context, state)
 
-def _tell_of_lost_noise(integrator: SIERIntegrator) -> None:
-    """After a State was loaded, say once where noise goes on differently than in the run that wrote the State."""
-    if integrator._engine is None or integrator._engine.repeats_noise or integrator._told_of_noise:
-        return
-    if BATH in integrator._flow().scheme.operators:
-        integrator._told_of_noise = True
-        tell(
-            "With the native engine the noise of Langevin dynamics is OpenMM's, which no State holds: the run goes on "
-            "in the same ensemble, but not on the same trajectory. A checkpoint repeats it bit for bit"
-        )
+    if binding := _binding_of(context):
+        binding.take_over_state(set_state, has_parameters)
+    else:
+        method(context, state)
 
 
 def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> None:
@@ -218,18 +177,18 @@ def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> Non
 # --- changes from outside ---
 
 
-def _tell_of_moved_atoms(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
-    method(context, *args, **kwargs)
-    integrator = _integrator_of(context)
-    if integrator is not None and integrator._engine is not None:
-        integrator._watch.forget()
-        integrator._engine.atoms_moved()
+def _tell(news: Callable, method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) -> Any:
+    """Tell an integrator by a method of `Binding` that a method of its Context was called."""
+    found = method(context, *args, **kwargs)
+    if binding := _binding_of(context):
+        news(binding)
+    return found
 
 
 def _tell_of_new_forces(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
     method(force, context, *args, **kwargs)
-    if (engine := _engine_of(context)) is not None:
-        engine.forces_changed()
+    if binding := _binding_of(context):
+        binding.forces_changed()
 
 
 def _count_change(method: Callable, *args: Any, **kwargs: Any) -> Any:
@@ -245,8 +204,7 @@ def _keep_bodies(
     reporter: Any = None,
 ) -> None:
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
-    integrator = _integrator_of(context)
-    if integrator is None:
-        by_openmm()
+    if binding := _binding_of(context):
+        binding.engine.minimize(by_openmm, tolerance, maxIterations, reporter)
     else:
-        integrator._bound().minimize(by_openmm, tolerance, maxIterations, reporter)
+        by_openmm()

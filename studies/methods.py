@@ -17,9 +17,8 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 
 #: `Method.bias` of SIER2 at constant energy: the modified Hamiltonian of kick, drift, kick has the inverse
-#: mass (1 + (h w)^2/6)/m; and of SIER2 with the bath in its middle, where a harmonic oscillator has
-#: <p^2/m> = kT (1 - (h w)^2/4) exactly (Leimkuhler and Matthews, Appl. Math. Res. Express 2013, 34).
-BIAS_NVE, BIAS_NVT = 1 / 6, 1 / 4
+#: mass (1 + (h w)^2/6)/m. With the bath in the middle of its drift it has none (`Scheme.with_bath`).
+BIAS_NVE, BIAS_NVT = 1 / 6, 0.0
 
 
 @dataclass(frozen=True)

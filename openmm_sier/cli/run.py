@@ -178,8 +178,8 @@ def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) 
     """Add to errors the step, the likely cause and the last checkpoint."""
     try:
         yield
-    except (openmm.OpenMMException, runaway.Runaway) as error:
-        if not isinstance(error, runaway.Runaway) and not runaway.is_runaway(error):
+    except openmm.OpenMMException as error:
+        if not runaway.is_runaway(error):
             raise
         where, cause = _length(plan, context.getStepCount()), runaway.likely_cause(plan)
         kept = _kept(outputs, "--start begins a new run from it")

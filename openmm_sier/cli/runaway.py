@@ -1,8 +1,9 @@
 """When a run stops because its temperature runs away, and when its table warns of a long step.
 
-Energy that an integrator creates ends as heat, so temperatures show every runaway, with all heat baths alike. What a
-bath takes up, or what has not yet become hot, shows in the fluctuation of the conserved energy H, the total energy less
-the heat that a heat bath and moves of the volume have added.
+The temperatures of translation, rotation and flexible molecules are held against the bounds of `system.runaway` before
+anything is written, also with OpenMM's integrators. What a bath takes up, or what has not yet become hot, shows in the
+fluctuation of the conserved energy H, the total energy less the heat that a heat bath and moves of the volume have
+added.
 """
 
 from __future__ import annotations
@@ -36,31 +37,30 @@ FEWEST_ROWS = 10
 
 
 class Runaway(RuntimeError):
-    """A temperature has run away, or positions and forces are no longer finite."""
+    """What ends a run: a temperature has run away, or positions and forces are no longer finite."""
 
     exit_code = EXIT_CODE
 
 
-#: Highest temperatures, K, by names for messages.
+#: Highest temperatures, K, by the names of `DegreesOfFreedom`.
 Bounds = dict[str, float]
 
 
 def bounds(plan: Plan, dof: DegreesOfFreedom) -> Bounds:
     """The temperatures that a run with these degrees of freedom does not exceed."""
-    names = ("T_trans", "T_rot", "T_flexible")
-    return {name: hottest(plan.temperature, number) for name, number in zip(names, dof, strict=True)}
+    return {name: hottest(plan.temperature, number) for name, number in dof._asdict().items() if number}
 
 
 def check(context: openmm.Context, bounds: Bounds) -> None:
-    """Refuse to go on with a Context that is too hot. NaN stands for no degrees of freedom.
+    """Refuse to go on with a Context that is too hot.
 
     Raises:
-        Runaway: a bound is passed.
+        RunawayError: a temperature is above its bound, or no number.
     """
-    found = context.getIntegrator().computeTemperatures()[1:]
-    for (name, bound), temperature in zip(bounds.items(), found, strict=True):
-        if temperature > bound:
-            raise Runaway(f"{name} is {temperature:.3g} K, above {bound:.4g} K")
+    found = context.getIntegrator().computeTemperatures()
+    for name, bound in bounds.items():
+        if not (temperature := getattr(found, name)) <= bound:
+            raise RunawayError(f"the temperature of {name} is {temperature:.3g} K, above {bound:.4g} K")
 
 
 def is_runaway(error: BaseException) -> bool:

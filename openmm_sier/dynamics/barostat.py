@@ -18,66 +18,44 @@ LARGEST_MOVE = 0.5
 
 @dataclass(frozen=True)
 class MonteCarloVolumeMove:
-    """Constant pressure by the method of OpenMM's MonteCarloBarostat.
+    """A move of the volume by the method of OpenMM's MonteCarloBarostat.
 
-    Unlike OpenMM's it keeps no state of its own: moves have a fixed largest size, and their random numbers are a
-    function of a seed and of the number of draws so far. So a restart is bit-identical.
+    Unlike OpenMM's it remembers nothing of earlier ones: moves have a fixed largest size, and their random numbers are
+    a function of a seed and of the number of draws so far. So a restart is bit-identical.
 
     Source: Chow and Ferguson, Comput. Phys. Commun. 91, 283 (1995), with ln V for V.
 
     Attributes:
-        pressure: kJ/mol/nm^3.
-        interval: steps from one attempted move to the next, at least 1; with hybrid Monte Carlo, trials.
-    """
-
-    pressure: float
-    interval: int
-
-    def __post_init__(self) -> None:
-        if self.interval < 1:
-            raise ValueError(f"barostatInterval must be at least 1, got {self.interval}")
-
-    def proposal(self, seed: int, draw: int, molecules: int) -> Proposal:
-        """A move to be tried.
-
-        Args:
-            seed, draw: fix the random numbers.
-            molecules: number of molecules, each of which is moved as a whole.
-        """
-        place, chance = generator(seed, draw, stream=1).random(2)
-        return Proposal(self.pressure, molecules, LARGEST_MOVE / math.sqrt(molecules) * (2 * place - 1), chance)
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A move of the volume.
-
-    Attributes:
-        pressure: kJ/mol/nm^3.
-        molecules: number of molecules.
+        molecules: number of molecules, each of which is moved as a whole.
         growth: change of ln V.
         chance: random number in [0, 1) that decides.
     """
 
-    pressure: float
     molecules: int
     growth: float
     chance: float
+
+    @classmethod
+    def drawn(cls, seed: int, draw: int, molecules: int) -> MonteCarloVolumeMove:
+        """A move to be tried; seed and draw fix the random numbers."""
+        place, chance = generator(seed, draw, stream=1).random(2)
+        return cls(molecules, LARGEST_MOVE / math.sqrt(molecules) * (2 * place - 1), chance)
 
     @property
     def factor(self) -> float:
         """By which edges of the box and centres of molecules are multiplied."""
         return math.exp(self.growth / 3)
 
-    def is_accepted(self, gain: float, volume: float, thermal: float) -> bool:
+    def is_accepted(self, gain: float, pressure: float, volume: float, thermal: float) -> bool:
         """The Metropolis rule for a move in ln V, in which the centres of n molecules are scaled with the box.
 
         Args:
             gain: change of the potential energy, kJ/mol.
+            pressure: kJ/mol/nm^3.
             volume: before the move, nm^3.
             thermal: kT, kJ/mol.
         """
-        work = self.pressure * volume * math.expm1(self.growth)
+        work = pressure * volume * math.expm1(self.growth)
         cost = gain + work - (self.molecules + 1) * thermal * self.growth
         return bool(cost <= -thermal * math.log(1 - self.chance))
 

@@ -31,7 +31,7 @@ the total angular momentum is exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
@@ -44,7 +44,8 @@ from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.operators import AFTER_STEP, CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
+from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK
 
 
 def constrained_operators(
@@ -68,7 +69,7 @@ def constrained_operators(
     return {
         KICK: operators.kick(forces),
         GRADIENT_KICK: constrained_gradient_kick(bodies, forces, constraints, groups),
-        DRIFT: constrained_drift(operators.drift(bodies, rotation), constraints, composition),
+        **operators.drifts(constrained_drift(operators.drift(bodies, rotation), constraints, composition)),
         AFTER_STEP: projection(constraints),
     }
 
@@ -221,24 +222,47 @@ def point_operators(
     }
 
 
-def nested_drift(
-    drift: Operator,
-    members: ArrayLike,
-    inner: Scheme,
-    within: Mapping[str, Operator],
-    longest: float,
-) -> Operator:
-    """The drift of all bodies, some of which do not move freely but under fast forces, by steps of an inner scheme.
+#: (points, time) -> points.
+Advance = Callable[[BodyState, float], BodyState]
+
+
+def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operator:
+    """The drift of all bodies, some of which do not move freely but under fast forces.
 
     The outer scheme then splits off the slow forces alone, H = (T + V_fast) + V_slow. Both flows are symmetric, and
-    the composite has the order of the outer scheme if the inner one has it and the inner steps are proportional to
-    the outer ones.
+    the composite has the order of the outer scheme if the inner steps have it and are proportional to the outer ones.
 
     A gradient kick of the outer scheme is unchanged: its bracket [V_slow, [T + V_fast, V_slow]] has no term from
     V_fast, which commutes with V_slow.
 
     The fast force at the end of a drift is reused at the start of the next one, if the positions are still the same
-    array, as they are after kicks.
+    array, as they are after kicks and baths.
+
+    Args:
+        drift: of all bodies.
+        members: columns of the bodies on which fast forces act, (m,); they must include all that are constrained to one
+            of them.
+        within: moves the members, such as `equal_steps`.
+    """
+    members = np.asarray(members)
+    nothing = np.empty((3, 3, 0)), np.empty((3, 0))
+    kept: list[np.ndarray] = []
+
+    def apply(state: BodyState, h: float) -> BodyState:
+        if not kept or kept[0] is not state.q:
+            kept[:] = state.q, state.q[:, members]
+        moved = drift(state, h)
+        points = within(BodyState(kept[1], state.p[:, members], *nothing), h)
+        q, p = moved.q, state.p.copy()
+        q[:, members], p[:, members] = points.q, points.p
+        kept[:] = q, points.q
+        return BodyState(q, p, moved.A, moved.L, moved.heat, moved.draws)
+
+    return apply
+
+
+def equal_steps(inner: Scheme, within: Mapping[str, Operator], longest: float) -> Advance:
+    """Motion under fast forces by the least number of equal steps of a palindrome.
 
     Take SIER4G as the inner scheme, with one step for a drift of up to 3 fs, two for the highest accuracy. Energy error
     of two free chains of three CH2 (constrained C-H, springs up to 1100/cm), in drifts of 3 fs over 1.2 ps at 300 K:
@@ -251,42 +275,79 @@ def nested_drift(
     | the same with plain `RATTLE` | 3 or 6 | 0.0018, 0.0005, and drifts by 0.0012, 0.0003 /ps |
 
     Args:
-        drift: of all bodies.
-        members: columns of the bodies on which fast forces act, (m,); they must include all that are constrained to one
-            of them.
-        inner: scheme of the inner steps.
-        within: its operators for the members, see `point_operators`. None ends the inner steps.
-        longest: upper bound of the inner steps, ps. A drift is divided into the least number of equal steps.
+        inner: scheme of the steps.
+        within: its operators, see `point_operators`.
+        longest: upper bound of the steps, ps.
 
     Raises:
         ValueError: `longest` is not positive, or an operator of the scheme is not in `within`.
     """
-    if not longest > 0:
-        raise ValueError(f"the longest inner step must be positive, got {longest}")
+    _check_longest(longest)
     during_steps = {name: operator for name, operator in within.items() if name != AFTER_STEP}
     stepper = cache(partial(operators.stepper, inner, during_steps))
     stepper(longest)  # Fail here, not at the first step, if an operator is missing.
-    members = np.asarray(members)
-    nothing = np.empty((3, 3, 0)), np.empty((3, 0))
-    kept: list[np.ndarray] = []
 
-    def apply(state: BodyState, h: float) -> BodyState:
-        if not kept or kept[0] is not state.q:
-            kept[:] = state.q, state.q[:, members]
-        moved = drift(state, h)
-        points = BodyState(kept[1], state.p[:, members], *nothing)
+    def move(points: BodyState, h: float) -> BodyState:
         count = inner_steps(h, longest)
         step = stepper(h / count)
         for _ in range(count):
             points = step(points)
-        q, p = moved.q, state.p.copy()
-        q[:, members], p[:, members] = points.q, points.p
-        kept[:] = q, points.q
-        return BodyState(q, p, moved.A, moved.L, moved.heat, moved.draws)
+        return points
 
-    return apply
+    return move
+
+
+def steps_around_bath(within: Mapping[str, Operator], longest: float) -> dict[str, Advance]:
+    """Motion under fast forces by leapfrog steps, in the middle of the drift of one of which is the bath.
+
+    The drifts to the bath and from it, together one drift, are an odd number of equal steps, each a whole kick and a
+    drift. So the bath stands between two half drifts, as in `Scheme.with_bath`, and harmonic motion under fast forces
+    has the right averages at the end of the drifts, however long the inner steps are. A bath between steps of velocity
+    Verlet would leave the positions of a mode (omega h)^2/4 too spread out: 12 % for a bond of 19 fs and steps of 2 fs.
+
+    Momenta at the end lag half an inner kick of the fast forces behind, as they do half a kick of the others.
+
+    Args:
+        within: operators of the members, see `point_operators`.
+        longest: upper bound of the steps, ps.
+
+    Returns:
+        What moves the members, by the names of the drifts to a bath and from one.
+
+    Raises:
+        ValueError: `longest` is not positive.
+    """
+    _check_longest(longest)
+    kick, drift = within[KICK], within[DRIFT]
+
+    def leapfrog(points: BodyState, e: float, steps: int) -> BodyState:
+        for _ in range(steps):
+            points = drift(kick(points, e), e)
+        return points
+
+    def to_bath(points: BodyState, h: float) -> BodyState:
+        count = steps_with_bath(2 * h, longest)
+        e = 2 * h / count
+        return drift(kick(leapfrog(points, e, count // 2), e), e / 2)
+
+    def from_bath(points: BodyState, h: float) -> BodyState:
+        count = steps_with_bath(2 * h, longest)
+        e = 2 * h / count
+        return leapfrog(drift(points, e / 2), e, count // 2)
+
+    return {DRIFT_TO_BATH: to_bath, DRIFT_FROM_BATH: from_bath}
+
+
+def _check_longest(longest: float) -> None:
+    if not longest > 0:
+        raise ValueError(f"the longest inner step must be positive, got {longest}")
 
 
 def inner_steps(h: float, longest: float) -> int:
     """Number of inner steps into which a drift for the time h is divided, the same for h and -h."""
     return max(1, math.ceil(abs(h) / longest * (1 - 1e-12)))
+
+
+def steps_with_bath(h: float, longest: float) -> int:
+    """The same where the bath is in the middle of a step: an odd number."""
+    return 2 * (inner_steps(h, longest) // 2) + 1

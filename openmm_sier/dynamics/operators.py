@@ -15,7 +15,8 @@ from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.rotation.arguments import axes_of
-from openmm_sier.dynamics.schemes import DRIFT, GRADIENT_KICK, KICK, Scheme
+from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK
 
 #: (state, time) -> state; a gradient kick also takes its displacement per acceleration.
 Operator = Callable[..., BodyState]
@@ -79,7 +80,12 @@ class CachedForces:
 
 def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
     """The operators of all schemes without a heat bath."""
-    return {KICK: kick(forces), GRADIENT_KICK: gradient_kick(bodies, forces), DRIFT: drift(bodies, rotation)}
+    return {KICK: kick(forces), GRADIENT_KICK: gradient_kick(bodies, forces), **drifts(drift(bodies, rotation))}
+
+
+def drifts(operator: Operator) -> dict[str, Operator]:
+    """An operator for drifts on either side of a bath and elsewhere."""
+    return dict.fromkeys((DRIFT, DRIFT_TO_BATH, DRIFT_FROM_BATH), operator)
 
 
 def kick(forces: CachedForces) -> Operator:

@@ -12,7 +12,15 @@ from functools import cached_property
 
 from openmm_sier.dynamics import stability
 from openmm_sier.dynamics.order import order_of
-from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.stages import (
+    BATH,
+    DRIFT,
+    DRIFT_FROM_BATH,
+    DRIFT_TO_BATH,
+    GRADIENT_KICK,
+    KICK,
+    Stage,
+)
 
 
 @dataclass(frozen=True)
@@ -68,7 +76,7 @@ class Scheme:
     @property
     def reuses_force(self) -> bool:
         """Whether the force at the end of a step is the one at the start of the next."""
-        ends = [stage.flow for stage in self.stages if stage.operator == DRIFT or stage.flow == KICK]
+        ends = [stage.flow for stage in self.stages if stage.flow in (DRIFT, KICK)]
         return DRIFT not in (*ends[:1], *ends[-1:])
 
     @property
@@ -81,18 +89,38 @@ class Scheme:
         for _ in range(2):
             count = 0
             for stage in self.stages:
-                if stage.operator == DRIFT:
+                if stage.flow == DRIFT:
                     moved = True
                 elif stage.flow == KICK:
                     count += int(moved) + int(stage.operator == GRADIENT_KICK)
                     moved = False
         return count
 
-    def without(self, operator: str) -> Scheme:
-        """This scheme without an operator: its stages are dropped, and neighbours of one kind are joined."""
+    def with_bath(self) -> Scheme:
+        """This scheme with a heat bath, placed so that averages keep the scheme's order.
+
+        SIER2, or any kick, drift, kick, becomes a whole kick, half drift, bath, half drift: the leapfrog "middle"
+        scheme of Zhang et al., J. Phys. Chem. A 123, 6056 (2019), OpenMM's LangevinMiddleIntegrator. Positions visited
+        are those of kick, half drift, bath, half drift, kick (Leimkuhler and Matthews, Appl. Math. Res. Express 2013,
+        34), which have no error at all in a harmonic oscillator. Momenta at the end of a step are those after the bath,
+        and have none either. Other schemes have half of the bath at either end: in the middle of a higher-order scheme
+        positions and momenta are not those of a whole step, and a bath there would reduce the order to two. A scheme
+        that already has a bath is returned unchanged.
+        """
+        if BATH in self.operators:
+            return self
+        if self._is_verlet:
+            middle = Stage(DRIFT_TO_BATH, 0.5), Stage(BATH, 1.0), Stage(DRIFT_FROM_BATH, 0.5)
+            return replace(self, stages=(Stage(KICK, 1.0), *middle))
+        return replace(self, stages=(Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5)))
+
+    def without_bath(self) -> Scheme:
+        """This scheme without its bath: neighbours of one kind are joined, and what `with_bath` did is undone."""
+        if self.bath_divides_drift:
+            return replace(self, stages=(Stage(KICK, 0.5), Stage(DRIFT, 1.0), Stage(KICK, 0.5)))
         stages: list[Stage] = []
         for stage in self.stages:
-            if stage.operator == operator:
+            if stage.operator == BATH:
                 continue
             if stages and stages[-1].operator == stage.operator and not stage.shift:
                 stages[-1] = Stage(stage.operator, stages[-1].fraction + stage.fraction)
@@ -100,29 +128,33 @@ class Scheme:
                 stages.append(stage)
         return replace(self, stages=tuple(stages))
 
-    def with_bath(self) -> Scheme:
-        """This scheme with a heat bath, placed so that averages keep the scheme's order.
+    @property
+    def _is_verlet(self) -> bool:
+        return self.is_palindrome and [stage.operator for stage in self.stages] == [KICK, DRIFT, KICK]
 
-        A palindrome of second order with a drift in the middle has the bath in the middle of that. SIER2 becomes kick,
-        half drift, bath, half drift, kick (Leimkuhler and Matthews, Appl. Math. Res. Express 2013, 34), in which the
-        positions of a harmonic oscillator have no error at all. Other schemes have half of the bath at either end. In
-        the middle of a higher-order scheme positions and momenta are not those of a whole step, and a bath there would
-        reduce the order to two. A scheme that already has a bath is returned unchanged.
+    @property
+    def bath_divides_drift(self) -> bool:
+        """Whether `with_bath` put the bath into the middle of a drift."""
+        return DRIFT_TO_BATH in self.operators
+
+    @property
+    def within_drifts(self) -> Scheme:
+        """The scheme of inner steps, where there are fast forces in the drifts."""
+        return SIER2.with_bath() if self.bath_divides_drift else SIER4G
+
+    @property
+    def momentum_lag(self) -> float:
+        """The fraction of a kick by which momenta at the end of a step lag behind those of the palindrome.
+
+        It is 1/2 for Verlet's scheme with a bath in the middle of the drift, and 0 for palindromes. Where momenta lag,
+        the energy at the end of steps differs in first order of the step from that which a good step conserves.
         """
-        if BATH in self.operators:
-            return self
-        middle = len(self.stages) // 2
-        if self.is_palindrome and self.stages[middle].operator == DRIFT and self.order == 2:
-            half = Stage(DRIFT, 0.5 * self.stages[middle].fraction)
-            stages = (*self.stages[:middle], half, Stage(BATH, 1.0), half, *self.stages[middle + 1 :])
-        else:
-            stages = (Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5))
-        return replace(self, stages=stages)
+        return 0.5 if [stage.flow for stage in self.stages] == [KICK, DRIFT, BATH, DRIFT] else 0.0
 
     @property
     def longest_drift(self) -> float:
         """The largest magnitude of a drift's fraction of the step; 0 without drifts."""
-        return max((abs(stage.fraction) for stage in self.stages if stage.operator == DRIFT), default=0.0)
+        return max((abs(stage.fraction) for stage in self.stages if stage.flow == DRIFT), default=0.0)
 
     @property
     def stability_limit(self) -> float:
@@ -183,7 +215,7 @@ SIER4 = alternating(
     DRIFT,
     (_H1, _H2, _H3, 0.5 - _H2),
     "van Zon and Schofield (2007), Eq. 8 (EFRL); Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
-    constant_energy_step=0.005,
+    constant_energy_step=0.004,
     bath_step=0.005,
 )
 
@@ -194,7 +226,7 @@ SIER4V = alternating(
     DRIFT,
     (0.08398315262876693, 0.2539785108410595, 0.6822365335719091, -0.03230286765269967, -0.26621968620067603),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eqs. 63 and 71",
-    constant_energy_step=0.0065,
+    constant_energy_step=0.0055,
     bath_step=0.0065,
 )
 
@@ -208,13 +240,9 @@ SIER4G = Scheme(
         Stage(KICK, 1 / 6),
     ),
     "Chin, Phys. Lett. A 226, 344 (1997), algorithm A",
-    constant_energy_step=0.0045,
+    constant_energy_step=0.004,
     bath_step=0.006,
 )
-
-#: The scheme of inner steps, within drifts that have fast forces.
-WITHIN_DRIFTS = SIER4G
-
 
 #: Of the family drift, kick, drift, gradient kick, drift, kick, drift of fourth order: the share of a kick, which fixes
 #: the outer drift and the force gradient.
@@ -228,7 +256,7 @@ SIER4P = Scheme(
     "SIER4P",
     (*_WING, Stage(GRADIENT_KICK, 1 - 2 * _SHARE, 2 * _BRACKET / (1 - 2 * _SHARE)), *reversed(_WING)),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44",
-    constant_energy_step=0.006,
+    constant_energy_step=0.005,
     bath_step=0.006,
 )
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
 
-#: The mean kinetic energy of a mode may differ from its potential energy by this fraction at the accuracy limit. For
-#: velocity Verlet that is at ten steps a period, a common rule of thumb.
+#: At the accuracy limit the mean kinetic energy of a mode differs from its potential energy by this fraction, or its
+#: frequency is off by it. For velocity Verlet the first is at ten steps a period, a common rule of thumb. With a bath
+#: in the middle of the drift the energies are equal up to the stability limit, and the frequency decides.
 INEQUALITY = 0.1
 
 #: Limits are looked for at multiples of this fraction of the largest omega h that is possible.
@@ -24,11 +25,12 @@ ROUNDING = 1e-12
 
 
 def limits(stages: Sequence[Stage]) -> tuple[float, float]:
-    """Largest omega h below which a harmonic mode stays bounded, and below which its energies are about equal.
+    """Largest omega h below which a harmonic mode stays bounded, and below which its energies and frequency are right.
 
     The matrix [[a, b], [c, d]] has the determinant 1, so that its eigenvalues are on the unit circle where its trace is
     within 2 and -2. It conserves b (h p/m)^2 + (a - d) q (h p/m) - c q^2. So the mean of the potential energy over that
-    of the kinetic one is -x b / c; the two are to agree within `INEQUALITY`. Where the trace touches 2 or -2 and turns
+    of the kinetic one is -x b / c; the two are to agree within `INEQUALITY`. So are omega h and the angle by which a
+    step turns the phase of the mode, the arc cosine of half the trace. Where the trace touches 2 or -2 and turns
     back, the matrix is 1 or -1: the mode is bounded there too, and b and c are both zero.
 
     Infinite without kicks or drifts. Stages that are neither, such as a heat bath, are left out.
@@ -42,13 +44,15 @@ def limits(stages: Sequence[Stage]) -> tuple[float, float]:
     x = z**2
     a, b, c, d = np.ones_like(z), np.zeros_like(z), np.zeros_like(z), np.ones_like(z)
     for stage in stages:
-        if stage.operator == DRIFT:
+        if stage.flow == DRIFT:
             a, b = a + stage.fraction * c, b + stage.fraction * d
         elif stage.flow == KICK:
             pull = stage.fraction * x * (1 - stage.shift * x)
             c, d = c - pull * a, d - pull * b
     unstable = np.abs(a + d) > 2 + ROUNDING
     unequal = np.abs(x * b + c) > INEQUALITY * np.abs(c) + ROUNDING
+    # Beyond half a turn the trace does not tell the angle.
+    unequal |= (z < np.pi) & (np.abs(np.arccos(np.clip((a + d) / 2, -1, 1)) - z) > INEQUALITY * z)
     stable, accurate = (float(z[beyond.argmax() - 1]) if beyond.any() else np.inf for beyond in (unstable, unequal))
     return stable, min(stable, accurate)
 
@@ -63,7 +67,7 @@ def nested_is_stable(stages: Sequence[Stage], angle: float, share: float) -> boo
     """
     x, matrix = share * angle**2, np.eye(2)
     for stage in stages:
-        if stage.operator == DRIFT:
+        if stage.flow == DRIFT:
             cosine, sine = np.cos(angle * stage.fraction), np.sin(angle * stage.fraction)
             matrix = np.array([[cosine, sine / angle], [-angle * sine, cosine]]) @ matrix
         elif stage.flow == KICK:

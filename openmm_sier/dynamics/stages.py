@@ -9,9 +9,13 @@ GRADIENT_KICK = "gradient kick"
 DRIFT = "drift"
 BATH = "bath"
 
+#: Drifts on either side of a bath. With fast forces the bath is in the middle of an inner step, see `constrained`.
+DRIFT_TO_BATH = "drift to bath"
+DRIFT_FROM_BATH = "drift from bath"
+
 #: The flow of the exact motion that an operator is a part of, if not its own. Flows are the letters of the free algebra
 #: in `order`.
-FLOWS = {GRADIENT_KICK: KICK}
+FLOWS = {GRADIENT_KICK: KICK, DRIFT_TO_BATH: DRIFT, DRIFT_FROM_BATH: DRIFT}
 
 
 class Stage(NamedTuple):

@@ -1,8 +1,9 @@
-"""Constant temperature: an exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
+"""Heat baths within steps, and the exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +15,41 @@ from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.operators import Operator
 
 
+class Thermostat(ABC):
+    """A heat bath within the steps of a scheme: an operator that changes nothing but momenta.
+
+    Attributes:
+        temperature: K.
+        friction: rate at which it acts on translation, 1/ps.
+        rotational_friction: rate at which it acts on rotation, 1/ps.
+        seed: together with the number of earlier draws it fixes the noise.
+    """
+
+    temperature: float
+    friction: float
+    rotational_friction: float
+    seed: int
+
+    @abstractmethod
+    def operator(self, bodies: RigidBodies) -> Operator:
+        """The thermostat as an operator of a splitting scheme. It counts its heat and its draws in the state."""
+
+    def velocity(self, time: str, friction: str, thermal: str) -> str:
+        """The new value of a velocity v of a mass m, as an expression of OpenMM's CustomIntegrator.
+
+        It is evaluated for each degree of freedom by itself, and velocities are constrained before and after it.
+
+        Args:
+            time, friction, thermal: expressions of the time for which it acts, of its friction, and of kT.
+
+        Raises:
+            ValueError: there is no such expression, so that only the exact engine has this bath.
+        """
+        raise ValueError(f"the heat bath {type(self).__name__} cannot be written out")
+
+
 @dataclass(frozen=True)
-class OrnsteinUhlenbeck:
+class OrnsteinUhlenbeck(Thermostat):
     """Langevin thermostat for rigid bodies.
 
     Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
@@ -34,8 +68,10 @@ class OrnsteinUhlenbeck:
     rotational_friction: float
     seed: int = 0
 
+    def velocity(self, time: str, friction: str, thermal: str) -> str:
+        return f"exp(-{friction}*{time})*v + sqrt((1 - exp(-2*{friction}*{time}))*{thermal}/m)*gaussian"
+
     def operator(self, bodies: RigidBodies) -> Operator:
-        """The thermostat as an operator of a splitting scheme. It counts its heat and its draws in the state."""
         masses, moments = bodies.masses, bodies.moments
 
         def apply(state: BodyState, h: float) -> BodyState:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,9 +17,9 @@ from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
+from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom, temperatures
 from openmm_sier.system import checks
 from openmm_sier.system.vibrations import Vibrations
 
@@ -48,7 +48,7 @@ class Flow:
     rotation: Rotation = exact
     substeps: int | None = None
     fast_groups: int = 0
-    bath: OrnsteinUhlenbeck | None = None
+    bath: Thermostat | None = None
     constant_energy: bool = False
     updates_context: bool = True
 
@@ -127,7 +127,7 @@ class Engine(ABC):
         if checked != self._checked:
             self._vibrations.check(flow.scheme, flow.step, groups & ~flow.fast_groups)
             inner, fast = self._inner_step(), groups & flow.fast_groups
-            self._vibrations.check_nested(flow.scheme, WITHIN_DRIFTS, inner, flow.step, fast)
+            self._vibrations.check_nested(flow.scheme, flow.scheme.within_drifts, inner, flow.step, fast)
             if flow.constant_energy:
                 self._vibrations.tell_of_walk(flow.scheme, flow.step, groups & ~flow.fast_groups)
             self._checked = checked
@@ -173,7 +173,7 @@ class Engine(ABC):
         """Positions of all particles, (N, 3), nm."""
 
     @abstractmethod
-    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+    def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Let a bath act for a time in ps; it takes a draw and its heat is counted."""
 
     @abstractmethod
@@ -196,6 +196,10 @@ class Engine(ABC):
     @abstractmethod
     def shift_velocities(self, velocity: np.ndarray) -> None:
         """Add a velocity, (3,), nm/ps, to all bodies, and its energy to the heat."""
+
+    @abstractmethod
+    def scale_velocities(self, factor: float) -> None:
+        """Multiply all velocities by a factor, and add the energy that they gain to the heat."""
 
     def prepare_for_volume_moves(self) -> None:
         """Check that the volume can be changed.
@@ -241,6 +245,24 @@ class Engine(ABC):
     def state(self) -> BodyState:
         """The bodies' phase point, brought up to date with the Context."""
 
+    @property
+    def momentum_lag(self) -> float:
+        """See `Scheme.momentum_lag`."""
+        return self._flow.scheme.momentum_lag
+
+    def at_whole_step(self, state: BodyState) -> BodyState:
+        """The phase point of a whole step, with momenta that do not lag; it costs a force evaluation if they do."""
+        if not self.momentum_lag:
+            return state
+        bodies, groups, fast = self.bodies, self._integrator.getIntegrationForceGroups(), self._flow.fast_groups
+        p, L = state.p, state.L
+        for step, acting in ((self._flow.step, groups & ~fast), (self._inner_step(), groups & fast)):
+            if acting:
+                forces = self._context.getState(forces=True, groups=acting).getForces(asNumpy=True)
+                F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
+                p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
+        return replace(state, p=bodies.constraints.project(state.q, p), L=L)
+
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`."""
         return temperatures(self.bodies, self.state(), self.conserves_momentum())
@@ -257,6 +279,10 @@ class Engine(ABC):
     def conserves_momentum(self) -> bool:
         """Whether the total momentum is conserved, see `MomentumConservation`."""
         return self._momentum.holds(self._integrator)
+
+    def degrees_of_freedom(self) -> float:
+        """Number of degrees of freedom that share the heat, see `engines.temperature`."""
+        return sum(degrees_of_freedom(self.bodies, self.conserves_momentum()))
 
     @abstractmethod
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:

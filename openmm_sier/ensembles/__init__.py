@@ -1,5 +1,15 @@
-"""What happens between the flows that an engine follows: nothing, volume moves, or the decision on a trial.
+"""What happens between the flows that an engine follows: nothing, thermostats, volume moves, the decision on a trial.
 
 An ensemble is frozen data with one operation, `advance`. It knows engines only by `engines.protocol.Engine`, so that it
 is written once for all of them.
 """
+
+from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
+from openmm_sier.ensembles.langevin import Langevin
+from openmm_sier.ensembles.metropolis import Metropolis
+from openmm_sier.ensembles.rescaling import VelocityRescaling
+
+#: Ensembles by the names of their classes, by which XML and copies of integrators have them.
+ENSEMBLES: dict[str, type[Ensemble]] = {
+    cls.__name__: cls for cls in (ConstantEnergy, Langevin, Metropolis, VelocityRescaling)
+}

@@ -1,18 +1,28 @@
-"""The interface of ensembles, the one of constant energy, and the Monte Carlo move of the volume for others."""
+"""The interface of ensembles, the one of constant energy, and what ensembles of constant temperature share."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import ClassVar
 
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
-from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Engine, Flow, TrajectoryError
-from openmm_sier.engines.variables import Record
+from openmm_sier.engines.variables import SEED, Record
+from openmm_sier.system.arguments import quantity_to_float, whole_number
+
+#: Does something for an ensemble.
+Action = Callable[..., None]
+
+#: Units of the fields of ensembles.
+UNITS = {"K": unit.kelvin, "1/ps": unit.picosecond**-1, "bar": unit.bar}
 
 
 @dataclass(frozen=True)
@@ -22,19 +32,14 @@ class Ensemble:
     The fields of a subclass are stored in XML by their types, see `integrators.settings`.
 
     Attributes:
+        is_random: whether it draws random numbers.
         record: names of the global variables that it keeps besides heat, draws and seed.
         steps: number of steps of the scheme in one step of the integrator.
-        is_random: whether it draws random numbers.
-        updates_context: whether Forces that change velocities, positions or the box may act before each step of the
-            scheme.
         needs_package: whether the program of the scheme alone would do less.
-        constant_energy: whether nothing but rounding and the step changes the energy.
     """
 
     record: ClassVar[tuple[str, ...]] = ()
     is_random: ClassVar[bool] = False
-    updates_context: ClassVar[bool] = True
-    constant_energy: ClassVar[bool] = False
 
     @property
     def steps(self) -> int:
@@ -44,13 +49,17 @@ class Ensemble:
     def needs_package(self) -> bool:
         return False
 
-    def executed(self, scheme: Scheme) -> Scheme:
-        """The scheme to execute now."""
+    def suited(self, scheme: Scheme) -> Scheme:
+        """The scheme that an integrator gets if it is asked for one.
+
+        Raises:
+            ValueError: the ensemble cannot be sampled by it.
+        """
         return scheme
 
-    def bath(self, seed: int) -> OrnsteinUhlenbeck | None:
-        """What executes the bath of the scheme."""
-        return None
+    def flow(self, flow: Flow, seed: int) -> Flow:
+        """What the engine is to follow now, from a flow at constant energy."""
+        return flow
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         """Prepare an engine.
@@ -71,30 +80,129 @@ class Ensemble:
 class ConstantEnergy(Ensemble):
     """Nothing but the flow."""
 
-    constant_energy: ClassVar[bool] = True
+    def flow(self, flow: Flow, seed: int) -> Flow:
+        return replace(flow, constant_energy=True)
 
 
-def move_volume(engine: Engine, move: MonteCarloVolumeMove, temperature: float, seed: int) -> None:
-    """Try one move at a temperature in K; it takes a draw of random numbers, and the energy that it gives is heat.
+@dataclass(frozen=True)
+class ConstantTemperature(Ensemble):
+    """What has a temperature and, if a pressure is given, Monte Carlo moves of the volume between its steps.
+
+    Fields may be given as quantities, and are numbers in the units that are named.
+
+    Attributes:
+        temperature: K, not negative.
+        pressure: bar; None keeps the volume.
+        interval: steps from one attempt to change the volume to the next, at least 1.
+
+    Raises:
+        ValueError: a value is not finite or has the wrong sign.
+        TypeError: a quantity has the wrong dimension.
+    """
+
+    temperature: float
+    pressure: float | None = field(default=None, kw_only=True)
+    interval: int = field(default=25, kw_only=True)
+
+    is_random: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        make_number(self, "temperature", "temperature", "K", least=0)
+        if self.pressure is not None:
+            make_number(self, "pressure", "pressure", "bar")
+        make_number(self, "interval", "barostatInterval", least=1)
+
+    @property
+    def needs_package(self) -> bool:
+        return self.pressure is not None
+
+    def check(self, system: openmm.System, engine: Engine) -> None:
+        if self.pressure is not None:
+            engine.prepare_for_volume_moves()
+
+    def advance(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
+        at_volume = partial(self.advance_at_volume, engine, flow, record)
+        if self.pressure is None:
+            return at_volume(steps)
+        move = partial(_move_volume, engine, BAR * self.pressure, self.temperature, int(record[SEED]))
+        return advance_between(engine, steps, self.interval, move, at_volume)
+
+    def advance_at_volume(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
+        """What `advance` does at constant volume."""
+        engine.follow(steps)
+
+
+def make_number(ensemble: Ensemble, field: str, name: str, symbol: str = "", least: float = -math.inf) -> None:
+    """Make a field a number in one of `UNITS`, or a whole one without a unit.
+
+    Args:
+        ensemble: gets the number.
+        field: of the ensemble; may hold a quantity.
+        name: by which users know the field.
+        symbol: of the unit.
+        least: that it may be.
+
+    Raises:
+        ValueError: it is less, not finite, or not a whole number.
+        TypeError: it is no number, or its quantity has the wrong dimension.
+    """
+    given = getattr(ensemble, field)
+    value = quantity_to_float(name, given, UNITS[symbol], symbol) if symbol else whole_number(name, given)
+    if value < least:
+        raise ValueError(f"{name} must be at least {least}, got {value} {symbol}".strip())
+    object.__setattr__(ensemble, field, value)
+
+
+def advance_between(engine: Engine, steps: int, interval: int, act: Action, advance: Action) -> None:
+    """Advance by steps of the integrator, and do something before each whose number is a multiple of an interval.
+
+    After an error both the step and what was done before it are undone.
+
+    Args:
+        engine: counts steps.
+        steps: number of steps.
+        interval: at least 1.
+        act: what is done, a function without arguments.
+        advance: advances by so many steps.
+    """
+    while steps:
+        count = min(steps, interval - 1 - engine.clock.steps % interval)
+        if count:
+            advance(count)
+        else:
+            before, done = engine.remember(), engine.clock.steps
+            try:
+                act()
+                advance(1)
+            except BaseException:
+                if engine.clock.steps == done:
+                    engine.go_back(before)
+                raise
+        steps -= count or 1
+
+
+def _move_volume(engine: Engine, pressure: float, temperature: float, seed: int) -> None:
+    """Try one move at a pressure in kJ/mol/nm^3 and a temperature in K.
+
+    It takes a draw of random numbers, and the energy that it gives is heat.
 
     Raises:
         openmm.OpenMMException: the box became too small for the cut-off. The engine is back where it was.
     """
     before, sample = engine.potential_energy(), engine.remember()
-    proposal = move.proposal(seed, engine.draws, engine.molecules)
-    volume = engine.volume()
+    move, volume = MonteCarloVolumeMove.drawn(seed, engine.draws, engine.molecules), engine.volume()
     try:
-        engine.scale(proposal.factor)
+        engine.scale(move.factor)
         gain = engine.potential_energy() - before
     except BaseException as error:
         engine.go_back(sample)
         if isinstance(error, openmm.OpenMMException) and not isinstance(error, TrajectoryError):
             raise openmm.OpenMMException(
-                f"Step {engine.clock.steps + 1} could not try a volume of {proposal.factor**3 * volume:.4f} nm^3: "
+                f"Step {engine.clock.steps + 1} could not try a volume of {move.factor**3 * volume:.4f} nm^3: "
                 f"{error} A larger box or a shorter cut-off would help. The Context is left at the last completed step"
             ) from error
         raise
-    if proposal.is_accepted(gain, volume, GAS_CONSTANT * temperature):
+    if move.is_accepted(gain, pressure, volume, GAS_CONSTANT * temperature):
         engine.add_heat(gain)
     else:
         engine.go_back(sample)

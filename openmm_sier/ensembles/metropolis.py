@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.metropolis import is_accepted
 from openmm_sier.dynamics.noise import generator
+from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
-from openmm_sier.ensembles.ensemble import Ensemble, move_volume
+from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system import checks
 
 #: Global variables of all trials: their number, how many were accepted, the energy error of the last one in kT; and the
@@ -32,8 +32,8 @@ REVERSIBLE = 1e-4
 
 
 @dataclass(frozen=True)
-class Metropolis(Ensemble):
-    """The canonical ensemble without time-step error, and the one of constant pressure where volume moves are given.
+class Metropolis(ConstantTemperature):
+    """The canonical ensemble without time-step error.
 
     The ends of trials are samples, see `dynamics.metropolis`. Everything that a step does is undone where it cannot be
     completed, so that the Context is at a sample at any time.
@@ -42,25 +42,22 @@ class Metropolis(Ensemble):
         temperature: K.
         friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew.
         steps_per_trial: number of steps of the scheme in a trial.
-        volume_move: between trials; None keeps the volume.
     """
 
-    temperature: float
     friction: float | None
     steps_per_trial: int
-    volume_move: MonteCarloVolumeMove | None = None
 
     record: ClassVar[tuple[str, ...]] = (TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL)
-    is_random: ClassVar[bool] = True
-    updates_context: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if not self.temperature > 0:
-            raise ValueError(f"temperature must be above zero for hybrid Monte Carlo, got {self.temperature} K")
-        if self.friction is not None and not self.friction > 0:
-            raise ValueError(f"frictionCoeff must be above zero, got {self.friction}: momenta would never be drawn")
-        if self.steps_per_trial < 1:
-            raise ValueError(f"stepsPerTrial must be at least 1, got {self.steps_per_trial}")
+        super().__post_init__()
+        if not self.temperature:
+            raise ValueError("temperature must be above zero for hybrid Monte Carlo, got 0 K")
+        if self.friction is not None:
+            make_number(self, "friction", "frictionCoeff", "1/ps", least=0)
+            if not self.friction:
+                raise ValueError("frictionCoeff must be above zero, got 0: momenta would never be drawn")
+        make_number(self, "steps_per_trial", "stepsPerTrial", least=1)
 
     @property
     def steps(self) -> int:
@@ -71,6 +68,16 @@ class Metropolis(Ensemble):
         """OpenMM alone would accept every trial."""
         return True
 
+    def suited(self, scheme: Scheme) -> Scheme:
+        if BATH in scheme.operators:
+            raise ValueError(f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone")
+        if not scheme.is_palindrome:
+            raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")
+        return scheme
+
+    def flow(self, flow: Flow, seed: int) -> Flow:
+        return replace(flow, updates_context=False)
+
     def check(self, system: openmm.System, engine: Engine) -> None:
         for force in system.getForces():
             if isinstance(force, (*checks.BAROSTATS, openmm.AndersenThermostat)):
@@ -79,15 +86,12 @@ class Metropolis(Ensemble):
                     f"A {type(force).__name__} acts within trajectories, which hybrid Monte Carlo does not allow: "
                     f"{remedy}"
                 )
-        if self.volume_move is not None:
-            engine.prepare_for_volume_moves()
+        super().check(system, engine)
 
-    def advance(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
+    def advance_at_volume(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
         for _ in range(steps):
-            sample, move = engine.remember(), self.volume_move
+            sample = engine.remember()
             try:
-                if move is not None and (engine.clock.steps + 1) % move.interval == 0:
-                    move_volume(engine, move, self.temperature, int(record[SEED]))
                 self._trial(engine, flow, record)
             except BaseException:
                 engine.go_back(sample)

@@ -1,56 +1,69 @@
-"""What integrators of constant temperature have in common: temperature, pressure, heat, and the seed of their noise."""
+"""Integrators of constant temperature: one for any ensemble, with temperature, pressure, heat and the noise's seed."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
 from openmm import unit
 
-from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
-from openmm_sier.dynamics.constants import BAR
+from openmm_sier.dynamics.schemes import SIER4G, Scheme
+from openmm_sier.ensembles.ensemble import ConstantTemperature
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.system.arguments import quantity_to_float, whole_number
 
 
-class ConstantTemperatureIntegrator(SIERIntegrator):
+class SIERThermostatIntegrator(SIERIntegrator):
     """A `SIERIntegrator` whose ensemble has a temperature and, if a pressure is given, moves of the volume.
 
     Its noise is a function of the seed and of the number of draws so far, which both travel in checkpoints.
     """
 
+    def __init__(
+        self, thermostat: ConstantTemperature, stepSize: Any, scheme: Scheme | str = SIER4G, **options: Any
+    ) -> None:
+        """
+        Args:
+            thermostat: what keeps the temperature and, with its `pressure`, the pressure, see `openmm_sier.ensembles`.
+                One move of the volume scales all edges of the box by the same factor, and changes ln V by up to
+                0.5/sqrt(number of molecules).
+            stepSize: step, a time quantity or a number in ps.
+            scheme: splitting scheme or its name.
+            options: bodies, rotation, engine, substeps, fastForceGroups; see `SIERIntegrator`, also for errors.
+
+        Raises:
+            ValueError: the thermostat cannot be sampled by the scheme.
+            TypeError: it keeps no temperature.
+        """
+        if not isinstance(thermostat, ConstantTemperature):
+            raise TypeError(f"thermostat must be an ensemble of constant temperature, got {thermostat!r}")
+        super().__init__(stepSize, scheme, ensemble=thermostat, **options)
+
     def _change_ensemble(self, **changes: Any) -> None:
-        self._change(ensemble=replace(self._ensemble, **changes))
+        self.binding.change(ensemble=replace(self.binding.ensemble, **changes))
 
     def getTemperature(self) -> unit.Quantity:
         """Temperature of the bath, a quantity in K."""
-        return self._ensemble.temperature * unit.kelvin
+        return self.binding.ensemble.temperature * unit.kelvin
 
     def setTemperature(self, temp: Any) -> None:
         """Set the temperature of the bath, a quantity or a number in K."""
-        self._change_ensemble(temperature=in_kelvin(temp))
-
-    def getFriction(self) -> unit.Quantity:
-        """Friction of the translation, a quantity in 1/ps; infinite where momenta are drawn anew."""
-        friction = self._ensemble.friction
-        return (math.inf if friction is None else friction) / unit.picosecond
+        self._change_ensemble(temperature=temp)
 
     def getPressure(self) -> unit.Quantity | None:
         """Pressure that is kept, a quantity in bar; None if the volume is kept."""
-        move = self._ensemble.volume_move
-        return None if move is None else move.pressure / BAR * unit.bar
+        pressure = self.binding.ensemble.pressure
+        return None if pressure is None else pressure * unit.bar
 
     def setPressure(self, pressure: Any) -> None:
         """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
-        if (move := self._ensemble.volume_move) is None:
+        if self.binding.ensemble.pressure is None:
             raise ValueError("this integrator keeps the volume: create it with a pressure")
-        self._change_ensemble(volume_move=replace(move, pressure=_pressure(pressure)))
+        self._change_ensemble(pressure=quantity_to_float("pressure", pressure, unit.bar, "bar"))
 
     def getBarostatInterval(self) -> int | None:
         """The `barostatInterval` that the integrator was made with; None if the volume is kept."""
-        move = self._ensemble.volume_move
-        return None if move is None else move.interval
+        return None if self.binding.ensemble.pressure is None else self.binding.ensemble.interval
 
     def setRandomNumberSeed(self, seed: int) -> None:
         """Set the seed of the noise for the next Context; as in OpenMM, 0 means a new one for every Context."""
@@ -61,25 +74,4 @@ class ConstantTemperatureIntegrator(SIERIntegrator):
 
         The total energy less this heat is conserved. The work P dV is not included in the heat.
         """
-        return self._bound().heat() * unit.kilojoule_per_mole
-
-
-def volume_move(pressure: Any, interval: Any) -> MonteCarloVolumeMove | None:
-    """The volume move for the arguments `pressure` and `barostatInterval`; None keeps the volume."""
-    given = 0.0 if pressure is None else _pressure(pressure)
-    move = MonteCarloVolumeMove(given, whole_number("barostatInterval", interval))
-    return None if pressure is None else move
-
-
-def _pressure(value: Any) -> float:
-    return BAR * quantity_to_float("pressure", value, unit.bar, "bar")
-
-
-def in_kelvin(temperature: Any) -> float:
-    """A temperature in K, from a quantity or a number."""
-    return quantity_to_float("temperature", temperature, unit.kelvin, "K")
-
-
-def per_picosecond(name: str, friction: Any) -> float:
-    """A friction in 1/ps, from a quantity or a number."""
-    return quantity_to_float(name, friction, unit.picosecond**-1, "1/ps")
+        return self.binding.engine.heat() * unit.kilojoule_per_mole

@@ -10,18 +10,13 @@ from openmm import unit
 
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import BATH, SIER4G, Scheme
+from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
-from openmm_sier.integrators.constant_temperature import (
-    ConstantTemperatureIntegrator,
-    in_kelvin,
-    per_picosecond,
-    volume_move,
-)
-from openmm_sier.system.arguments import Bodies, checked_scheme, step_size, whole_number
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
+from openmm_sier.system.arguments import Bodies, step_size
 
 
-class SIERHMCIntegrator(ConstantTemperatureIntegrator):
+class SIERHMCIntegrator(SIERThermostatIntegrator):
     """Hybrid Monte Carlo: samples of the canonical ensemble without time-step error.
 
     `integrator.step(1)` makes a trial: a trajectory of `stepsPerTrial` steps of the scheme, from momenta that are drawn
@@ -79,43 +74,39 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
             TypeError: a quantity has the wrong dimension.
         """
-        scheme = checked_scheme(scheme)
-        if BATH in scheme.operators:
-            raise ValueError(f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone")
-        if not scheme.is_palindrome:
-            raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")
-        ensemble = Metropolis(
-            in_kelvin(temperature),
-            _friction(frictionCoeff),
-            whole_number("stepsPerTrial", stepsPerTrial),
-            volume_move(pressure, barostatInterval),
-        )
-        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
+        trials = Metropolis(temperature, frictionCoeff, stepsPerTrial, pressure=pressure, interval=barostatInterval)
+        options = {"rotation": rotation, "engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
+        super().__init__(trials, stepSize, scheme, bodies=bodies, **options)
 
     # --- what users ask ---
 
     def getStepsPerTrial(self) -> int:
         """Steps of the scheme in each trial."""
-        return self._ensemble.steps_per_trial
+        return self.binding.ensemble.steps_per_trial
 
     def setStepsPerTrial(self, steps: int) -> None:
         """Set the steps of each trial; the step of the scheme stays."""
-        before = self._ensemble.steps_per_trial
-        self._change_ensemble(steps_per_trial=whole_number("stepsPerTrial", steps))
-        if self._ensemble.steps_per_trial > before:
+        before = self.binding.ensemble.steps_per_trial
+        self._change_ensemble(steps_per_trial=steps)
+        if self.binding.ensemble.steps_per_trial > before:
             self.setGlobalVariableByName(CHECKED_STEP, 0)
 
     def getSchemeStepSize(self) -> unit.Quantity:
         """The step of the scheme, a quantity in ps."""
-        return self._settings.step * unit.picosecond
+        return self.binding.settings.step * unit.picosecond
 
     def setSchemeStepSize(self, size: Any) -> None:
         """Set the step of the scheme, a time quantity or a number in ps; the number of steps in a trial stays."""
-        self._change(step=step_size(size))
+        self.binding.change(step=step_size(size))
+
+    def getFriction(self) -> unit.Quantity:
+        """Friction by which momenta are drawn in part, a quantity in 1/ps; infinite where they are drawn anew."""
+        friction = self.binding.ensemble.friction
+        return (math.inf if friction is None else friction) / unit.picosecond
 
     def setFriction(self, coeff: Any) -> None:
         """Set the friction, a quantity or a number in 1/ps; None draws all momenta anew."""
-        self._change_ensemble(friction=_friction(coeff))
+        self._change_ensemble(friction=coeff)
 
     @property
     def trials(self) -> int:
@@ -156,7 +147,3 @@ class SIERHMCIntegrator(ConstantTemperatureIntegrator):
         """Count trials from zero again."""
         for name in (TRIALS, ACCEPTED):
             self.setGlobalVariableByName(name, 0)
-
-
-def _friction(value: Any) -> float | None:
-    return None if value is None else per_picosecond("frictionCoeff", value)

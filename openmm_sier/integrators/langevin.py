@@ -11,21 +11,17 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.langevin import Langevin
-from openmm_sier.integrators.constant_temperature import (
-    ConstantTemperatureIntegrator,
-    in_kelvin,
-    per_picosecond,
-    volume_move,
-)
-from openmm_sier.system.arguments import Bodies, checked_scheme
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
+from openmm_sier.system.arguments import Bodies
 
 
-class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
+class SIERLangevinIntegrator(SIERThermostatIntegrator):
     """Rigid-body Langevin dynamics at constant temperature.
 
-    An exact heat bath is placed in the scheme so that averages keep its order: in the middle of SIER2 (kick, half
-    drift, bath, half drift, kick), and half at either end of fourth-order schemes (`Scheme.with_bath`). With zero
-    friction the trajectory is, bit for bit, that of the scheme without a bath.
+    An exact heat bath is placed in the scheme so that averages keep its order (`Scheme.with_bath`): SIER2 becomes kick,
+    half drift, bath, half drift, as OpenMM's LangevinMiddleIntegrator has it, other schemes have half of it at either
+    end. So velocities at the end of a step have the temperature of the bath. With zero friction the trajectory of the
+    exact engine is, bit for bit, that of the scheme without a bath.
 
     With the exact engine the noise is a function of the seed and of the number of bath operations done so far. Both
     travel in checkpoints, so that a restarted run continues the same trajectory. A State brings only the number, and
@@ -69,23 +65,22 @@ class SIERLangevinIntegrator(ConstantTemperatureIntegrator):
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
-        scheme = checked_scheme(scheme).with_bath()
-        ensemble = Langevin(
-            in_kelvin(temperature),
-            per_picosecond("frictionCoeff", frictionCoeff),
-            None if rotationalFriction is None else per_picosecond("rotationalFriction", rotationalFriction),
-            volume_move(pressure, barostatInterval),
-        )
-        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble)
+        bath = Langevin(temperature, frictionCoeff, rotationalFriction, pressure=pressure, interval=barostatInterval)
+        options = {"rotation": rotation, "engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
+        super().__init__(bath, stepSize, scheme, bodies=bodies, **options)
+
+    def getFriction(self) -> unit.Quantity:
+        """Friction of the translation, a quantity in 1/ps."""
+        return self.binding.ensemble.friction / unit.picosecond
 
     def setFriction(self, coeff: Any) -> None:
         """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
-        self._change_ensemble(friction=per_picosecond("coeff", coeff))
+        self._change_ensemble(friction=coeff)
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Friction of the rotation, a quantity in 1/ps."""
-        return self._ensemble.turning / unit.picosecond
+        return self.binding.ensemble.turning / unit.picosecond
 
     def setRotationalFriction(self, coeff: Any) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""
-        self._change_ensemble(rotational_friction=per_picosecond("coeff", coeff))
+        self._change_ensemble(rotational_friction=coeff)

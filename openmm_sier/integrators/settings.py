@@ -13,19 +13,15 @@ somebody has imported.
 
 from __future__ import annotations
 
-import copy
-import inspect
 import json
-import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from types import UnionType
 from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.bodies import RigidBodies as DynamicsBodies
@@ -33,20 +29,17 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.choice import ENGINES
+from openmm_sier.engines.protocol import Flow
+from openmm_sier.ensembles import ENSEMBLES
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
-from openmm_sier.ensembles.langevin import Langevin
-from openmm_sier.ensembles.metropolis import Metropolis
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, step_size
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: The version of what is stored, and the name of the function that stores it.
-LAYOUT, NAME = 3, "sier settings"
+LAYOUT, NAME = 4, "sier settings"
 
 #: Bytes of text in each value: a double holds whole numbers of six bytes exactly.
 WIDTH = 6
-
-#: Ensembles by the names of their classes.
-ENSEMBLES: dict[str, type[Ensemble]] = {cls.__name__: cls for cls in (ConstantEnergy, Langevin, Metropolis)}
 
 #: Free-rotation maps by name: those of this package, and any with which an integrator was made in this process.
 ROTATIONS: dict[str, Rotation] = {name: getattr(rotation, name) for name in ("exact", "mrdl", "sej4", "rattle")}
@@ -90,6 +83,11 @@ class Settings:
             raise ValueError(f"substeps must be at least 1, got {self.substeps}")
         group_mask("fast_groups", self.fast_groups)
         checked_bodies(self.bodies)
+
+    def flow(self, seed: int = 0) -> Flow:
+        """What an engine is to follow, with the noise of a seed."""
+        plain = Flow(self.scheme, self.step, self.rotation, self.substeps, self.fast_groups)
+        return self.ensemble.flow(plain, seed)
 
 
 # --- in OpenMM's integrator ---
@@ -184,7 +182,8 @@ def _decoded(kind: Any, value: Any, name: str) -> Any:
         return float(number) if abs(number) <= sys.float_info.max else _refuse(name, "a finite number", value)
     if kind in (str, int, bool):
         return _demand(name, value, kind)
-    types = {field: hint for field, hint in get_type_hints(kind).items() if field in kind.__match_args__}
+    names = [each.name for each in fields(kind)] if is_dataclass(kind) else kind.__match_args__
+    types = {field: hint for field, hint in get_type_hints(kind).items() if field in names}
     given = _demand(name, value, dict if is_dataclass(kind) else list)
     if isinstance(given, list):
         given = dict(zip(types, given, strict=False)) if len(given) == len(types) else {}
@@ -283,41 +282,3 @@ def class_at(place: str, base: type) -> type:
             f"The class {place} of a stored SIER integrator is not known here: import its module first, if you trust it"
         )
     return found
-
-
-# --- integrators from what is stored ---
-
-
-def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
-    """Turn a plain CustomIntegrator read from XML back into the SIER integrator it was; return others unchanged.
-
-    Its class must be a subclass of a base, that of all SIER integrators.
-
-    Raises:
-        SettingsError: what is stored cannot be used here, as the message says.
-    """
-    if type(integrator) is openmm.CustomIntegrator and is_stored(integrator):
-        found = stored(integrator)
-        _give_class(integrator, class_at(found.kind, base), found)
-    return integrator
-
-
-def unpickled(xml: str, cls: type, attributes: dict[str, Any]) -> Any:
-    """An integrator from its XML, with the attributes that XML does not hold in full."""
-    plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml)
-    _give_class(plain, cls, attributes["_settings"])
-    for name in attributes.keys() - vars(plain).keys():
-        setattr(plain, name, copy.deepcopy(attributes[name]))
-    return plain
-
-
-def _give_class(plain: Any, cls: type, found: Settings) -> None:
-    variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
-    if missing := set(found.ensemble.record) - variables:
-        raise SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
-    plain.__class__ = cls
-    plain._use(found)
-    step = openmm.CustomIntegrator.getStepSize(plain).value_in_unit(unit.picosecond) * plain._native_steps
-    if not math.isclose(step, found.step, rel_tol=1e-12):
-        # The step was set where this package was not imported.
-        plain._settings = replace(found, step=step)

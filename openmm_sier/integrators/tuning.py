@@ -255,6 +255,6 @@ def _try_length(integrator: SIERHMCIntegrator, step: float, steps: int, samples:
     before, errors, energies = integrator.forceEvaluations, [], []
     for _ in range(samples):
         errors.append(_trial(integrator))
-        energies.append(integrator._bound().potential_energy())
+        energies.append(integrator.binding.engine.potential_energy())
     forces = (integrator.forceEvaluations - before) / samples
     return LengthFound(steps, _chances(errors), forces, inefficiency_and_error(np.array(energies)))

@@ -41,7 +41,7 @@ class ForceClock:
             return measured
 
         integrator = context.getIntegrator()
-        callers = integrator._bound().callers if isinstance(integrator, SIERIntegrator) else ()
+        callers = integrator.binding.engine.callers if isinstance(integrator, SIERIntegrator) else ()
         for number, caller in enumerate(callers):
             caller.get_state = timed(caller.get_state, number == 0)
             caller.set_positions = timed(caller.set_positions, False)

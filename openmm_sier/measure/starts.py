@@ -16,7 +16,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
-from openmm_sier.integrators.constant_temperature import ConstantTemperatureIntegrator
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.measure.report import SILENT, Advance, Report
 from openmm_sier.system import tables
@@ -115,7 +115,7 @@ def prepare(
     found = equilibrate(context, temperature, seed, time, report)
     context.setState(found.state)
     stop_centre_of_mass(context)
-    if found.settled and not isinstance(context.getIntegrator(), ConstantTemperatureIntegrator):
+    if found.settled and not isinstance(context.getIntegrator(), SIERThermostatIntegrator):
         _set_energy(context, temperature, found.means.potential)
     context.setTime(0)
     context.setStepCount(0)
@@ -210,7 +210,7 @@ def equilibrate(
 def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
     """A copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
-    pressure = integrator.getPressure() if isinstance(integrator, ConstantTemperatureIntegrator) else None
+    pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
     langevin = SIERLangevinIntegrator(
         temperature,
         FRICTION,

@@ -64,7 +64,8 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     """Values of `columns` at the last completed step.
 
     The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a
-    thermostat and volume moves of this package gave. Thermostats and barostats of OpenMM do not count their heat:
+    thermostat and volume moves of this package gave, with velocities of whole steps
+    (`SIERIntegrator.getWholeStepState`). Thermostats and barostats of OpenMM do not count their heat:
     with OpenMM's integrators the conserved energy is then NaN, with integrators of this package it lacks that heat.
     Temperatures follow the rule of `openmm_sier.engines.temperature`. Angular momentum is about the origin, with
     positions as they are in the Context; periodic boundaries do not conserve it. Volume and density are NaN for a
@@ -82,6 +83,9 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     bodies, motion = integrator.bodies, integrator.getBodyState()
     potential = observed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     kinetic = sum(bodies.kinetic_energies(motion))
+    conserved = kinetic
+    if isinstance(integrator, SIERIntegrator):
+        conserved = sum(bodies.kinetic_energies(integrator.getWholeStepState()))
     momentum, angular_momentum = bodies.total_momenta(motion)
     periodic = context.getSystem().usesPeriodicBoundaryConditions()
     volume = observed.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3) if periodic else math.nan
@@ -90,7 +94,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         potential,
         kinetic,
         potential + kinetic,
-        potential + kinetic - motion.heat,
+        potential + conserved - motion.heat,
         *temperatures(bodies, motion, integrator.conservesMomentum),
         *momentum,
         *angular_momentum,

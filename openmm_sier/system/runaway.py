@@ -1,10 +1,12 @@
-"""Temperatures that only a broken run reaches, and a watch for them at the end of calls of `step`."""
+"""Temperatures that only a broken run reaches, and a watch for them at the end of calls of `step`.
+
+Energy that an integrator creates ends as heat, so temperatures show every runaway, with all heat baths alike.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import openmm
@@ -30,8 +32,7 @@ FIRST_LOOK = 5
 #: Fewer atoms with mass are not judged: a few ions that fall towards each other become as hot by Coulomb's law.
 FEWEST_ATOMS = 60
 
-#: The heat must also have grown by this factor since velocities or positions were last set from outside, so that a
-#: user's own hot start is no runaway.
+#: The heat must also have grown by this factor, so that a user's own hot start is no runaway.
 GROWTH = 2.0
 
 
@@ -39,16 +40,14 @@ def hottest(temperature: float, freedoms: float) -> float:
     """A temperature in K that so many degrees of freedom do not exceed unless a run has broken down.
 
     It is `HOTTEST`, or more where a few of them may be so hot by chance: Laurent and Massart, Ann. Statist. 28, 1302
-    (2000), Lemma 1, for the chi-squared distribution.
+    (2000), Lemma 1, for the chi-squared distribution. It is also `GROWTH` times what the user asked for.
 
     Args:
-        temperature: of the equilibrium, K.
-        freedoms: number of degrees of freedom; 0 where there are none.
+        temperature: of the equilibrium or of the start, K.
+        freedoms: number of degrees of freedom.
     """
-    if freedoms < 1:
-        return HOTTEST
-    excess = UNLIKELY / freedoms
-    return max(HOTTEST, temperature * (1 + 2 * math.sqrt(excess) + 2 * excess))
+    excess = UNLIKELY / max(1, freedoms)
+    return max(HOTTEST, temperature * max(GROWTH, 1 + 2 * math.sqrt(excess) + 2 * excess))
 
 
 class RunawayError(openmm.OpenMMException):
@@ -65,7 +64,7 @@ class RunawayWatch:
     def __init__(self, system: openmm.System):
         self._masses = tables.masses(system)
         self._atoms = int(np.count_nonzero(self._masses))
-        self._held = len(tables.constraints(system).pairs)
+        self._freedoms = max(1, 3 * self._atoms - len(tables.constraints(system).pairs))
         self.forget()
 
     def forget(self) -> None:
@@ -73,8 +72,17 @@ class RunawayWatch:
         self._start: float | None = None
         self._steps, self._pause = 0, FIRST_LOOK
 
-    def over(self, make: Callable[[int], None], steps: int, integrator: Any, context: openmm.Context) -> None:
-        """Make steps by a function of their number, and look; an integrator with a bath knows its temperature.
+    def over(
+        self, make: Callable[[int], None], steps: int, context: openmm.Context, step: float, bath: float = 0.0
+    ) -> None:
+        """Make steps by a function of their number, and look.
+
+        Args:
+            make: makes them.
+            steps: their number.
+            context: openmm.Context.
+            step: the length of each, ps.
+            bath: temperature of the heat bath, K; 0 without one.
 
         Raises:
             RunawayError: the System is too hot.
@@ -88,12 +96,10 @@ class RunawayWatch:
         self._start, self._steps, self._pause = start, taken, pause
         if taken < min(pause, INTERVAL):
             return None
-        bath = integrator.getTemperature().value_in_unit(unit.kelvin) if hasattr(integrator, "getTemperature") else 0.0
         # What a hot bath has heated may be cooled later.
         self._start = max(start, bath)
         self._steps, self._pause, now = 0, 2 * pause, self._temperature(context)
-        if not now <= max(HOTTEST, GROWTH * self._start):
-            step = integrator.getStepSize().value_in_unit(unit.picosecond)
+        if not now <= hottest(self._start, self._freedoms):
             raise RunawayError(
                 f"Steps of {1000 * step:.3g} fs have raised the temperature to {now:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
@@ -106,4 +112,4 @@ class RunawayWatch:
         state = context.getState(velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
-        return float(2 * energy / (max(1, 3 * self._atoms - self._held) * GAS_CONSTANT))
+        return float(2 * energy / (self._freedoms * GAS_CONSTANT))

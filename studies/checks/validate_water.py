@@ -1,12 +1,11 @@
-"""Runs of water that physical_validation should pass, by SIER4G and hybrid Monte Carlo, and should fail, by SIER2.
+"""Runs of water by SIER4G and hybrid Monte Carlo that physical_validation should pass.
 
     python -m studies.checks.validate_water --out DIR --time 150
 
 64 molecules of TIP3P in a periodic box: SIER4G at 6 fs at constant temperature (297 and 325 K), at constant pressure
-(1 and 1300 bar at 297 K, from four seeds each, and 1 bar at 325 K) and by hybrid Monte Carlo (297 and 325 K), and
-SIER2 at 4 fs at constant temperature (297 and 325 K). Temperatures and pressures are as far apart as
-`physical_validation.ensemble.estimate_interval` suggests. A friction of 10/ps makes samples 0.06 ps apart nearly
-independent. What is complete is not done again. Needs the extra `validation`.
+(1 and 1300 bar at 297 K, from four seeds each, and 1 bar at 325 K) and by hybrid Monte Carlo (297 and 325 K).
+Temperatures and pressures are as far apart as `physical_validation.ensemble.estimate_interval` suggests. A friction of
+10/ps makes samples 0.06 ps apart nearly independent. What is complete is not done again. Needs the extra `validation`.
 """
 
 from __future__ import annotations
@@ -39,13 +38,6 @@ report_every = 0.06
 checkpoint_every = 2
 
 [[members]]
-scheme = ["sier2"]
-dt = [4]
-ensemble = ["nvt"]
-friction = [10]
-temperature = [297, 325]
-
-[[members]]
 scheme = ["sier4g"]
 ensemble = ["nvt"]
 friction = [10]
@@ -73,8 +65,6 @@ temperature = [297, 325]
 
 #: Temperature in K and pressure in bar by the runs at this state point. `COMPARED` are pairs of them.
 POINTS = {
-    "sier2-dt4-nvt-friction10-temperature297": (297.0, None),
-    "sier2-dt4-nvt-friction10-temperature325": (325.0, None),
     "sier4g-nvt-friction10-temperature297": (297.0, None),
     "sier4g-nvt-friction10-temperature325": (325.0, None),
     "sier4g-npt-friction10-pressure1-seed*": (297.0, 1.0),
@@ -84,7 +74,7 @@ POINTS = {
     "sier4g-hmc-temperature325": (325.0, None),
 }
 
-COMPARED = ((2, 3), (4, 5), (4, 6), (7, 8))
+COMPARED = ((0, 1), (2, 3), (2, 4), (5, 6))
 
 COLUMNS = {"runs": "{runs}", "check": "{check}", "standard errors": "{distance:.1f}"}
 
@@ -125,7 +115,7 @@ def study(settings: ValidationSettings, report: Report = SILENT) -> None:
     """Run and test.
 
     Raises:
-        ValueError: runs failed, or a verdict is not the expected one.
+        ValueError: runs failed, or a check.
     """
     if not (settings.out / "box.pdb").exists():
         write_lattice(settings.out / "box.pdb", MOLECULES)
@@ -135,10 +125,8 @@ def study(settings: ValidationSettings, report: Report = SILENT) -> None:
         raise ValueError("some runs failed")
     found = verdicts(plan.with_suffix(""))
     report.table(table("Distances from statistical mechanics", found, COLUMNS, left=2))
-    failed = found[~(found["distance"] <= LIMIT)]
-    cold = failed["runs"].str.startswith("sier2") & failed["check"].str.startswith("rotation: mean")
-    if len(failed) != 2 or not cold.all():
-        raise ValueError("the mean rotation of SIER2 at both temperatures should fail, and nothing else")
+    if failed := int((~(found["distance"] <= LIMIT)).sum()):
+        raise ValueError(f"{failed} of {len(found)} checks failed")
 
 
 main = command(ValidationSettings, study, __doc__, __name__)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.dynamics.constants import BAR
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from openmm_sier.measure.statistics import mean_and_error
@@ -81,9 +81,8 @@ def dipoles(trials: int, field: float, h: float) -> list[dict[str, Any]]:
     model, n = Dipoles(12), 12
     model.FIELD = field
     molecules = [list(range(3 * i, 3 * i + 3)) for i in range(n)]
-    move = MonteCarloVolumeMove(KT, 1)
     # Drifts are so long that the exact map takes eight times as long; MRDL is also reversible and keeps the volume.
-    chain = Chain(model, SIER4G, h, (1,), rotation=mrdl, seed=round(field), volume_move=move, molecules=molecules)
+    chain = Chain(model, SIER4G, h, (1,), rotation=mrdl, seed=round(field), pressure=KT / BAR, molecules=molecules)
     cosines, squares, volumes = [], [], []
     mean = 1 / math.tanh(field) - 1 / field
     for sample in chain.samples(trials):

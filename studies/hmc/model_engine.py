@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.barostat import MoleculeCentres, MonteCarloVolumeMove
+from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
 from openmm_sier.engines.variables import SEED
 from openmm_sier.ensembles.metropolis import ACCEPTED, ERROR, TRIALS, Metropolis
@@ -134,7 +134,7 @@ class ModelEngine:
     def positions(self) -> np.ndarray:
         return self.bodies.place(self.reached.q, self.reached.A, np.zeros((self.bodies.n_particles, 3)))
 
-    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+    def draw_momenta(self, bath: Thermostat, time: float) -> None:
         self.reached = bath.operator(self.bodies)(self.reached, time)
 
     def remember(self) -> tuple:
@@ -193,7 +193,7 @@ class Chain:
     at_rest: bool = False
     rotation: operators.Rotation = exact
     seed: int = 17
-    volume_move: MonteCarloVolumeMove | None = None
+    pressure: float | None = None
     molecules: list | None = None
     record: dict = field(init=False)
     engine: ModelEngine = field(init=False)
@@ -208,7 +208,7 @@ class Chain:
         return Flow(self.scheme, self.h, self.rotation, updates_context=False)
 
     def ensemble(self, steps: int) -> Metropolis:
-        return Metropolis(TEMPERATURE, self.friction, steps, self.volume_move)
+        return Metropolis(TEMPERATURE, self.friction, steps, pressure=self.pressure, interval=1)
 
     def samples(self, trials: int) -> Iterator[Sample]:
         """The samples after each of so many trials."""

@@ -115,7 +115,7 @@ def test_time_of_forces_and_energies_is_that_of_openmm(box):
     context.getIntegrator().step(1)
     # By a clock that goes on by one whenever it is read: once to set positions, once for the forces.
     assert (watch.seconds, watch.calls) == (2, 1)
-    context.getIntegrator()._engine.potential_energy()
+    context.getIntegrator().binding.engine.potential_energy()
     assert (watch.seconds, watch.calls) == (3, 1)
 
 

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, RigidityError, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.schemes import BATH, DRIFT, KICK
+from openmm_sier.dynamics.schemes import BATH, KICK
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.faults import Fault, lines_run
 from tests.support.waters import phase_point, platform
@@ -109,7 +109,7 @@ class Replay:
         self.bodies = RigidBodies.from_system(world.system, rigid=world.named, positions=world.positions)
         self._context = openmm.Context(world.system, openmm.VerletIntegrator(1.0), platform())
         self._forces = operators.CachedForces(self._compute)
-        self._operators = {KICK: operators.kick(self._forces), DRIFT: operators.drift(self.bodies)}
+        self._operators = {KICK: operators.kick(self._forces), **operators.drifts(operators.drift(self.bodies))}
         self._operators[BATH] = OrnsteinUhlenbeck(TEMPERATURE, FRICTION, FRICTION, SEED).operator(self.bodies)
         self.steps, self.time = 0, 0.0
         self.state = BodyState(*4 * [np.zeros(0)])

@@ -117,13 +117,19 @@ def test_barostat_and_motion_remover_count_whole_steps():
     assert low == [1, 5, 9]
 
 
+def whole_step_energy(context):
+    """The energy that SIER2 with a bath conserves, less heat; at the end of steps velocities lag half a kick behind."""
+    integrator = context.getIntegrator()
+    return energies(context)[0] + sum(integrator.bodies.kinetic_energies(integrator.getWholeStepState()))
+
+
 def test_langevin_brings_the_temperature_and_counts_its_heat():
     topology, positions, system = cluster_system(8)
     point = relaxed(topology, positions, system)
     integrator = SIERLangevinIntegrator(400, 50, 0.002, SIER2, engine="native")
     integrator.setRandomNumberSeed(11)
     context = context_at(system, integrator, point)
-    start, warmest = sum(energies(context)), []
+    start, warmest = whole_step_energy(context), []
     for _ in range(300):
         integrator.step(5)
         warmest.append(integrator.computeSystemTemperature()._value)
@@ -132,7 +138,7 @@ def test_langevin_brings_the_temperature_and_counts_its_heat():
     assert np.mean(warmest[60:]) == pytest.approx(400, abs=32)
     heat = integrator.getHeat()._value
     # The heat is the change of the energy but for SIER2's error, a hundredth of the fluctuation of V at 2 fs.
-    assert sum(energies(context)) - start == pytest.approx(heat, abs=2.0)
+    assert whole_step_energy(context) - start == pytest.approx(heat, abs=2.0)
     assert abs(heat) > 20
     assert integrator.getBodyState().heat == pytest.approx(heat, rel=1e-12)
 

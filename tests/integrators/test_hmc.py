@@ -332,7 +332,7 @@ def test_only_trajectories_of_schemes_that_are_no_palindromes_miss_their_start(c
         # Kept: an integrator's Context must live as long as it is asked.
         context = context_at(system, integrator, point)
         integrator.step(0)
-        found[scheme.name] = metropolis.reversal_error(integrator._bound(), 10)
+        found[scheme.name] = metropolis.reversal_error(integrator.binding.engine, 10)
         integrator.step(1)
         assert context.getStepCount() == 1
     # Rounding of 1e-16 nm in twenty steps, which water hardly magnifies in 0.04 ps.

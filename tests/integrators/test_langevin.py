@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIER4, SIER4G, SIERIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier import (
+    SIER2,
+    SIER4,
+    SIER4G,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+    SIERThermostatIntegrator,
+    prepare_system,
+)
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck, Thermostat
+from openmm_sier.ensembles import Langevin
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 TEMPERATURE = 297.0
@@ -76,6 +88,39 @@ def test_settings_are_those_of_openmm():
 def test_impossible_settings(arguments, name):
     with pytest.raises((ValueError, TypeError), match=name):
         SIERLangevinIntegrator(*arguments)
+
+
+def test_an_integrator_that_is_given_the_ensemble_has_a_bath(cluster):
+    system, point = cluster
+    given = SIERIntegrator(0.002, SIER2, ensemble=Langevin(TEMPERATURE, 1.0))
+    given.setRandomNumberSeed(11)
+    ends = []
+    for integrator in (thermostat(), given):
+        context = context_at(system, integrator, point)
+        integrator.step(5)
+        ends.append(phase_point(context))
+    assert np.array_equal(ends[0], ends[1])
+
+
+class OnlyForBodies(OrnsteinUhlenbeck):
+    velocity = Thermostat.velocity
+
+
+class WithoutExpression(Langevin):
+    def flow(self, flow, seed):
+        return replace(
+            super().flow(flow, seed), bath=OnlyForBodies(self.temperature, self.friction, self.turning, seed)
+        )
+
+
+def test_a_bath_without_an_expression_of_velocities_is_for_the_exact_engine(cluster):
+    system, point = cluster
+    with pytest.raises(openmm.OpenMMException, match=r"the heat bath OnlyForBodies cannot be written out.*'exact'"):
+        context_at(system, SIERThermostatIntegrator(WithoutExpression(300, 1), 0.002, engine="native"), point)
+    integrator = SIERThermostatIntegrator(WithoutExpression(300, 1), 0.002)
+    _context = context_at(system, integrator, point)
+    integrator.step(1)
+    assert integrator.getHeat() != 0 * unit.kilojoule_per_mole
 
 
 @pytest.mark.slow

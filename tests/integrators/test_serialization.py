@@ -27,9 +27,11 @@ from openmm_sier import (
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
+    SIERThermostatIntegrator,
     hooks,
 )
 from openmm_sier.dynamics import rotation
+from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.integrators import settings
 from tests.support.waters import array, cluster_system, context_at, platform, relaxed
 
@@ -87,6 +89,8 @@ DISTINCT = {
     "hybrid Monte Carlo": lambda: SIERHMCIntegrator(300, 0.002),
     "length of trials": lambda: SIERHMCIntegrator(300, 0.002, stepsPerTrial=5),
     "momenta kept in part": lambda: SIERHMCIntegrator(300, 0.002, frictionCoeff=1),
+    "velocity rescaling": lambda: SIERThermostatIntegrator(VelocityRescaling(300, 1), 0.002),
+    "another rate": lambda: SIERThermostatIntegrator(VelocityRescaling(300, 2), 0.002),
     "trials at constant pressure": lambda: SIERHMCIntegrator(300, 0.002, pressure=1 * unit.bar, barostatInterval=5),
 }
 
@@ -98,7 +102,11 @@ def described(integrator) -> list:
     parts.append(integrator.getRandomNumberSeed())
     if isinstance(integrator, SIERLangevinIntegrator):
         parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
-        parts += [integrator.getPressure(), integrator.getBarostatInterval(), integrator._ensemble.rotational_friction]
+        parts += [
+            integrator.getPressure(),
+            integrator.getBarostatInterval(),
+            integrator.binding.ensemble.rotational_friction,
+        ]
     if isinstance(integrator, SIERHMCIntegrator):
         parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getStepsPerTrial()]
         parts += [integrator.getPressure(), integrator.getBarostatInterval()]
@@ -158,13 +166,13 @@ def integrator_has_pressure(integrator) -> bool:
 
 def test_settled_bodies_come_back_to_the_bit(cluster):
     bodies = RigidBodies.from_system(cluster[1], cluster[0])
-    back = deserialize(serialize(SIER2Integrator(0.001, bodies)))._settings.bodies
+    back = deserialize(serialize(SIER2Integrator(0.001, bodies))).binding.settings.bodies
     assert back.n_particles == bodies.n_particles
     for one, two in zip(back.species, bodies.species, strict=True):
         for name in ("atoms", "masses", "sites", "moments"):
             assert np.array_equal(getattr(one, name), getattr(two, name))
     # Copies in one process also know the names of residues, for messages.
-    assert copy.deepcopy(SIER2Integrator(0.001, bodies))._settings.bodies is bodies
+    assert copy.deepcopy(SIER2Integrator(0.001, bodies)).binding.settings.bodies is bodies
 
 
 def test_a_run_from_xml_files_is_the_run(tmp_path, cluster):
@@ -288,11 +296,12 @@ def test_xml_of_another_version(monkeypatch):
     monkeypatch.setattr(settings, "LAYOUT", 7)
     xml = serialize(SIER2Integrator(0.001))
     monkeypatch.undo()
-    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 3 is read"):
+    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 4 is read"):
         deserialize(xml)
 
 
-LANGEVIN = {"name": "Langevin", "temperature": 1.0, "friction": 1.0, "rotational_friction": None, "volume_move": None}
+PRESSURE = {"pressure": None, "interval": 1}
+LANGEVIN = PRESSURE | {"name": "Langevin", "temperature": 1.0, "friction": 1.0, "rotational_friction": None}
 
 #: Each a field of the settings, and values that it must not have.
 WRONG = {
@@ -313,9 +322,10 @@ WRONG = {
         LANGEVIN | {"temperature": "hot"},
         LANGEVIN | {"friction": -1.0},
         LANGEVIN | {"friction": None},
-        LANGEVIN | {"volume_move": {"pressure": 1.0}},
-        LANGEVIN | {"volume_move": {"pressure": 1.0, "interval": 0}},
-        {"name": "Metropolis", "temperature": 300.0, "friction": None, "steps_per_trial": 0, "volume_move": None},
+        LANGEVIN | {"volume_move": None},
+        LANGEVIN | {"pressure": "high"},
+        LANGEVIN | {"interval": 0},
+        PRESSURE | {"name": "Metropolis", "temperature": 300.0, "friction": None, "steps_per_trial": 0},
     ],
 }
 
@@ -324,7 +334,7 @@ WRONG = {
 def test_wrong_values_in_xml_are_refused_by_field_and_import_nothing(field):
     for value in WRONG[field]:
         plain = openmm.CustomIntegrator(0.001)
-        values = settings.as_json(SIER2Integrator(0.001)._settings) | {field: value}
+        values = settings.as_json(SIER2Integrator(0.001).binding.settings) | {field: value}
         settings.store_text(plain, json.dumps(values))
         imported = set(sys.modules)
         with pytest.raises(openmm.OpenMMException) as refused:

@@ -41,7 +41,11 @@ def test_conservation_report(tmp_path, box):
     assert rows[:, 0].tolist() == [5, 10]
     last = dict(zip(header, rows[-1], strict=True))
     heat = integrator.getHeat().value_in_unit(unit.kilojoule_per_mole)
-    assert last["Conserved Energy (kJ/mole)"] == pytest.approx(last["Total Energy (kJ/mole)"] - heat, rel=1e-12)
+    # Velocities after the bath lag half a kick behind those at which the energy is conserved.
+    kinetic = sum(integrator.bodies.kinetic_energies(integrator.getWholeStepState()))
+    conserved = last["Potential Energy (kJ/mole)"] + kinetic - heat
+    assert last["Conserved Energy (kJ/mole)"] == pytest.approx(conserved, rel=1e-12)
+    assert abs(kinetic - last["Kinetic Energy (kJ/mole)"]) > 1e-3
     motion = integrator.getBodyState()
     names = ("Temperature (K)", "Translational Temperature (K)", "Rotational Temperature (K)")
     assert [last[name] for name in names] == list(integrator.computeTemperatures()[:3])

@@ -69,7 +69,7 @@ INTEGRATORS = {
 
 
 def described(integrator):
-    settings = [type(integrator), integrator.scheme, integrator.getStepSize(), integrator._settings.bodies]
+    settings = [type(integrator), integrator.scheme, integrator.getStepSize(), integrator.binding.settings.bodies]
     if isinstance(integrator, SIERLangevinIntegrator):
         settings += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
         settings.append(integrator.getPressure())

@@ -14,7 +14,7 @@ from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.operators import CachedForces
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.forces import BodyForces
@@ -294,7 +294,7 @@ class ExactEngine(Engine):
         state = self._reached
         return self.bodies.place(state.q, state.A, self.forces.positions.copy())
 
-    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+    def draw_momenta(self, bath: Thermostat, time: float) -> None:
         self._state = self._motion.bath(bath)(self._reached, time)
 
     def remember(self) -> _Memory:
@@ -319,6 +319,10 @@ class ExactEngine(Engine):
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
         self._state = self.bodies.shifted(self._reached, velocity)
+
+    def scale_velocities(self, factor: float) -> None:
+        state, gained = self._reached, (factor**2 - 1) * self.kinetic_energy()
+        self._state = replace(state, p=factor * state.p, L=factor * state.L, heat=state.heat + gained)
 
     def prepare_for_volume_moves(self) -> None:
         self._moves_volume = True

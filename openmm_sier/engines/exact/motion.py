@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import openmm
 
@@ -12,19 +10,29 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constrained import (
     constrained_bath,
     constrained_operators,
+    equal_steps,
+    inner_steps,
     nested_drift,
     point_operators,
+    steps_around_bath,
+    steps_with_bath,
 )
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
-from openmm_sier.dynamics.schemes import BATH, DRIFT, WITHIN_DRIFTS, Scheme
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.stages import BATH, DRIFT
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.exact.solute import SoluteForces, solute_system
 from openmm_sier.engines.protocol import Flow
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
 
-#: The longest inner step where the number of substeps is left open, ps.
+#: The longest inner step where the number of substeps is left open, ps: of SIER4G, and of SIER2 around a bath, which
+#: has the averages of harmonic motion right at any step below its stability limit.
 LONGEST_INNER_STEP = 0.003
+LONGEST_WITH_BATH = 0.0035
+
+#: RATTLE steps of a drift in a step of SIER2, whose own errors are larger.
+_ONE_STEP = (1.0,)
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
@@ -69,7 +77,7 @@ class Motion:
             return operators.body_operators(bodies, forces, rotation)
         return constrained_operators(bodies, forces, bodies.constraints, rotation, groups=self._groups)
 
-    def bath(self, bath: OrnsteinUhlenbeck) -> Operator:
+    def bath(self, bath: Thermostat) -> Operator:
         """A bath as an operator."""
         operator = bath.operator(self._bodies)
         return constrained_bath(operator, self._bodies.constraints) if len(self._members) else operator
@@ -82,7 +90,7 @@ class Motion:
                 found[BATH] = self.bath(flow.bath)
             longest = inner_step(flow.scheme, flow.step, flow.substeps)
             if self.fast is not None and longest:
-                found[DRIFT] = self._nested_drift(self.fast, longest)
+                found |= self._nested_drifts(self.fast, flow.scheme, longest)
             self._made = flow, found
         return self._made[1]
 
@@ -92,10 +100,15 @@ class Motion:
             self.solute.follow(context)
             self.fast.invalidate()
 
-    def _nested_drift(self, forces: CachedForces, longest: float) -> Operator:
+    def _nested_drifts(self, forces: CachedForces, scheme: Scheme, longest: float) -> dict[str, Operator]:
         members, constraints = self._members, self._bodies.constraints.restricted(self._members)
-        within = point_operators(constraints, forces, groups=self._groups[members])
-        return nested_drift(self._drift, members, WITHIN_DRIFTS, within, longest)
+        groups = self._groups[members]
+        if scheme.bath_divides_drift:
+            moves = steps_around_bath(point_operators(constraints, forces, _ONE_STEP, groups), longest)
+        else:
+            within = point_operators(constraints, forces, groups=groups)
+            moves = {DRIFT: equal_steps(scheme.within_drifts, within, longest)}
+        return {name: nested_drift(self._drift, members, move) for name, move in moves.items()}
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
@@ -141,8 +154,10 @@ def inner_step(scheme: Scheme, h: float, substeps: int | None) -> float:
     Args:
         scheme: the scheme.
         h: its step, ps.
-        substeps: inner steps in its longest drift; None: as many as `LONGEST_INNER_STEP` asks for.
+        substeps: inner steps in its longest drift, the one with a bath in its middle counted half; None: as many as
+            `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` ask for.
     """
+    if scheme.bath_divides_drift:
+        return h / (steps_with_bath(h, LONGEST_WITH_BATH) if substeps is None else 2 * substeps - 1)
     longest = h * scheme.longest_drift
-    count = max(1, math.ceil(longest / LONGEST_INNER_STEP * (1 - 1e-9))) if substeps is None else substeps
-    return longest / count
+    return longest / (inner_steps(longest, LONGEST_INNER_STEP) if substeps is None else substeps)

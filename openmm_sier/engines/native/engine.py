@@ -13,7 +13,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.noise import generator
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
@@ -279,7 +279,7 @@ class NativeEngine(Engine):
     def positions(self) -> np.ndarray:
         return Snapshot(self._context).positions
 
-    def draw_momenta(self, bath: OrnsteinUhlenbeck, time: float) -> None:
+    def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
         self._settle()
         old, before = Snapshot(self._context).velocities, self.kinetic_energy()
@@ -309,6 +309,9 @@ class NativeEngine(Engine):
         old = Snapshot(self._context).velocities
         self._set_velocities(np.where(self._masses[:, None] > 0, old + velocity, old), self.kinetic_energy())
 
+    def scale_velocities(self, factor: float) -> None:
+        self._set_velocities(factor * Snapshot(self._context).velocities, self.kinetic_energy())
+
     def scale(self, factor: float) -> None:
         context = self._context
         box = context.getState().getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
@@ -320,6 +323,11 @@ class NativeEngine(Engine):
         context.computeVirtualSites()
 
     # --- what users ask ---
+
+    @property
+    def momentum_lag(self) -> float:
+        # The program has its bath also where there is no friction.
+        return self._integrator.scheme.momentum_lag
 
     def state(self) -> BodyState:
         return self._state_of(self.bodies)
@@ -334,10 +342,13 @@ class NativeEngine(Engine):
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""
         if not isinstance(self._found, RigidityError):
             return super().temperatures()
-        conserved = self.conserves_momentum()
-        kinetic = sum(thermal_energies(self._points, self._state_of(self._points), conserved))
-        dof = self._points.dof - len(self._constraints.pairs) - (3 if conserved else 0)
-        return Temperatures(temperature(kinetic, dof), math.nan, math.nan)
+        kinetic = sum(thermal_energies(self._points, self._state_of(self._points), self.conserves_momentum()))
+        return Temperatures(temperature(kinetic, self.degrees_of_freedom()), math.nan, math.nan)
+
+    def degrees_of_freedom(self) -> float:
+        if not isinstance(self._found, RigidityError):
+            return super().degrees_of_freedom()
+        return self._points.dof - len(self._constraints.pairs) - (3 if self.conserves_momentum() else 0)
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         by_openmm()

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.native.program import (
     CONSTRAIN_V,
     CONSTRAIN_X,
@@ -79,7 +79,7 @@ def rewrite(integrator: openmm.CustomIntegrator, program: Program) -> None:
     integrator.this = plain(ElementTree.tostring(root, encoding="unicode")).this
 
 
-def set_variables(integrator: openmm.CustomIntegrator, bath: OrnsteinUhlenbeck | None, is_guarded: bool) -> None:
+def set_variables(integrator: openmm.CustomIntegrator, bath: Thermostat | None, is_guarded: bool) -> None:
     """Set the program's variables to the values that they must have, whatever was loaded.
 
     Args:

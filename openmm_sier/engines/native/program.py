@@ -11,14 +11,15 @@ so that OpenMM's clock is right after every n of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
-from openmm_sier.dynamics.schemes import WITHIN_DRIFTS, Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, GRADIENT_KICK, KICK
+from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.variables import PREFIX
 
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
@@ -76,6 +77,9 @@ GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 
 #: A force as a sum of OpenMM's forces, each with its sign.
 Force = list[tuple[str, str]]
+
+#: Writes a drift out from its stage.
+Drift = Callable[[Stage], "Line"]
 
 
 class Line(NamedTuple):
@@ -139,9 +143,8 @@ class Program:
         lines = [f"{self.name}: one step h = {n} native steps dt"]
         for k, part in enumerate(self.parts, 1):
             lines += [f"{k if i == 0 else '':>2} {line}" for i, line in enumerate(part)]
-        nested = next((line for part in self.parts for line in part if line.inner), None)
-        if nested is not None:
-            lines += ["an inner step e:", *(f"   {line}" for line in nested.inner)]
+        for inner in dict.fromkeys(line.inner for part in self.parts for line in part if line.inner):
+            lines += ["an inner step e:", *(f"   {line}" for line in inner)]
         return "\n".join(lines)
 
 
@@ -150,8 +153,10 @@ def usual_substeps(scheme: Scheme, nested: bool) -> int:
 
     SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three RATTLE steps
     suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
-    as long as a drift of SIER4G, 3 fs.
+    as long as a drift of SIER4G, 3 fs, or a third of a step with a bath in the middle of its drift.
     """
+    if nested and scheme.bath_divides_drift:
+        return 2
     is_long = scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT
     if nested:
         return 2 if is_long else 1
@@ -160,18 +165,24 @@ def usual_substeps(scheme: Scheme, nested: bool) -> int:
 
 def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
     """The longest inner step of a program with fast forces, in units of h; None means `usual_substeps`."""
-    return scheme.longest_drift / (substeps or usual_substeps(scheme, nested=True))
+    number = substeps or usual_substeps(scheme, nested=True)
+    return 1 / (2 * number - 1) if scheme.bath_divides_drift else scheme.longest_drift / number
 
 
 def write(
-    scheme: Scheme, substeps: int | None = None, fast_groups: Collection[int] = (), updates_context: bool = True
+    scheme: Scheme,
+    substeps: int | None = None,
+    fast_groups: Collection[int] = (),
+    updates_context: bool = True,
+    bath: Thermostat | None = None,
 ) -> Program:
     """The program of a scheme.
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
-    move from the kicks into the drift, which becomes `substeps` steps of `WITHIN_DRIFTS`: its kicks use the fast
+    move from the kicks into the drift, which becomes `substeps` steps of `Scheme.within_drifts`: its kicks use the fast
     forces, and each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs
-    follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md).
+    follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md). With a bath in the middle of
+    the drift, the drift is an odd number of leapfrog steps with the bath in the middle of one.
 
     Velocities are constrained where they are read, at the end of the step and before a bath, and not after every stage:
     what they have along the constraints changes no position that is constrained next, since the constraint forces take
@@ -180,26 +191,25 @@ def write(
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
         substeps: without fast groups, RATTLE steps in each drift: 3 and 5 make it fourth order (`COMPOSITIONS`), other
-            numbers are equal steps. With fast groups, equal steps of the inner scheme. None: `usual_substeps`.
+            numbers are equal steps. With fast groups, equal steps of the inner scheme, the one with a bath in its
+            middle counted half. None: `usual_substeps`.
         fast_groups: force groups of the fast forces, which must act on atoms alone, see `refusals.refuse_fast_forces`.
         updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
             counted as heat.
+        bath: executes the scheme's bath, with whatever temperature and friction it is given later.
 
     Raises:
-        ValueError: the scheme has another operator, or needs more than `MOST_PARTS` native steps.
+        ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
+            native steps.
     """
     fast = [f"f{group}" for group in sorted(fast_groups)]
     number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
 
-    def drift(fraction: float) -> Line:
-        if not fast:
-            return _drift(fraction, number)
-        inner_drift = partial(_drift, substeps=INNER_SUBSTEPS, unit="d/e")
-        within = _lines(WITHIN_DRIFTS, "e", [("+", name) for name in fast], inner_drift)
-        return Line(f"inner steps of {WITHIN_DRIFTS.name}", (), (fraction / number,) * number, "e/h", tuple(within))
+    def drift(stage: Stage) -> Line:
+        return _nested_drift(scheme, stage, number, fast) if fast else _drift(stage.fraction, number)
 
     lines = [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))] if updates_context else []
-    lines += _lines(scheme, "h", [("+", "f"), *(("-", name) for name in fast)], drift)
+    lines += _lines(scheme.stages, "h", [("+", "f"), *(("-", name) for name in fast)], drift, bath)
     if scheme.stages[-1].operator != BATH:
         lines.append(Line("end", (Statement(CONSTRAIN_V),)))
     parts = _divided(lines)
@@ -221,21 +231,36 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     return tuple(map(tuple, parts))
 
 
-def _lines(scheme: Scheme, h: str, force: Force, drift: Callable[[float], Line]) -> list[Line]:
-    """The stages of a scheme for a step called `h`; `drift` writes one from its fraction of the step."""
+def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) -> Line:
+    """A drift under the forces of fast groups, see `dynamics.constrained.steps_around_bath` for those beside a bath."""
+    force = [("+", name) for name in fast]
+    title = f"{stage.operator}, inner steps of {scheme.within_drifts.name}"
+    if not scheme.bath_divides_drift:
+        inner_drift = partial(_drift, substeps=INNER_SUBSTEPS, unit="d/e")
+        within = _lines(scheme.within_drifts.stages, "e", force, lambda one: inner_drift(one.fraction))
+        return Line(title, (), (stage.fraction / number,) * number, "e/h", tuple(within))
+    e = 2 * stage.fraction / (2 * number - 1)
+    whole, half = (Stage(KICK, 1), Stage(DRIFT, 1)) * (number - 1), Stage(DRIFT, 0.5)
+    stages = (half, *whole) if stage.operator == DRIFT_FROM_BATH else (*whole, Stage(KICK, 1), half)
+    within = _lines(stages, "e", force, lambda one: _drift(one.fraction, 1, "d/e"))
+    return Line(title, (), (e,), "e/h", tuple(within))
+
+
+def _lines(stages: Iterable[Stage], h: str, force: Force, drift: Drift, bath: Thermostat | None = None) -> list[Line]:
+    """Stages for a step called `h`; `drift` writes one from its stage."""
     lines: list[Line] = []
-    for stage in scheme.stages:
+    for stage in stages:
         time = f"{stage.fraction!r}*{h}"
-        if stage.operator == DRIFT:
-            lines.append(drift(stage.fraction))
+        if stage.flow == DRIFT:
+            lines.append(drift(stage))
         elif stage.operator == KICK:
             lines.append(Line("kick", tuple(_summed("v", "v", f"{time}*", force))))
         elif stage.operator == GRADIENT_KICK:
             lines += _gradient_kick(time, f"{stage.shift!r}*{h}*{h}", force)
-        elif stage.operator == BATH:
-            lines.append(_bath(time))
+        elif stage.operator == BATH and bath is not None:
+            lines.append(_bath(bath.velocity(time, FRICTION, THERMAL)))
         else:
-            raise ValueError(f"the operator '{stage.operator}' of the scheme {scheme.name} cannot be written out")
+            raise ValueError(f"the operator '{stage.operator}' cannot be written out")
     return lines
 
 
@@ -293,8 +318,7 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
     return [Line("displace", displace), Line("kick from there", kick)]
 
 
-def _bath(time: str) -> Line:
-    """The exact Ornstein-Uhlenbeck process of the constrained velocities: constraining projects the noise too."""
-    spread = f"sqrt((1 - exp(-2*{FRICTION}*{time}))*{THERMAL}/m)"
-    drawn = Statement("v", f"exp(-{FRICTION}*{time})*v + {spread}*gaussian")
+def _bath(velocity: str) -> Line:
+    """A bath of the constrained velocities: constraining projects the noise too."""
+    drawn = Statement("v", velocity)
     return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))

@@ -1,0 +1,78 @@
+"""Stochastic velocity rescaling: a heat bath that multiplies all velocities by one factor now and then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.noise import generator
+from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.variables import SEED, Record
+from openmm_sier.ensembles.ensemble import ConstantTemperature, advance_between, make_number
+
+
+@dataclass(frozen=True)
+class VelocityRescaling(ConstantTemperature):
+    """Constant temperature by one factor on all velocities, drawn so that the kinetic energy is canonical.
+
+    Between two scalings the motion is that at constant energy, and no molecule is kicked by itself. So diffusion,
+    viscosity and relaxation times are nearly those at constant energy, and a hot or cold start comes to the temperature
+    within a few times 1/rate. Where the total momentum is conserved, the motion of the centre of mass is left alone.
+    With a rate of zero the trajectory is, bit for bit, that at constant energy.
+
+    Source: Bussi, Donadio and Parrinello, J. Chem. Phys. 126, 014101 (2007), whose relaxation time tau is 1/rate.
+
+    Attributes:
+        temperature: K.
+        rate: at which the kinetic energy comes to its mean, 1/ps.
+        every: steps from one scaling to the next.
+    """
+
+    rate: float
+    every: int = 10
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        make_number(self, "rate", "rate", "1/ps", least=0)
+        make_number(self, "every", "every", least=1)
+
+    @property
+    def needs_package(self) -> bool:
+        return True
+
+    def advance_at_volume(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
+        if not self.rate:
+            return engine.follow(steps)
+        scale = partial(self._scale, engine, math.exp(-self.rate * self.every * flow.step), int(record[SEED]))
+        return advance_between(engine, steps, self.every, scale, engine.follow)
+
+    def _scale(self, engine: Engine, kept: float, seed: int) -> None:
+        """Draw the kinetic energy anew, of which a fraction is kept."""
+        centre = engine.centre_velocity() if engine.conserves_momentum() else np.zeros(3)
+        kinetic = engine.kinetic_energy() - 0.5 * engine.mass * float(centre @ centre)
+        freedoms = engine.degrees_of_freedom()
+        if freedoms > 0:
+            factor = self._factor(kinetic, freedoms, kept, generator(seed, engine.draws))
+            engine.scale_velocities(factor)
+            engine.shift_velocities((1 - factor) * centre)
+        engine.draws += 1
+
+    def _factor(self, kinetic: float, freedoms: float, kept: float, noise: np.random.Generator) -> float:
+        """By which velocities are multiplied: that of the velocities of an Ornstein-Uhlenbeck process.
+
+        It is the ratio of two norms, after the process and before. Along the old velocities, the new ones have a part
+        that is kept and one normal deviate, and across them as many deviates as there are other degrees of freedom.
+        """
+        if not kinetic > 0:
+            raise openmm.OpenMMException(
+                "Velocities that are all zero cannot be scaled: draw them first with setVelocitiesToTemperature"
+            )
+        width = math.sqrt((1 - kept) * GAS_CONSTANT * self.temperature / (2 * kinetic))
+        along = math.sqrt(kept) + width * noise.standard_normal()
+        across = width * math.sqrt(noise.chisquare(freedoms - 1)) if freedoms > 1 else 0.0
+        return math.copysign(math.hypot(along, across), along)

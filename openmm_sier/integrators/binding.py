@@ -1,0 +1,309 @@
+"""The Python part of an integrator: settings and program and, with a Context, an engine and watches."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import math
+import secrets
+import weakref
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.stages import BATH
+from openmm_sier.engines import interrupts
+from openmm_sier.engines.choice import engine_for
+from openmm_sier.engines.native import installation, program
+from openmm_sier.engines.native.engine import TOLERANCE
+from openmm_sier.engines.native.refusals import why_not
+from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_VARIABLES, Record
+from openmm_sier.integrators import settings
+from openmm_sier.prepare.fast_forces import find_fast_groups
+from openmm_sier.prepare.pme import tell_of_pme
+from openmm_sier.system import checks
+from openmm_sier.system.arguments import groups_of
+from openmm_sier.system.notices import tell
+from openmm_sier.system.runaway import RunawayWatch
+from openmm_sier.system.unchanged import UnchangedSystem
+
+
+class Binding:
+    """The Python part of a SIER integrator, through its whole life.
+
+    `install` gives a new integrator its variables and program. `prepare` is called before its Context is created and
+    `bind` after that, and again when the Context is reinitialized. `step` advances it. What happens to the Context from
+    outside is told by `moved`, `forces_changed`, `groups_changed`, `take_over`, `take_over_state` and `start_anew`,
+    which do nothing without a Context. `change` replaces settings at any time.
+
+    Attributes:
+        settings: all that the integrator was asked for.
+        program: what OpenMM executes for the native engine.
+        record: the global variables that travel in checkpoints.
+        watch: stops runs that have become too hot; there is none before `bind`.
+    """
+
+    watch: RunawayWatch
+    _system: UnchangedSystem
+
+    def __init__(self, integrator: openmm.CustomIntegrator, given: settings.Settings):
+        """
+        Args:
+            integrator: openmm.CustomIntegrator that is bound to no Context. It holds this, which refers to it weakly.
+            given: its settings.
+        """
+        self._integrator_ref = weakref.ref(integrator)
+        self.settings, self.program = given, _written(given)
+        self.record = Record(integrator, given.ensemble.record)
+        self._engine: Engine | None = None
+        self._context: Callable[[], openmm.Context | None] = lambda: None
+        self._told_of_noise = False
+
+    @property
+    def _integrator(self) -> openmm.CustomIntegrator:
+        return self._integrator_ref()
+
+    @property
+    def engine(self) -> Engine:
+        """The engine.
+
+        Raises:
+            openmm.OpenMMException: there is no Context.
+        """
+        if self._engine is None:
+            raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
+        return self._engine
+
+    @property
+    def engine_name(self) -> str:
+        """The name of the engine or, without a Context, what was requested."""
+        return self.settings.engine if self._engine is None else self._engine.name
+
+    @property
+    def ensemble(self) -> Any:
+        """The ensemble of the settings."""
+        return self.settings.ensemble
+
+    @property
+    def native_steps(self) -> int:
+        """Number of OpenMM steps in one step of the scheme."""
+        return len(self.program.parts) or 1
+
+    # --- settings, here and in what OpenMM serializes ---
+
+    def install(self) -> None:
+        """Give a new integrator its variables, its program and its settings."""
+        integrator = self._integrator
+        for name in (*STATE_VARIABLES, SITES):
+            integrator.addPerDofVariable(name, 0)
+        for name in (HEAT, DRAWS, SEED, *self.ensemble.record):
+            integrator.addGlobalVariable(name, 0)
+        installation.install(self.program, integrator)
+        integrator.setConstraintTolerance(TOLERANCE)
+        self.change()
+
+    def change(self, **changes: Any) -> None:
+        """Replace settings, by the names of their fields."""
+        self.settings = replace(self.settings, **changes)
+        openmm.CustomIntegrator.setStepSize(self._integrator, self.settings.step / self.native_steps)
+        settings.store(self._integrator, self.settings)
+        self._set_program_variables()
+
+    def _flow(self) -> Flow:
+        """What an engine is to follow now; a loaded checkpoint brings the seed of its run."""
+        return self.settings.flow(int(self.record[SEED]))
+
+    def _set_program_variables(self) -> None:
+        """Set the program's variables to the values that they must have, whatever was loaded."""
+        flow = self._flow()
+        less = self.ensemble.needs_package or self.settings.bodies is not None
+        installation.set_variables(self._integrator, flow.bath, less or why_not(flow, self.program) is not None)
+
+    # --- a Context ---
+
+    def prepare(self, system: openmm.System) -> None:
+        """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context.
+
+        Raises:
+            openmm.OpenMMException: the System has Drude particles.
+        """
+        # OpenMM refuses an integrator that has a Context already, and it must stay that Context's own.
+        if self._context() is not None:
+            return
+        checks.refuse_drude_particles(system)
+        given = self.settings
+        groups = find_fast_groups(system, given.bodies, says=True) if given.finds_fast_groups else given.fast_groups
+        if groups != given.fast_groups:
+            self.program = _written(replace(given, fast_groups=groups))
+            installation.rewrite(self._integrator, self.program)
+            self.change(fast_groups=groups)
+        if given.scheme.without_bath().order >= 4:
+            tell_of_pme(system, given.scheme.name)
+        self.record.clear()
+        self.record[SEED] = self.record[PART] = 0
+        for name in (*STATE_VARIABLES, SITES, *program.VECTORS):
+            # OpenMM does not check that the number of values fits the System.
+            if len(self._integrator.getPerDofVariableByName(name)) > 1:
+                self._integrator.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
+
+    def bind(self, context: openmm.Context, keeps_record: bool = True) -> None:
+        """Choose and make the engine of a Context that was created or reinitialized with the integrator.
+
+        Args:
+            context: openmm.Context, which the integrator belongs to.
+            keeps_record: whether heat, draws and what the ensemble counts go on. OpenMM clears the per-atom variables
+                of a Context that is reinitialized without its state, but not the global ones.
+
+        Raises:
+            RigidityError, openmm.OpenMMException: the System or the step is refused, as the message says. There is no
+                engine then: if a Context is reinitialized, the old System's bodies must not remain.
+        """
+        if not keeps_record:
+            self.record.clear()
+        system, given = context.getSystem(), self.settings
+        checks.tell_of_frozen_atoms_that_move(system)
+        self._engine, self._context = None, weakref.ref(context)
+        self._system, self.watch = UnchangedSystem(system), RunawayWatch(system)
+        if given.finds_fast_groups and find_fast_groups(system, given.bodies) != given.fast_groups:
+            raise openmm.OpenMMException(
+                "The System was prepared after the integrator was given to its Context: create a new Context"
+            )
+        engine = engine_for(given.engine, self._integrator, context, self._flow(), given.bodies, self.program)
+        self.ensemble.check(system, engine)
+        self._engine = engine
+        # A Context that was reinitialized with its state keeps its seed.
+        if self.ensemble.is_random and self.record[SEED] == 0:
+            self.record[SEED] = self._integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
+        self._set_program_variables()
+        self.record.keep()
+
+    def step(self, steps: int) -> None:
+        """Advance by steps of the integrator; see `SIERIntegrator.step`."""
+        engine, context = self.engine, self._context()
+        if context is None:
+            raise openmm.OpenMMException("The Context of this integrator no longer exists")
+        self._system.check(context.getSystem())
+        length, bath = self.settings.step * self.ensemble.steps, getattr(self.ensemble, "temperature", 0.0)
+        self.watch.over(partial(self._advance, engine), steps, context, length, bath)
+
+    def _advance(self, engine: Engine, steps: int) -> None:
+        with interrupts.deferred():
+            self.record.restore()
+            flow = self._flow()
+            engine.begin(flow)
+            try:
+                self.ensemble.advance(engine, flow, self.record, steps)
+                engine.publish()
+            except BaseException:
+                engine.recover()
+                raise
+            finally:
+                self.record.keep()
+
+    # --- news from outside ---
+
+    def moved(self) -> None:
+        """Somebody set positions or velocities, which the native engine would not notice by itself."""
+        if self._engine is not None:
+            self.watch.forget()
+            self._engine.atoms_moved()
+
+    def forces_changed(self) -> None:
+        """Somebody changed the potential."""
+        if self._engine is not None:
+            self._engine.forces_changed()
+
+    def groups_changed(self) -> None:
+        """Somebody changed the integration force groups."""
+        if self._engine is not None:
+            self._engine.groups_changed()
+
+    def start_anew(self) -> None:
+        """A restart point was written: the run goes on from it as a restart would, bit for bit."""
+        if self._engine is not None:
+            self._engine.start_anew()
+
+    def take_over(self) -> None:
+        """A State or checkpoint was loaded, of whichever engine: take over what it holds.
+
+        The program counts heat for each degree of freedom. Its sum is added to the total that both engines use.
+        """
+        work = np.array(self._integrator.getPerDofVariableByName(program.WORK))
+        if work.any():
+            self.record[HEAT] += float(work.sum())
+            self._integrator.setPerDofVariableByName(program.WORK, np.zeros(work.shape))
+        self._set_program_variables()
+        self.moved()
+
+    def take_over_state(self, set_state: Callable[[], None], has_parameters: bool) -> None:
+        """Let a State be set by a function, and take over what it holds, but neither its seed nor noise that was used.
+
+        Runs with different seeds from one State differ, and so do replicas that share a Context.
+
+        Args:
+            set_state: sets the State in the Context.
+            has_parameters: whether the State has those of an integrator. Then it is said, once, where noise goes on
+                differently than in the run that wrote the State.
+        """
+        seed, draws = self.record[SEED], self.record[DRAWS]
+        set_state()
+        self.record[SEED], self.record[DRAWS] = seed, max(draws, self.record[DRAWS])
+        self.take_over()
+        is_lost = has_parameters and self._engine is not None and not self._engine.repeats_noise
+        if is_lost and not self._told_of_noise and BATH in self._flow().scheme.operators:
+            self._told_of_noise = True
+            tell(
+                "With the native engine the noise of Langevin dynamics is OpenMM's, which no State holds: the run goes "
+                "on in the same ensemble, but not on the same trajectory. A checkpoint repeats it bit for bit"
+            )
+
+
+def _written(given: settings.Settings) -> program.Program:
+    groups, flow = groups_of(given.fast_groups), given.flow()
+    try:
+        return program.write(given.scheme, given.substeps, groups, flow.updates_context, flow.bath)
+    except ValueError as error:
+        return program.Program(given.scheme.name, (), str(error))
+
+
+# --- integrators from what OpenMM serialized ---
+
+
+def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
+    """Turn a plain CustomIntegrator read from XML back into the SIER integrator it was; return others unchanged.
+
+    Its class must be a subclass of a base, that of all SIER integrators.
+
+    Raises:
+        SettingsError: what is stored cannot be used here, as the message says.
+    """
+    if type(integrator) is openmm.CustomIntegrator and settings.is_stored(integrator):
+        found = settings.stored(integrator)
+        _give_class(integrator, settings.class_at(found.kind, base), found)
+    return integrator
+
+
+def unpickled(xml: str, cls: type, given: settings.Settings, attributes: dict[str, Any]) -> Any:
+    """An integrator from its XML, with the settings, which XML does not hold in full, and attributes of a subclass."""
+    plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml)
+    _give_class(plain, cls, given)
+    vars(plain).update(copy.deepcopy(attributes))
+    return plain
+
+
+def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
+    variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
+    if missing := set(found.ensemble.record) - variables:
+        raise settings.SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
+    plain.__class__ = cls
+    plain.binding = binding = Binding(plain, found)
+    step = openmm.CustomIntegrator.getStepSize(plain).value_in_unit(unit.picosecond) * binding.native_steps
+    if not math.isclose(step, found.step, rel_tol=1e-12):
+        # The step was set where this package was not imported.
+        binding.settings = replace(found, step=step)

@@ -1,0 +1,292 @@
+"""Averages of a solute in water by step, integrator and mass of hydrogens, and what a force evaluation is worth.
+
+    python -m studies.heat_bath                                               the dipeptide, all methods, 250 ps each
+    python -m studies.heat_bath --methods "LangevinMiddle, 4 fs" "SIER2, 10 fs" --time 1000
+    python -m studies.heat_bath --box systems/tip3p-512.pdb --friction 1
+
+Temperatures are those of velocities at the end of steps, as OpenMM's StateDataReporter shows them, of water and solute
+apart. Hybrid Monte Carlo gives exact averages. Each run is kept in heat-bath.jsonl as soon as it is done and is not
+repeated; runs with other seeds add to the same averages. Runs take turns on `--processes` processes of one thread each.
+Writes heat-bath.json and heat-bath.md.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from time import process_time
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+import pandas as pd
+from openmm import unit
+from tyro.conf import Positional
+
+from openmm_sier import SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.measure import forcefields
+from openmm_sier.measure.forcefields import Box
+from openmm_sier.measure.starts import make_context
+from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
+from openmm_sier.prepare.masses import set_hydrogen_masses
+from openmm_sier.system import tables
+from studies import boxes, records
+from studies.command import SYSTEMS, Settings, chosen, claim, execute
+from studies.hmc.dihedrals import backbone, dihedral
+from studies.records import Record
+from studies.report import SILENT, Report
+
+#: Kinds of bonded energy, by the class of Force that has it.
+BONDED = {"bonds": "HarmonicBondForce", "angles": "HarmonicAngleForce", "torsions": "PeriodicTorsionForce"}
+
+#: What is averaged, with its heading.
+AVERAGED = {
+    "water": "T water, K",
+    "solute": "T solute, K",
+    "potential": "V, kJ/mol",
+    **{kind: f"{kind}, kJ/mol" for kind in BONDED},
+    "helical": "share of phi, psi < 0",
+}
+
+COLUMNS = {
+    "box": "{box}",
+    "method": "{method}",
+    "hydrogens": "{hydrogens}",
+    "ps": "{time:g}",
+    **{heading: f"{{{key}_text}}" for key, heading in AVERAGED.items()},
+    "over LangevinMiddle, 4 fs": "{over:.2f}",
+}
+
+#: Of which the speeds are multiples.
+REFERENCE = "LangevinMiddle, 4 fs"
+
+#: What identifies a run.
+POINT = ("box", "method", "time", "seed")
+
+#: fs between samples.
+INTERVAL = 200.0
+
+
+class Method(NamedTuple):
+    """An integrator at a step.
+
+    Attributes:
+        step: simulated time of one `step(1)`, fs.
+        mass: of hydrogens, dalton; None leaves them as they are.
+        make: (temperature in K, friction in 1/ps, step in ps) -> integrator for a prepared System.
+    """
+
+    step: float
+    mass: float | None
+    make: Callable[[float, float, float], openmm.Integrator]
+
+
+def _several_steps(temperature: float, friction: float, step: float) -> openmm.Integrator:
+    return openmm.MTSLangevinIntegrator(temperature, friction, step, [(0, 1), (1, 4)])
+
+
+def _trials(temperature: float, friction: float, step: float, steps: int) -> openmm.Integrator:
+    return SIERHMCIntegrator(temperature, step / steps, stepsPerTrial=steps, frictionCoeff=friction)
+
+
+_SIER2 = partial(SIERLangevinIntegrator, scheme="SIER2")
+
+METHODS = {
+    "LangevinMiddle, 2 fs": Method(2, None, openmm.LangevinMiddleIntegrator),
+    REFERENCE: Method(4, 3.0, openmm.LangevinMiddleIntegrator),
+    "LangevinMiddle, 5 fs": Method(5, 3.0, openmm.LangevinMiddleIntegrator),
+    "MTSLangevin, 8 fs": Method(8, 4.0, _several_steps),
+    "SIER2, 8 fs": Method(8, 4.0, _SIER2),
+    "SIER2, 9 fs": Method(9, 4.0, _SIER2),
+    "SIER2, 10 fs": Method(10, 4.0, _SIER2),
+    "SIER2P3, 18 fs": Method(18, 4.0, partial(SIERLangevinIntegrator, scheme="SIER2P3")),
+    "SIER4G HMC, 8 fs": Method(40, 4.0, partial(_trials, steps=5)),
+}
+
+
+@dataclass(frozen=True)
+class BathSettings(Settings):
+    """Settings of the comparison; the seeds of runs follow `seed`.
+
+    Attributes:
+        box: PDB file that names its force field.
+        methods: by name, all unless given.
+        starts: runs of each.
+        time: of each run, ps.
+        equilibrate: before it, ps.
+        temperature: K.
+        friction: 1/ps.
+        tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
+        processes: that make runs at the same time.
+    """
+
+    box: Positional[Path] = SYSTEMS / "peptide.pdb"
+    methods: tuple[str, ...] = ()
+    starts: int = 1
+    time: float = 250.0
+    equilibrate: float = 5.0
+    temperature: float = 297.0
+    friction: float = 5.0
+    tolerance: float = 1e-4
+    processes: int = 1
+
+
+class Observer:
+    """What is averaged, from the States of a Context."""
+
+    def __init__(self, box: Box, system: openmm.System):
+        self._masses = tables.masses(system)
+        solute = np.array([atom.residue.name not in ("HOH", "WAT") for atom in box.topology.atoms()])
+        pairs = tables.constraints(system).pairs
+        held = np.bincount(solute[pairs[:, 0]].astype(int), minlength=2) if len(pairs) else np.zeros(2)
+        self._parts = {}
+        for name, part, count in (("water", ~solute, held[0]), ("solute", solute, held[1])):
+            if freedom := 3 * np.count_nonzero(part & (self._masses > 0)) - count:
+                self._parts[name] = part, freedom
+        self._contexts = {kind: _alone(system, force) for kind, force in BONDED.items()} if solute.any() else {}
+        self._dihedrals = backbone(box.topology) if solute.any() else ()
+
+    def __call__(self, context: openmm.Context) -> dict[str, float]:
+        """The values at the end of a step."""
+        state = context.getState(positions=True, velocities=True, energy=True)
+        speeds = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
+        positions = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+        twice = self._masses * (speeds**2).sum(axis=1)
+        found = {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
+        found["potential"] = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        for kind, alone in self._contexts.items():
+            alone.setPositions(positions)
+            energy = alone.getState(energy=True).getPotentialEnergy()
+            found[kind] = energy.value_in_unit(unit.kilojoule_per_mole)
+        if self._dihedrals:
+            found["helical"] = float(all(dihedral(positions, atoms) < 0 for atoms in self._dihedrals))
+        return found
+
+
+def _alone(system: openmm.System, kind: str) -> openmm.Context:
+    """A Context with the Forces of one class alone."""
+    bare = openmm.System()
+    for _ in range(system.getNumParticles()):
+        bare.addParticle(1)
+    for force in system.getForces():
+        if type(force).__name__ == kind:
+            bare.addForce(openmm.XmlSerializer.clone(force))
+    return openmm.Context(bare, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
+
+
+class Task(NamedTuple):
+    """One run."""
+
+    settings: BathSettings
+    method: str
+    seed: int
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """What identifies the run."""
+        box, time = self.settings.box.stem, self.settings.time
+        return {"box": box, "method": self.method, "time": time, "seed": self.seed}
+
+
+def tasks(settings: BathSettings) -> Iterator[Task]:
+    """All runs that the settings ask for, seed by seed."""
+    chosen(settings.methods, METHODS, "method")
+    for seed in range(settings.seed, settings.seed + settings.starts):
+        for name in settings.methods or METHODS:
+            yield Task(settings, name, seed)
+
+
+def run(task: Task) -> dict[str, Any]:
+    """Averages of a run with their errors, and its speed in fs per second of processor time."""
+    settings, method = task.settings, METHODS[task.method]
+    box = forcefields.read_box(settings.box, None, "hbonds")
+    boxes.with_tolerance(box.system, settings.tolerance)
+    # OpenMM's integrators gain nothing from the forces that preparing adds, but for that of several steps.
+    if method.make is openmm.LangevinMiddleIntegrator:
+        if method.mass is not None:
+            set_hydrogen_masses(box.system, method.mass)
+    else:
+        prepare_system(box.system, hydrogenMass=method.mass)
+    integrator = method.make(settings.temperature, settings.friction, 1e-3 * method.step)
+    integrator.setRandomNumberSeed(task.seed)
+    context = make_context(box.system, integrator, "CPU")
+    found = task.point | {"hydrogens": "plain" if method.mass is None else f"{method.mass:g} Da", "broken": ""}
+    try:
+        context.setPositions(box.positions)
+        openmm.LocalEnergyMinimizer.minimize(context, 10, 300)
+        context.setVelocitiesToTemperature(settings.temperature, task.seed)
+        integrator.step(max(1, round(1e3 * settings.equilibrate / method.step)))
+        samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
+    except (openmm.OpenMMException, ValueError) as error:
+        return found | {"broken": " ".join(str(error).split())}
+    for key in samples[0]:
+        found[key], found[f"{key}_error"] = mean_and_error(np.array([sample[key] for sample in samples]))[:2]
+    return found | {"fs_per_second": settings.time * 1e3 / processor}
+
+
+def _sampled(
+    context: openmm.Context, observe: Observer, method: Method, time: float
+) -> tuple[list[dict[str, float]], float]:
+    """Samples of a run, and its processor time in seconds."""
+    every = max(1, round(INTERVAL / method.step))
+    samples, processor = [], 0.0
+    for _ in range(max(1, round(1e3 * time / (every * method.step)))):
+        begun = process_time()
+        context.getIntegrator().step(every)
+        processor += process_time() - begun
+        samples.append(observe(context))
+        if not samples[-1]["water"] < 10 * 300:
+            raise ValueError("the box is hotter than 3000 K")
+    return samples, processor
+
+
+def study(settings: BathSettings, report: Report = SILENT) -> Record:
+    """Make the runs that are missing in the directory `out`, and write heat-bath.json and heat-bath.md."""
+    shared = {name: settings.recorded()[name] for name in ("temperature", "friction", "tolerance", "equilibrate")}
+    claim(settings.out / "heat-bath-settings.json", shared)
+    path = settings.out / "heat-bath.jsonl"
+    done = [{name: kept.get(name) for name in POINT} for kept in records.kept_runs(path)]
+    missing = [task for task in tasks(settings) if task.point not in done]
+    os.environ.setdefault("OPENMM_CPU_THREADS", "1")
+    with ProcessPoolExecutor(settings.processes, multiprocessing.get_context("spawn")) as pool:
+        for made in as_completed([pool.submit(run, task) for task in missing]):
+            records.keep_run(path, made.result())
+            report.note(", ".join(str(value) for value in made.result().values()))
+    rows = averaged(pd.DataFrame(records.kept_runs(path)))
+    record = Record(shared, {"rows": rows}, {})
+    made_table = records.table("Averages in a heat bath", records.with_text(rows, *AVERAGED), COLUMNS, left=3)
+    report.table(made_table)
+    record.write(settings.out / "heat-bath.json")
+    (settings.out / "heat-bath.md").write_text(records.markdown(made_table))
+    return record
+
+
+def averaged(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row for each box and method: means over its runs, with errors, and the speed over that of the reference."""
+    rows = []
+    for (box, method), mine in runs.groupby(["box", "method"], sort=False):
+        row = {"box": box, "method": method, "hydrogens": mine.iloc[0]["hydrogens"], "time": mine["time"].sum()}
+        for key in AVERAGED:
+            known = mine.dropna(subset=[key, f"{key}_error"]) if key in mine else mine[:0]
+            estimates = [Estimate(value, error) for value, error in zip(known[key], known[f"{key}_error"], strict=True)]
+            row[key], row[f"{key}_error"] = pooled(estimates)[:2] if estimates else (np.nan, np.nan)
+        speeds = mine["fs_per_second"] if "fs_per_second" in mine else pd.Series(dtype=float)
+        rows.append(row | {"speed": speeds.mean(), "broken": next((each for each in mine["broken"] if each), "")})
+    frame = pd.DataFrame(rows)
+    reference = frame[frame["method"] == REFERENCE].set_index("box")["speed"]
+    return frame.assign(over=frame["speed"] / frame["box"].map(reference))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return execute(BathSettings, study, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

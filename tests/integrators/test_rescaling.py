@@ -1,0 +1,263 @@
+"""Stochastic velocity rescaling: its distribution, what it leaves alone, its bookkeeping, and restarts."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+from scipy import stats
+
+from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERThermostatIntegrator
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.ensembles import VelocityRescaling
+from tests.support.restarts import WAYS, assert_same, everything, simulation_of
+from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
+
+TEMPERATURE = 297.0
+both_engines = pytest.mark.parametrize("engine", ["exact", "native"])
+
+
+def integrator(h=0.002, rate=5.0, every=4, scheme=SIER2, seed=7, engine="auto", **options):
+    bath = VelocityRescaling(TEMPERATURE, rate, every, **options)
+    made = SIERThermostatIntegrator(bath, h, scheme, engine=engine)
+    made.setRandomNumberSeed(seed)
+    return made
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    topology, positions, system = cluster_system(8)
+    return topology, system, relaxed(topology, positions, system)
+
+
+@pytest.fixture(scope="module")
+def box():
+    topology, positions, system = periodic_system()
+    return topology, system, relaxed(topology, positions, system)
+
+
+# --- the distribution -------------------------------------------------------------------------------------------------
+
+
+def rotors(frozen=False):
+    """A water molecule without forces, a chain of three atoms with two constraints, and perhaps a frozen atom."""
+    system = openmm.System()
+    for mass in (16.0, 1.0, 1.0, 12.0, 14.0, 12.0):
+        system.addParticle(mass)
+    for i, j, length in ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.16), (3, 4, 0.15), (4, 5, 0.15)):
+        system.addConstraint(i, j, length)
+    water = np.array([[0.0, 0.0, 0.0], [0.08, 0.06, 0.0], [-0.08, 0.06, 0.0]])
+    chain = np.array([[0.15, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.15, 0.0]])
+    positions = np.concatenate([water, chain + 2])
+    if frozen:
+        system.addParticle(0.0)
+        positions = np.concatenate([positions, [[3.0, 3.0, 3.0]]])
+    return system, positions
+
+
+@both_engines
+@pytest.mark.parametrize("frozen", [False, True], ids=["conserved momentum", "frozen atom"])
+def test_kinetic_energy_is_canonical(engine, frozen):
+    """With a high rate each scaling draws a kinetic energy that is independent of the last one.
+
+    Of 6 + 7 degrees of freedom three belong to the centre of mass, whose motion is no heat where the momentum is
+    conserved. One degree more or less shifts the mean by 10 or 7.7 %; 600 samples allow 7.3 or 6.4 %, which is four
+    standard errors. A right sampler fails the test of its whole distribution for one seed in a thousand.
+    """
+    system, positions = rotors(frozen)
+    freedoms = 13 if frozen else 10
+    made = integrator(rate=1e6, every=1, engine=engine)
+    context = context_at(system, made, (positions, np.zeros_like(positions)))
+    context.setVelocitiesToTemperature(TEMPERATURE, 3)
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    centre, found = None, []
+    for _ in range(600):
+        made.step(1)
+        v = phase_point(context)[1]
+        moving = masses @ v / masses.sum()
+        if not frozen:
+            centre = moving if centre is None else centre
+            assert np.abs(moving - centre).max() < 1e-9
+            v = v - moving * (masses > 0)[:, None]
+        found.append((masses @ (v**2).sum(axis=1)) / (GAS_CONSTANT * TEMPERATURE))
+    assert stats.kstest(found, stats.chi2(freedoms).cdf).pvalue > 1e-3
+    assert np.mean(found) == pytest.approx(freedoms, rel=4 * np.sqrt(2 / freedoms / 600))
+
+
+def test_the_kinetic_energy_forgets_at_the_rate():
+    """Its correlation is the fraction that is kept, and its variance that of the canonical ensemble.
+
+    20,000 draws of which each keeps half have the information of some 7000; the errors are four standard ones.
+    """
+    bath, freedoms, kept = VelocityRescaling(TEMPERATURE, 1.0), 5.0, 0.5
+    noise, energy, found = np.random.default_rng(1), 5.0, []
+    for _ in range(20000):
+        energy *= bath._factor(energy, freedoms, kept, noise) ** 2
+        found.append(2 * energy / (GAS_CONSTANT * TEMPERATURE))
+    values = np.array(found)
+    assert values.mean() == pytest.approx(freedoms, rel=4 * np.sqrt(2 / freedoms / 7000))
+    # The fourth central moment of this distribution makes the relative error of its variance sqrt((2 + 12/5)/n).
+    assert values.var() == pytest.approx(2 * freedoms, rel=4 * np.sqrt(4.4 / 7000))
+    correlation = np.corrcoef(values[:-1], values[1:])[0, 1]
+    assert correlation == pytest.approx(kept, abs=4 / np.sqrt(7000))
+
+
+@pytest.mark.slow
+@both_engines
+def test_translation_and_rotation_have_the_temperature(box, engine):
+    """From a start at half the temperature; forces alone bring heat from one kind of motion to the other.
+
+    Each kind has 192 degrees of freedom, a tenth of fluctuation, and some ten independent samples a picosecond in the
+    7 ps that count: standard errors are 4 K. The step of 2 fs shifts rotation against translation by some 2 K.
+    """
+    _, system, point = box
+    made = integrator(rate=10.0, every=5, engine=engine)
+    context = context_at(system, made, (point[0], point[1] * np.sqrt(0.5)), "CPU")
+    assert made.computeTemperatures().total < 0.7 * TEMPERATURE
+    made.step(500)
+    found = []
+    for _ in range(350):
+        made.step(10)
+        found.append(made.computeTemperatures()[:3])
+    assert np.mean(found, axis=0) == pytest.approx(3 * [TEMPERATURE], abs=18)
+    assert context.getStepCount() == 4000
+
+
+# --- what it leaves alone ---------------------------------------------------------------------------------------------
+
+
+@both_engines
+def test_with_a_rate_of_zero_it_is_the_nve_trajectory_bit_for_bit(cluster, engine):
+    _, system, point = cluster
+    ends = []
+    for made in (integrator(rate=0.0, engine=engine), SIERIntegrator(0.002, SIER2, engine=engine)):
+        context = context_at(system, made, point)
+        made.step(20)
+        ends.append(phase_point(context))
+    assert_same(*ends)
+
+
+@both_engines
+def test_energy_less_heat_and_the_total_momentum_are_conserved(cluster, engine):
+    """The energy by as much as at constant energy, some 1e-5 kJ/mol by SIER4G at 1 fs; the heat is 50 kJ/mol.
+
+    What counts begins after a step, which has moved the atoms onto their constraints.
+    """
+    _, system, point = cluster
+    made = integrator(h=0.001, rate=50.0, every=3, scheme=SIER4G, engine=engine)
+    point = point[0], 0.5 * point[1] + np.array([0.3, 0.0, -0.1])
+    context = context_at(system, made, point)
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    momentum = masses @ point[1]
+    made.step(1)
+    start = sum(energies(context))
+    made.step(60)
+    heat = made.getHeat().value_in_unit(unit.kilojoule_per_mole)
+    assert abs(heat) > 10
+    # The native engine conserves momentum as far as it solves the constraints.
+    assert np.abs(masses @ phase_point(context)[1] - momentum).max() < 1e-5
+    assert sum(energies(context)) - heat == pytest.approx(start, abs=1e-3)
+
+
+# --- restarts ---------------------------------------------------------------------------------------------------------
+
+
+@both_engines
+@pytest.mark.parametrize(("save", "load"), WAYS, ids=lambda value: getattr(value, "__name__", value))
+def test_restart_is_exact_at_any_step(tmp_path, cluster, engine, save, load):
+    """From a State too, on both engines: its noise is a function of seed and draws, which both engines store."""
+    topology, system, point = cluster
+    whole = simulation_of(topology, system, integrator(engine=engine), point=point)
+    save(whole, tmp_path / "saved")
+    continued = simulation_of(topology, system, integrator(engine=engine))
+    getattr(continued, load)(str(tmp_path / "saved"))
+    continued.step(15)
+    assert_same(everything(continued.context), everything(whole.context))
+    assert continued.integrator.getGlobalVariableByName("sier_draws") > 5
+
+
+@both_engines
+def test_chunks_of_steps_do_not_matter_beside_moves_of_the_volume(box, engine):
+    _, system, point = box
+    ends = []
+    for chunks in ([14], [1] * 14, [3, 7, 4]):
+        made = integrator(h=0.001, engine=engine, pressure=1000 * unit.bar, interval=3)
+        context = context_at(system, made, point)
+        volume = context.getState().getPeriodicBoxVolume()
+        for steps in chunks:
+            made.step(steps)
+        assert context.getState().getPeriodicBoxVolume() != volume
+        ends.append(everything(context))
+    assert_same(ends[0], ends[1])
+    assert_same(ends[0], ends[2])
+
+
+def test_a_step_that_fails_takes_its_scaling_back(cluster):
+    """A scaling and the step after it are made both or neither, so that the noise is not used twice."""
+    _, system, point = cluster
+    made = integrator(every=1)
+    context = context_at(system, made, point)
+    made.step(1)
+    before = everything(context)
+    engine = made._bound()
+    follow = engine.follow
+
+    def failing(steps):
+        raise KeyboardInterrupt
+
+    engine.follow = failing
+    with pytest.raises(KeyboardInterrupt):
+        made.step(1)
+    assert_same(everything(context), before)
+    engine.follow = follow
+    made.step(1)
+    other = integrator(every=1)
+    again = context_at(system, other, point)
+    other.step(2)
+    assert_same(everything(context), everything(again))
+
+
+# --- what users set, and what is refused ------------------------------------------------------------------------------
+
+
+def test_settings_can_be_read_and_changed():
+    made = integrator(pressure=2 * unit.bar, interval=6)
+    made.setTemperature(310 * unit.kelvin)
+    copy = openmm.XmlSerializer.clone(made)
+    for each in (made, copy):
+        assert isinstance(each, SIERThermostatIntegrator)
+        assert each.getTemperature() == 310 * unit.kelvin
+        assert each.getPressure() == 2 * unit.bar
+        assert each.getBarostatInterval() == 6
+        assert each.scheme == SIER2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((-1, 1), "temperature must be at least 0, got -1.0 K"),
+        ((300, -1 / unit.picosecond), "rate must be at least 0, got -1.0 1/ps"),
+        ((300, 1 * unit.picosecond), "rate must be in units like 1/ps"),
+        ((300, 1, 0), "every must be at least 1"),
+        ((300, 1, 1.5), "every must be a whole number"),
+    ],
+)
+def test_impossible_settings(arguments, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        VelocityRescaling(*arguments)
+
+
+def test_what_is_no_thermostat_is_refused():
+    with pytest.raises(TypeError, match="thermostat must be an ensemble of constant temperature, got 300"):
+        SIERThermostatIntegrator(300, 0.002)
+
+
+@both_engines
+def test_velocities_that_are_all_zero_are_refused(engine):
+    system, positions = rotors()
+    made = integrator(every=1, engine=engine)
+    context = context_at(system, made, (positions, np.zeros_like(positions)))
+    with pytest.raises(openmm.OpenMMException, match="setVelocitiesToTemperature"):
+        made.step(1)
+    assert context.getStepCount() == 0
