@@ -13,8 +13,6 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ from openmm_sier.dynamics.metropolis import spread_at
 from studies import acceptance_trials as trials
 from studies import boxes, records, style
 from studies.acceptance_trials import AcceptanceSettings
-from studies.command import chosen, claim, execute
+from studies.command import chosen, claim, command
 from studies.methods import REVERSIBLE
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -218,9 +216,4 @@ def figure(record: Record, path: Path) -> None:
         style.shared_legend(made, accepted)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(AcceptanceSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(AcceptanceSettings, study, __doc__, __name__)

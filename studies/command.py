@@ -14,7 +14,7 @@ import openmm
 import tyro
 from tyro.conf import Positional
 
-from openmm_sier.measure.ensemble import EnsembleError
+from openmm_sier.cli.pool import EnsembleError
 from studies.report import PrintedReport, Report
 
 #: The boxes of the repository.
@@ -98,6 +98,24 @@ def execute(
         print(" ".join(str(error).split()), file=sys.stderr)
         return 1
     return 0
+
+
+def command(
+    kind: type[Given], study: Callable[[Given, Report], object], description: str | None, module: str
+) -> Callable[[Sequence[str] | None], int]:
+    """The function `main` of a study, see `execute`; it is called at once in the module that Python was started with.
+
+    Args:
+        kind, study, description: see `execute`.
+        module: `__name__` of the study's module, whose last line this is.
+    """
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        return execute(kind, study, description, arguments)
+
+    if module == "__main__":
+        sys.exit(main())
+    return main
 
 
 def _program() -> str:

@@ -9,9 +9,8 @@ it was, and two commands with different seeds can share a directory. The table o
 
 from __future__ import annotations
 
-import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -25,7 +24,7 @@ from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.observables import energy_error
 from studies import boxes, records
-from studies.command import BoxSettings, chosen, claim, execute
+from studies.command import BoxSettings, chosen, claim, command
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -126,14 +125,7 @@ def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
     }
     title = f"rms(H)/rms(V)/%, {settings.dt:g} fs per force evaluation: mean and range over starts"
     report.table(records.table(title, wide, columns, left=4))
-    record = Record(settings.recorded(), {"rows": runs}, {})
-    record.write(settings.out / "defaults.json")
-    return record
+    return Record(settings.recorded(), {"rows": runs}, {}).write(settings.out / "defaults.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(DefaultsSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(DefaultsSettings, study, __doc__, __name__)

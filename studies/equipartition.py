@@ -10,7 +10,6 @@ comparisons wrote, and writes equipartition.json and equipartition.png.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import mean_and_error, slope_and_error
 from openmm_sier.observe.conservation import density
 from studies import records, sampling, style
-from studies.command import BoxSettings, chosen, execute
+from studies.command import BoxSettings, chosen, command
 from studies.methods import CONSTANT_ENERGY, Method, with_bath
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -245,9 +244,4 @@ def figure(record: Record, path: Path) -> None:
         axes.legend()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(EquipartitionSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(EquipartitionSettings, study, __doc__, __name__)

@@ -8,15 +8,14 @@ writes its JSON file, which replaces the one there.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from studies import acceptance, equipartition, liquid_figure, mesh, records, step_study, whole_run
 from studies.bench import accuracy
-from studies.command import Settings, chosen, execute
+from studies.command import Settings, chosen, command
 from studies.paper import water
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -71,9 +70,4 @@ def study(settings: FigureSettings, report: Report = SILENT) -> None:
         report.note(f"{path}, from studies/data/{drawn.data}, which `{drawn.command}` made")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(FigureSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(FigureSettings, study, __doc__, __name__)

@@ -10,7 +10,6 @@ in their seeds alone. Writes properties.json and properties.png. Without runs th
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,7 @@ from openmm_sier.cli.finished_runs import open_runs
 from openmm_sier.cli.properties import Run, curves_of, read_runs, title_of
 from openmm_sier.measure.figures import Curve, property_figure
 from studies import records, style
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
 
@@ -81,9 +80,4 @@ def figure(record: Record, path: Path) -> None:
     property_figure(curves, record.notes["title"], path)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(LiquidFigureSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(LiquidFigureSettings, study, __doc__, __name__)

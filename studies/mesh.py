@@ -13,7 +13,6 @@ Writes mesh.json, mesh.md and mesh.png.
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,9 +31,10 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.prepare.pme import meshed_forces
 from studies import boxes, records, style
 from studies.bench.timing import ON_PROCESSORS, interleaved, median_and_error
-from studies.command import BoxSettings, execute
+from studies.command import BoxSettings, command
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: Prime factors for which Fourier transforms are fast.
 FACTORS = (2, 3, 5, 7)
@@ -104,7 +104,7 @@ class Forces:
         self.read()
         (force,) = meshed_forces(replica.system)
         alpha, *mesh = force.getPMEParametersInContext(self.context)
-        self.parameters = Parameters(float(getattr(alpha, "_value", alpha)), int(mesh[0]))
+        self.parameters = Parameters(float(md(alpha)), int(mesh[0]))
 
     def read(self) -> np.ndarray:
         """Forces (N, 3), kJ/mol/nm."""
@@ -137,7 +137,7 @@ def ewald_parameter(tolerance: float, cutoff: float) -> float:
 
 def _edge(system: openmm.System) -> float:
     """Edge of a cubic box, nm."""
-    edges = [vector[i]._value for i, vector in enumerate(system.getDefaultPeriodicBoxVectors())]
+    edges = [md(vector[i]) for i, vector in enumerate(system.getDefaultPeriodicBoxVectors())]
     if max(edges) - min(edges) > 1e-6:
         raise ValueError(f"the box must be cubic, its edges are {', '.join(f'{edge:g}' for edge in edges)} nm")
     return float(edges[0])
@@ -315,9 +315,4 @@ def figure(record: Record, path: Path) -> None:
         times.legend()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(MeshSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(MeshSettings, study, __doc__, __name__)

@@ -16,8 +16,6 @@ drifts (`--kicks` leaves them in the kicks).
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
@@ -38,9 +36,10 @@ from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import block_means, mean_and_error, rms, slope_and_error
 from studies import boxes
-from studies.command import BoxSettings, execute
+from studies.command import BoxSettings, command
 from studies.report import SILENT, Report
 from studies.sampling import body_state
+from studies.units import md
 
 #: Bins of a dihedral's distribution, and blocks from which its errors are taken.
 BINS, BLOCKS = 24, 40
@@ -152,8 +151,8 @@ def energy(settings: MoleculeSettings, report: Report) -> None:
             for _ in range(round(settings.time / (every * step))):
                 integrator.step(every)
                 state = context.getState(energy=True)
-                V, K = (e._value for e in (state.getPotentialEnergy(), state.getKineticEnergy()))
-                rows.append((state.getTime()._value, V + K, V))
+                V, K = (md(e) for e in (state.getPotentialEnergy(), state.getKineticEnergy()))
+                rows.append((md(state.getTime()), V + K, V))
             time, total, potential = np.array(rows).T
             error = 100 * energy_error(total, potential)
             reference.setdefault(per_force, error)
@@ -207,9 +206,9 @@ def by_kind(settings: MoleculeSettings, report: Report) -> None:
             for done in range(1, count + 1):
                 integrator.step(every)
                 state = context.getState(energy=True)
-                H = state.getPotentialEnergy()._value + state.getKineticEnergy()._value
+                H = md(state.getPotentialEnergy()) + md(state.getKineticEnergy())
                 found = temperatures(bodies, body_state(context, bodies), conserved)
-                rows.append((state.getTime()._value, H, *found[1:]))
+                rows.append((md(state.getTime()), H, *found[1:]))
                 if done % max(1, count // 5) == 0:
                     conserves = not hasattr(integrator, "getFriction")
                     report.note(f"{name} {per_force:g} fs per force, {_kinds(np.array(rows).T, conserves)}")
@@ -263,7 +262,7 @@ def _frames(prepared: Prepared, integrator: openmm.Integrator, step: float) -> n
     integrator.step(round(settings.settle / step))
     for _ in range(round(settings.time / (every * step))):
         integrator.step(every)
-        frames.append(context.getState(positions=True).getPositions(asNumpy=True)._value.astype(np.float32))
+        frames.append(md(context.getState(positions=True).getPositions(asNumpy=True)).astype(np.float32))
     return np.array(frames)
 
 
@@ -296,9 +295,4 @@ def study(settings: MoleculeSettings, report: Report = SILENT) -> None:
     COMMANDS[settings.what](settings, report)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(MoleculeSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(MoleculeSettings, study, __doc__, __name__)

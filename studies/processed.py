@@ -13,8 +13,6 @@ Comput. 18, 223 (1997).
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,7 @@ from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, Stage
 from openmm_sier.measure.observables import energy_error, energy_walk
 from studies import records
-from studies.command import execute
+from studies.command import command
 from studies.methods import of_scheme
 from studies.records import Record
 from studies.report import SILENT, Report, Table
@@ -105,9 +103,4 @@ def write_table(record: Record, directory: Path) -> None:
     (directory / "processed.md").write_text(records.markdown(table(record)))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(ProcessedSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(ProcessedSettings, study, __doc__, __name__)

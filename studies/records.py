@@ -40,11 +40,12 @@ class Record:
     tables: Mapping[str, pd.DataFrame]
     notes: Mapping[str, Any]
 
-    def write(self, path: Path) -> None:
-        """Write everything, and versions and machine, as JSON; numbers that are not finite become null."""
+    def write(self, path: Path) -> Record:
+        """Write everything, and versions and machine, as JSON, with null for what is not finite; the record itself."""
         tables = {name: frame.to_dict("records") for name, frame in self.tables.items()}
         content = {**provenance(), "settings": self.settings, "notes": self.notes, "tables": tables}
         replace_file(path, json.dumps(_plain(content), indent=1, allow_nan=False, default=str) + "\n")
+        return self
 
 
 def read(path: Path) -> Record:

@@ -11,7 +11,6 @@ Writes schemes.json, schemes.md and schemes.png from all runs there.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -26,7 +25,7 @@ from openmm_sier.dynamics.schemes import DRIFT, KICK, alternating
 from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.statistics import slope_and_error
 from studies import records, style
-from studies.command import BoxSettings, chosen, claim, execute
+from studies.command import BoxSettings, chosen, claim, command
 from studies.methods import CONSTANT_ENERGY, OTHERS, Method, of_scheme
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -236,9 +235,4 @@ def figure(record: Record, path: Path) -> None:
         style.shared_legend(made, axes)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(SchemesSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(SchemesSettings, study, __doc__, __name__)

@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import copy
 import math
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -37,7 +36,7 @@ from openmm_sier.measure.starts import make_context
 from studies import records, speed_boxes
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
-from studies.command import BoxSettings, chosen, execute
+from studies.command import BoxSettings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report, Table
 from studies.sampling import equilibrated_liquid
@@ -318,14 +317,8 @@ def _measured(settings: SpeedSettings, report: Report) -> Record:
         found["points"] = energy_errors(settings, report)
         found["equal"] = at_equal_error(found["speeds"], found["points"])
     builds = {peer.name: peer.build for peer in usual_inputs.installed()}
-    record = Record(settings.recorded(), found, {"peers": builds, "threads": threads.count()})
-    record.write(settings.out / "speed.json")
-    return record
+    notes = {"peers": builds, "threads": threads.count()}
+    return Record(settings.recorded(), found, notes).write(settings.out / "speed.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(SpeedSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(SpeedSettings, study, __doc__, __name__)

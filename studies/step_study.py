@@ -13,7 +13,6 @@ left out. Writes step-study.json, step-study.md and step-study.png. Without runs
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +28,7 @@ from openmm_sier.cli.properties import ROWS, estimated, read_runs
 from openmm_sier.measure.figures import context
 from openmm_sier.measure.statistics import Estimate, pooled
 from studies import records, style
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report, Table
 
@@ -236,9 +235,4 @@ def figure(record: Record, path: Path) -> None:
         made.savefig(path)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(StepSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(StepSettings, study, __doc__, __name__)

@@ -17,9 +17,8 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +37,7 @@ from openmm_sier.measure.statistics import slope_and_error
 from openmm_sier.system import find_bodies
 from openmm_sier.system.vibrations import WATER
 from studies import boxes, records, style
-from studies.command import SYSTEMS, Settings, chosen, claim, execute
+from studies.command import SYSTEMS, Settings, chosen, claim, command
 from studies.methods import CONSTANT_ENERGY
 from studies.records import Record
 from studies.report import SILENT, Report, Table
@@ -348,9 +347,4 @@ def _energies(axes: Any, record: Record) -> None:
     axes.legend(fontsize="small")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(WholeRunSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(WholeRunSettings, study, __doc__, __name__)

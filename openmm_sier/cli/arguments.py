@@ -98,17 +98,6 @@ COMMANDS = {
             Option("out", file("DIR"), "for the figure", Path("out")),
         ),
     ),
-    "validate": Command(
-        "test whether runs sampled their ensembles, with physical_validation",
-        "Test the kinetic energies of runs by translation and rotation, their energies and volumes where two runs "
-        "differ in temperature or pressure alone, and the order of the energy error where two runs at constant energy "
-        "differ in their step. Runs that differ in their seeds alone count as one. Exit code 5 says that a check "
-        "failed.",
-        own=(
-            *RUNS,
-            Option("limit", number("", 0, 1e9, beyond=True), "standard errors beyond which a check fails", 4.0),
-        ),
-    ),
     "tune": Command(
         "find step and trial length of hybrid Monte Carlo",
         "Equilibrate coordinates as `run --ensemble hmc` does, then find the step that has the wanted acceptance, "

@@ -18,9 +18,10 @@ from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.member import CHECKPOINT
 from openmm_sier.cli.options import OPTIONS, OptionError, Options, check_table
 from openmm_sier.cli.plan import RunError, new_plan, noted_plan
-from openmm_sier.measure.ensemble import EnsembleError, Member, Outcome, ensemble, is_complete
-from openmm_sier.measure.forcefields import SHIPPED, ForceFieldError
+from openmm_sier.cli.pool import EnsembleError, Member, Outcome, ensemble, is_complete
+from openmm_sier.measure.forcefields import SHIPPED
 from openmm_sier.measure.inputs import fingerprints, source_of
+from openmm_sier.measure.pdb_files import ForceFieldError
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -65,7 +65,6 @@ FUNCTIONS = {
     "run": ("run", "run"),
     "ensemble": ("ensembles", "run"),
     "properties": ("properties", "properties_of"),
-    "validate": ("validate", "validate"),
     "tune": ("tune", "run"),
     "info": ("info", "info"),
 }

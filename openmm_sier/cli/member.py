@@ -22,8 +22,8 @@ from filelock import FileLock
 from openmm_sier.cli.files import records
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import NothingLeft
+from openmm_sier.cli.pool import COMPLETE, LOCK, NOTES, read_arguments
 from openmm_sier.engines.interrupts import SIGNALS
-from openmm_sier.measure.ensemble import COMPLETE, LOCK, NOTES, read_arguments
 
 #: Names of the files of a run.
 TRAJECTORY, CHECKPOINT = "run.dcd", "run.chk"

@@ -31,8 +31,7 @@ Restart = Literal["keeps", "may change", "not noted"]
 FORCEFIELD_HELP = (
     "force-field files, OpenMM's or your own; with a psf file all parameter, topology and stream files of CHARMM, that "
     "end in .prm or .par, .rtf or .top, .str, or .inp (default: the file named in a record 'REMARK  99 FORCEFIELD "
-    "file.xml' of the PDB file; without such a record the water model whose geometry the file has, if only one has it. "
-    "Otherwise the error lists the models to choose from)"
+    "file.xml' of the PDB file)"
 )
 
 
@@ -215,7 +214,7 @@ class Options:
         restart="not noted",
     )
     out: Path = _option(
-        file("FILE", "output"), "trajectory, .dcd, .xtc or .h5", otherwise="BOX.dcd, in the current directory"
+        file("FILE", "output"), "trajectory, .dcd or .xtc", otherwise="BOX.dcd, in the current directory"
     )
     unwrapped: bool = _option(
         SWITCH, "frames have molecules where they went, not in the box", False, otherwise="in the box"

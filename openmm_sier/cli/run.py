@@ -105,7 +105,7 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
 
 def _check_unfinished(plan: Plan, checkpoint: Path, step: int, finished: bool) -> None:
     """Refuse to go on with a run that has nothing left to do."""
-    # An .h5 file is made last: a run that was killed before that still has to be finished.
+    # The file of body states is made last: a run that was killed before that still has to be finished.
     at_end = step == plan.steps and finished
     if at_end or step > plan.steps:
         raise (NothingLeft if at_end else RunError)(

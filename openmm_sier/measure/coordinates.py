@@ -12,8 +12,7 @@ from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.measure.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
-from openmm_sier.measure.pdb_files import box_of, first_line, named_atom, read_pdb
-from openmm_sier.measure.water_models import ForceFieldError
+from openmm_sier.measure.pdb_files import ForceFieldError, box_of, first_line, named_atom, read_pdb
 
 #: Elements by whose letter atoms are told apart, where a name begins with one of them.
 _LETTERS = "HCNOPS"
@@ -73,7 +72,9 @@ def _gro(path: str) -> Coordinates:
     file = app.GromacsGroFile(path)
     box = file.getPeriodicBoxVectors()
     # A box of zeros is none.
-    return Coordinates(file.getPositions(asNumpy=True), box if np.any(box.value_in_unit(unit.nanometer)) else None, file.atomNames)
+    return Coordinates(
+        file.getPositions(asNumpy=True), box if np.any(box.value_in_unit(unit.nanometer)) else None, file.atomNames
+    )
 
 
 def _crd(path: str) -> Coordinates:

@@ -1,4 +1,4 @@
-"""Force fields for water boxes: picking one for a PDB file, and building the System."""
+"""Force fields: those that a PDB file names, and the System that is built with them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.measure.pdb_files import first_line, read_pdb
-from openmm_sier.measure.water_models import ForceFieldError, recognize
+from openmm_sier.measure.pdb_files import ForceFieldError, first_line, read_pdb
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system.molecules import Bonds, joined_by, make_whole
@@ -67,38 +66,19 @@ class Interactions:
 USUAL = Interactions()
 
 
-def pick(path: str | Path, topology: app.Topology, positions: np.ndarray) -> tuple[tuple[str, ...], str]:
-    """Force-field files for a PDB file for which the user named none, and the reason in words.
-
-    Records "REMARK  99 FORCEFIELD file.xml" in the file decide; the project's own boxes have them. Without them the
-    geometry decides, if it is that of a single water model, see `openmm_sier.measure.water_models`.
-
-    Args:
-        path: the PDB file.
-        topology: openmm.app.Topology of it.
-        positions: (N, 3), nm, molecules whole.
+def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
+    """Force-field files that a PDB file names in records "REMARK  99 FORCEFIELD file.xml", and this reason in words.
 
     Raises:
-        ForceFieldError: there is no water, or something besides water and ions, or the geometry is that of no model or
-            of several. The message says what `--forcefield` (here: `files` of `read_box`) may be.
+        ForceFieldError: there is no such record.
     """
     lines = Path(path).read_text(errors="replace").splitlines()
-    if named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK)):
-        return named, "named in the PDB file"
-    residues = list(topology.residues())
-    waters = [residue for residue in residues if residue.name == "HOH"]
-    others = [residue for residue in residues if residue.name != "HOH"]
-    if not waters:
-        raise ForceFieldError("it has no water, so that no force field can be picked. Name one with --forcefield")
-    model = recognize(waters, positions, ions=bool(others))
-    file = model.file_with_ions if others else model.file
-    if file is None or any(len(list(residue.atoms())) > 1 for residue in others):
-        names = ", ".join(sorted({residue.name for residue in others})) or "none"
-        hint = "" if model.file_with_ions is None else f"; {model.file_with_ions} has {model.name} water and ions"
+    if not (named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK))):
         raise ForceFieldError(
-            f"it has residues {names} besides {model.name} water. Name force fields for them with --forcefield{hint}"
+            "no force field is named: give its files with --forcefield (here: `files` of `read_box`), such as "
+            f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
         )
-    return (file,), f"{model.name}, whose geometry the water has{', with ions' if others else ''}"
+    return named, "named in the PDB file"
 
 
 def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
@@ -271,7 +251,7 @@ def read_box(
 
     Args:
         path: the file.
-        files: force-field files; None picks one, see `pick`.
+        files: force-field files; None takes those that the PDB file names, see `pick`.
         constraints, interactions: see `pme_system`.
         edges: of its periodic box, nm, where the file has none.
 
@@ -285,7 +265,7 @@ def read_box(
     # What a force field is recognized by, and where it puts virtual sites.
     lengths = joined_by(Bonds.guessed(pdb.topology), lengths, _box_of(pdb.topology))
     try:
-        chosen, reason = (tuple(map(str, files)), "named by the user") if files else pick(path, pdb.topology, lengths)
+        chosen, reason = (tuple(map(str, files)), "named by the user") if files else pick(path)
         forcefield = load(chosen, Path(path).parent)
         topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)

@@ -18,8 +18,7 @@ from openmm_sier.measure import forcefields
 from openmm_sier.measure.coordinates import Coordinates, read_coordinates, refuse_other_atoms
 from openmm_sier.measure.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.measure.forcefields import USUAL, Box, Interactions
-from openmm_sier.measure.pdb_files import check_positions, first_line, named_atom
-from openmm_sier.measure.water_models import ForceFieldError
+from openmm_sier.measure.pdb_files import ForceFieldError, check_positions, first_line, named_atom
 from openmm_sier.prepare.masses import HEAVIEST_HYDROGEN, hydrogens
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import BAROSTATS

@@ -64,7 +64,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     """Read a trajectory of whole molecules.
 
     Args:
-        trajectory: .dcd, .xtc or .h5.
+        trajectory: .dcd or .xtc.
         box: the PDB file; the trajectory has the atoms that it lists.
         interval: ps between frames.
         skip: ps to leave out at the beginning.
@@ -128,8 +128,7 @@ def quietly() -> Iterator[None]:
 
 def read_chunks(trajectory: Path, topology: mdtraj.Topology, skip: int = 0) -> Iterator[mdtraj.Trajectory]:
     """Frames of a trajectory, some at a time, without the lines that MDTraj's reader of DCD files prints."""
-    settings = {} if trajectory.suffix == ".h5" else {"top": topology}
-    chunks = mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=skip, **settings)
+    chunks = mdtraj.iterload(str(trajectory), chunk=CHUNK, skip=skip, top=topology)
     while True:
         with quietly():
             chunk = next(chunks, None)

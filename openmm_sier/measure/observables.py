@@ -50,15 +50,10 @@ def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.
         NaN for fewer than three values, or where the potential energy is constant.
     """
     spread = rms(potential) if len(potential) > 2 else 0.0
-    return fluctuation_within_1_ps(time, total) / spread if spread > 0 else math.nan
-
-
-def fluctuation_within_1_ps(time: np.ndarray, total: np.ndarray) -> float:
-    """rms(H) as `energy_error_within_1_ps` takes it, kJ/mol."""
     rest = []
     for t, h in zip(blocks(time, time), blocks(time, total), strict=True):
         rest.append(h - np.polyval(np.polyfit(t - t.mean(), h, 1), t - t.mean()))
-    return rms(np.concatenate(rest))
+    return rms(np.concatenate(rest)) / spread if spread > 0 else math.nan
 
 
 def blocks(time: np.ndarray, values: np.ndarray) -> list[np.ndarray]:

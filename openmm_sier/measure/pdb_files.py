@@ -12,7 +12,6 @@ from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.measure.file_kinds import MMCIF, PDB, kind_of
-from openmm_sier.measure.water_models import ForceFieldError
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom"
@@ -21,6 +20,10 @@ TWICE = "WARNING: duplicate atom"
 DENSEST = 30.0
 
 READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
+
+
+class ForceFieldError(ValueError):
+    """No force field is named, found or applied, or there are no coordinates that one could be for."""
 
 
 def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:

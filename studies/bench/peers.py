@@ -27,6 +27,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.backend import threads
 from studies.sampling import Energies
+from studies.units import md
 
 KCAL = 4.184
 #: nm^2/ps^2 times dalton is kJ/mol; LAMMPS' velocities are in A/fs.
@@ -152,20 +153,20 @@ def liquid_of(system: openmm.System, start: openmm.State) -> Liquid | None:
     """The System at a State with positions and velocities; None if it is not three-site water alone."""
     force = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
     n = system.getNumParticles()
-    kinds = [tuple(value._value for value in force.getParticleParameters(i)) for i in range(n)]
-    masses = [system.getParticleMass(i)._value for i in range(n)]
+    kinds = [tuple(md(value) for value in force.getParticleParameters(i)) for i in range(n)]
+    masses = [md(system.getParticleMass(i)) for i in range(n)]
     water = n % 3 == 0 and kinds == (kinds[:1] + 2 * kinds[1:2]) * (n // 3) and system.getNumConstraints() == n
     if not water or any(system.isVirtualSite(i) for i in range(n)):
         return None
     constraints = (system.getConstraintParameters(c) for c in range(n))
-    distances = {frozenset((i, j)): d._value for i, j, d in constraints if max(i, j) < 3}
+    distances = {frozenset((i, j)): md(d) for i, j, d in constraints if max(i, j) < 3}
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
     alpha, *mesh = force.getPMEParametersInContext(context)
     (q1, s1, e1), (q2, s2, e2) = kinds[:2]
     return Liquid(
-        positions=start.getPositions(asNumpy=True)._value,
-        velocities=start.getVelocities(asNumpy=True)._value,
-        box=np.diag(start.getPeriodicBoxVectors(asNumpy=True)._value),
+        positions=md(start.getPositions(asNumpy=True)),
+        velocities=md(start.getVelocities(asNumpy=True)),
+        box=np.diag(md(start.getPeriodicBoxVectors(asNumpy=True))),
         masses=np.array(masses[:2]),
         charges=np.array([q1, q2]),
         sigmas=np.array([s1, s2]),
@@ -173,7 +174,7 @@ def liquid_of(system: openmm.System, start: openmm.State) -> Liquid | None:
         bonds=(distances[frozenset((0, 1))], distances[frozenset((1, 2))]),
         cutoff=force.getCutoffDistance().value_in_unit(unit.nanometer),
         switch=force.getSwitchingDistance().value_in_unit(unit.nanometer),
-        alpha=alpha._value if hasattr(alpha, "_value") else float(alpha),
+        alpha=float(md(alpha)),
         mesh=(int(mesh[0]), int(mesh[1]), int(mesh[2])),
     )
 
@@ -210,6 +211,17 @@ class _Lammps:
 
 
 def _lammps_input(liquid: Liquid, step: float, steps: int, every: int) -> str:
+    motion = f"""kspace_style pppm 1e-5
+kspace_modify gewald {liquid.alpha * ANGSTROM:.12g} mesh {" ".join(map(str, liquid.mesh))} order {SPLINE_ORDER} diff ad
+neighbor 2.0 bin
+neigh_modify every 1 delay 0 check yes
+timestep {step}
+fix motion all rigid/nve/small molecule"""
+    return lammps_run(liquid, "bond_coeff *\nangle_coeff *", motion, steps, every)
+
+
+def lammps_run(liquid: Liquid, molecule: str, motion: str, steps: int, every: int) -> str:
+    """The input of a run: the coefficients of bond and angle, the sums of PPPM and how molecules move are given."""
     pairs = "\n".join(
         f"pair_coeff {i + 1} {i + 1} {liquid.epsilons[i] / KCAL:.12g} {liquid.sigmas[i] / ANGSTROM:.12g}"
         for i in (0, 1)
@@ -222,15 +234,9 @@ special_bonds lj/coul 0 0 0
 pair_style lj/charmm/coul/long {liquid.switch / ANGSTROM} {liquid.cutoff / ANGSTROM}
 pair_modify mix arithmetic
 read_data data
-bond_coeff *
-angle_coeff *
+{molecule}
 {pairs}
-kspace_style pppm 1e-5
-kspace_modify gewald {liquid.alpha * ANGSTROM:.12g} mesh {" ".join(map(str, liquid.mesh))} order {SPLINE_ORDER} diff ad
-neighbor 2.0 bin
-neigh_modify every 1 delay 0 check yes
-timestep {step}
-fix motion all rigid/nve/small molecule
+{motion}
 thermo {every}
 thermo_style custom step pe ke
 thermo_modify norm no format float %.12g

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from studies.bench import peers
-from studies.bench.peers import ANGSTROM, KCAL, Liquid, Peer
+from studies.bench.peers import ANGSTROM, Liquid, Peer
 
 #: Step that both recommend for water held rigid, fs.
 STEP = 2.0
@@ -22,32 +22,14 @@ def installed() -> list[Peer]:
 
 def lammps_input(liquid: Liquid, step: float, steps: int, every: int) -> str:
     """Verlet with SHAKE, PPPM to 1e-4, Lennard-Jones switched off as CHARMM does it."""
-    pairs = "\n".join(
-        f"pair_coeff {i + 1} {i + 1} {liquid.epsilons[i] / KCAL:.12g} {liquid.sigmas[i] / ANGSTROM:.12g}"
-        for i in (0, 1)
-    )
     oh, hh = liquid.bonds
     angle = 2 * math.degrees(math.asin(hh / (2 * oh)))
-    return f"""units real
-atom_style full
-bond_style zero
-angle_style zero
-special_bonds lj/coul 0 0 0
-pair_style lj/charmm/coul/long {liquid.switch / ANGSTROM} {liquid.cutoff / ANGSTROM}
-pair_modify mix arithmetic
-read_data data
-bond_coeff 1 {oh / ANGSTROM:.12g}
-angle_coeff 1 {angle:.12g}
-{pairs}
-kspace_style pppm 1e-4
+    molecule = f"bond_coeff 1 {oh / ANGSTROM:.12g}\nangle_coeff 1 {angle:.12g}"
+    motion = f"""kspace_style pppm 1e-4
 timestep {step}
 fix rigid all shake 1e-4 20 0 b 1 a 1
-fix motion all nve
-thermo {every}
-thermo_style custom step pe ke
-thermo_modify norm no format float %.12g
-run {steps}
-"""
+fix motion all nve"""
+    return peers.lammps_run(liquid, molecule, motion, steps, every)
 
 
 def mdp(liquid: Liquid, step: float, steps: int, every: int) -> str:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -30,9 +30,10 @@ from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIn
 from openmm_sier.cli.stopping import interrupt_behind
 from studies import records
 from studies.checks.soak import deformation, water
-from studies.command import Settings, chosen, execute
+from studies.command import Settings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 STEP, TEMPERATURE, FRICTION = 0.001, 297.0, 5.0
 
@@ -147,7 +148,7 @@ class Subject:
         """Positions, velocities and box."""
         state = self.context.getState(positions=True, velocities=True)
         places, speeds = state.getPositions(asNumpy=True), state.getVelocities(asNumpy=True)
-        return places._value, speeds._value, state.getPeriodicBoxVectors(asNumpy=True)._value
+        return md(places), md(speeds), md(state.getPeriodicBoxVectors(asNumpy=True))
 
 
 def start_of(molecules: int, seed: int) -> openmm.State:
@@ -229,17 +230,17 @@ def look(tested: Subject, engine: str) -> dict[str, float]:
         Broken: it is not at a completed step.
     """
     state = tested.context.getState(energy=True)
-    steps, size = state.getStepCount(), tested.integrator.getStepSize()._value
-    off = abs(state.getTime()._value - steps * size)
+    steps, size = state.getStepCount(), md(tested.integrator.getStepSize())
+    off = abs(md(state.getTime()) - steps * size)
     # Each of the sums that made the time was rounded.
-    if off > steps * np.finfo(float).eps * state.getTime()._value:
+    if off > steps * np.finfo(float).eps * md(state.getTime()):
         raise Broken(f"after {steps} steps of {size:g} ps the time is {state.getTime()}")
     bodies, motion = tested.integrator.bodies, tested.integrator.getBodyState()
     bent = deformation(tested.now[0], bodies)
     if not bent < EXACTNESS[engine]:
         raise Broken(f"after {steps} steps a distance in a molecule is off by {bent:.1e} nm")
     kinetic = sum(bodies.kinetic_energies(motion))
-    conserved = state.getPotentialEnergy()._value + kinetic - motion.heat
+    conserved = md(state.getPotentialEnergy()) + kinetic - motion.heat
     momentum = bodies.total_momenta(motion)[0]
     return {
         "steps": steps,
@@ -351,14 +352,7 @@ def study(settings: InterruptSettings, report: Report = SILENT) -> Record:
         report.note(records.cell("{run}, {engine}: {interrupts} interrupts, {steps} steps", rows[-1]))
     found = pd.DataFrame(rows)
     report.table(records.table(f"SIGINT, {settings.molecules} molecules of water", found, COLUMNS, left=2))
-    record = Record(settings.recorded(), {"rows": found}, {})
-    record.write(settings.out / "interrupts.json")
-    return record
+    return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "interrupts.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(InterruptSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(InterruptSettings, study, __doc__, __name__)

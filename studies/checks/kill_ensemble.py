@@ -14,7 +14,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -23,9 +22,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal
 
+from openmm_sier.cli.pool import WORKER, Member, Outcome, ensemble
 from openmm_sier.dynamics.backend.threads import cores
-from openmm_sier.measure.ensemble import WORKER, Member, Outcome, ensemble
-from studies.command import BoxSettings, execute
+from studies.command import BoxSettings, command
 from studies.report import SILENT, Report
 
 OPTIONS = "--scheme sier2 --dt 2 --ensemble nvt --platform CPU --equilibrate 0.02 --every 0.04 --checkpoint-every 0.04"
@@ -149,9 +148,4 @@ def study(settings: KillSettings, report: Report = SILENT) -> None:
         report.note(f"{name}: files are the same to the byte")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(KillSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(KillSettings, study, __doc__, __name__)

@@ -3,7 +3,7 @@
     python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--ensemble npt] [--signals KILL TERM]
 
 At the end the trajectory must have every frame once, in order. Trajectory, log and body states must be those of an
-undisturbed run: byte for byte for .dcd, .xtc and .csv files, number by number for .h5. A signal that can be handled
+undisturbed run: byte for byte, and body states number by number. A signal that can be handled
 must give its exit code and, after the first step, leave a checkpoint of the step that the message names. The status is
 1 if not.
 """
@@ -27,7 +27,7 @@ import numpy as np
 
 from openmm_sier.cli.files import checkpoints
 from studies.boxes import write_lattice
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.report import SILENT, Report
 
 #: A frame every 4 steps, a row every 6, body states every 5 and a checkpoint every 10, so that many kills come while
@@ -65,7 +65,7 @@ class Lost(ValueError):
     """Something did not survive the kills."""
 
 
-def command(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
+def line_of(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
     """The command that begins a run, or goes on from its checkpoint if there is one."""
     checkpoint = Path(out).with_suffix(".chk")
     begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out, "--bodies", bodies_of(out)]
@@ -88,7 +88,7 @@ def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, 
     checkpoint = (directory / out).with_suffix(".chk")
     before = _changed(checkpoint)
     with open(directory / "said.txt", "w") as said:
-        process = subprocess.Popen(command(directory, out, ENDLESS, ensemble), cwd=directory, stdout=said, stderr=said)
+        process = subprocess.Popen(line_of(directory, out, ENDLESS, ensemble), cwd=directory, stdout=said, stderr=said)
     while not early and _changed(checkpoint) == before:
         if process.poll() is not None:
             raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
@@ -121,9 +121,9 @@ def trace(directory: Path, out: str) -> dict[str, int]:
     if not checkpoint.exists():
         return {"before the first checkpoint": 1}
     _, notes = checkpoints.read_checkpoint(checkpoint)
-    growing = directory / (out + ".dcd" if out.endswith(".h5") else out)
+    grown = (directory / out).stat().st_size > notes["trajectory"]["size"]
     return {
-        "with something written after the checkpoint": int(growing.stat().st_size > notes["trajectory"]["size"]),
+        "with something written after the checkpoint": int(grown),
         "while a checkpoint was being written": int(checkpoint.with_name(checkpoint.name + ".tmp").exists()),
     }
 
@@ -135,7 +135,7 @@ def last_step(directory: Path, out: str) -> int:
 
 def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:
     """Run to a step undisturbed."""
-    line = command(directory, out, steps, ensemble)
+    line = line_of(directory, out, steps, ensemble)
     done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
     if done.returncode:
         raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
@@ -147,14 +147,13 @@ def compare(directory: Path, one: str, two: str, steps: int) -> int:
     Raises:
         Lost: naming what differs.
     """
-    load = {"top": str(directory / "box.pdb")} if not one.endswith(".h5") else {}
-    trajectories = [mdtraj.load(str(directory / name), **load) for name in (one, two)]
+    trajectories = [mdtraj.load(str(directory / name), top=str(directory / "box.pdb")) for name in (one, two)]
     logs = [(directory / name).with_suffix(".csv").read_bytes() for name in (one, two)]
     if trajectories[0].n_frames != steps // EVERY:
         raise Lost(f"{one} has {trajectories[0].n_frames} frames, expected {steps // EVERY}")
     if not np.array_equal(trajectories[0].xyz, trajectories[1].xyz):
         raise Lost(f"the frames of {one} are not those of {two}")
-    if not one.endswith(".h5") and (directory / one).read_bytes() != (directory / two).read_bytes():
+    if (directory / one).read_bytes() != (directory / two).read_bytes():
         raise Lost(f"{one} and {two} differ, though their coordinates are the same")
     if logs[0] != logs[1] or logs[0].count(b"\n") != steps // ROWS + 2:
         raise Lost(f"the log of {one} is not that of {two}, or not all of it")
@@ -218,7 +217,7 @@ class LoopSettings(Settings):
     """
 
     kills: int = 50
-    suffix: Literal[".dcd", ".xtc", ".h5"] = ".dcd"
+    suffix: Literal[".dcd", ".xtc"] = ".dcd"
     ensemble: Literal["nve", "nvt", "npt"] = "npt"
     signals: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = SIGNALS
     out: Path = Path("killed")
@@ -232,9 +231,4 @@ def study(settings: LoopSettings, report: Report = SILENT) -> None:
     report.note("every frame and row once, in order, as in the run that nothing disturbed")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(LoopSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(LoopSettings, study, __doc__, __name__)

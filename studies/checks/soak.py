@@ -8,8 +8,6 @@ small, the table has the largest value seen.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -29,7 +27,7 @@ from openmm_sier.measure.report import duration
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.measure.statistics import mean_and_error
 from studies import boxes, records, sampling
-from studies.command import Settings, chosen, execute
+from studies.command import Settings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
 
@@ -160,14 +158,7 @@ def study(settings: SoakSettings, report: Report = SILENT) -> Record:
     told = pd.DataFrame({"name": list(rows), "text": list(rows.values())})
     title = f"{settings.molecules} molecules of water, {looks[-1]['step']} steps of {settings.dt:g} fs, {scheme.name}, "
     report.table(records.table(f"{title}{settings.platform} platform", told, COLUMNS))
-    record = Record(settings.recorded(), {"looks": found, "told": told}, {})
-    record.write(settings.out / "soak.json")
-    return record
+    return Record(settings.recorded(), {"looks": found, "told": told}, {}).write(settings.out / "soak.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(SoakSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(SoakSettings, study, __doc__, __name__)

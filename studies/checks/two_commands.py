@@ -19,7 +19,6 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
@@ -32,7 +31,7 @@ from openmm_sier.cli import run as _imported_before_the_fork  # noqa: F401
 from openmm_sier.cli.member import CHECKPOINT
 from studies import records
 from studies.boxes import write_lattice
-from studies.command import Settings, chosen, execute
+from studies.command import Settings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
 
@@ -261,14 +260,7 @@ def study(settings: TwoSettings, report: Report = SILENT) -> Record:
         report.note(f"{first}, {second}: {', '.join(f'{count} {what}' for what, count in met.items())}")
     found = pd.DataFrame(rows)
     report.table(records.table("Two commands on one output", found, COLUMNS))
-    record = Record(settings.recorded(), {"rows": found}, {})
-    record.write(settings.out / "two-commands.json")
-    return record
+    return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "two-commands.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(TwoSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(TwoSettings, study, __doc__, __name__)

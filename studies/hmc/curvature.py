@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import RigidBodies
 from openmm_sier.measure.starts import make_context
+from studies.units import md
 
 #: The motion of rigid molecules as wholes, their turning, and that of the parts of other molecules.
 KINDS = ("translation", "rotation", "flexible")
@@ -33,7 +34,7 @@ class Curvature:
     def __init__(self, system: openmm.System, bodies: RigidBodies, seed: int, platform: str | None) -> None:
         n = system.getNumParticles()
         self.context = make_context(system, openmm.VerletIntegrator(0.001), platform)
-        self.masses = np.array([system.getParticleMass(i)._value for i in range(n)])
+        self.masses = np.array([md(system.getParticleMass(i)) for i in range(n)])
         pairs = np.array([system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())])
         graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))
         count, self.groups = connected_components(graph, directed=False)
@@ -55,7 +56,7 @@ class Curvature:
             state: positions and box.
         """
         self.context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-        positions = state.getPositions(asNumpy=True)._value
+        positions = md(state.getPositions(asNumpy=True))
         centres = self.weights * self._sum(self.masses[:, None] * positions)
         arms = positions - centres[self.groups]
         shift, turn = self.rng.choice([-1.0, 1.0], size=(2, len(centres), 3))
@@ -65,7 +66,7 @@ class Curvature:
             turned = Rotation.from_rotvec(sign * ANGLE * turn[self.groups]).apply(arms)
             moved = centres + sign * DISPLACEMENT * shift
             self.context.setPositions(moved[self.groups] + turned)
-            forces = self.context.getState(forces=True).getForces(asNumpy=True)._value
+            forces = md(self.context.getState(forces=True).getForces(asNumpy=True))
             found.append((self._sum(forces), self._sum(np.cross(turned, forces))))
         (ahead, ahead_turning), (behind, behind_turning) = found
         force, torque = 0.5 * (ahead + behind), 0.5 * (ahead_turning + behind_turning)

@@ -10,7 +10,6 @@ the time goes to Python's calls, so fewer bodies would save nothing.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from openmm_sier.measure.statistics import mean_and_error
 from studies import records
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.hmc.model_engine import KT, Chain, Dipoles, Wells
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -113,14 +112,7 @@ def study(settings: ExactnessSettings, report: Report = SILENT) -> Record:
         rows = pd.DataFrame([row for each in found for row in each.result()])
     for model, mine in rows.groupby("model", sort=False):
         report.table(records.table(str(model), mine, COLUMNS))
-    record = Record(settings.recorded(), {"rows": rows}, {})
-    record.write(settings.out / "exactness.json")
-    return record
+    return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "exactness.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(ExactnessSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(ExactnessSettings, study, __doc__, __name__)

@@ -12,7 +12,6 @@ many samples can be afforded.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,10 +30,11 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, mean_and_error
 from openmm_sier.observe.conservation import density
 from studies import records
-from studies.command import SYSTEMS, Settings, execute
+from studies.command import SYSTEMS, Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import observe
+from studies.units import md
 
 CUTOFF, TOLERANCE = 0.7, 1e-4
 
@@ -129,7 +129,7 @@ def run(settings: LiquidSettings) -> Record:
     pdb, system = water(settings.box)
     bodies = RigidBodies.from_system(system, pdb.topology)
     nonbonded = next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
-    charges = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(system.getNumParticles())])
+    charges = np.array([md(nonbonded.getParticleParameters(i)[0]) for i in range(system.getNumParticles())])
     integrator, steps = integrator_of(settings, system)
     integrator.setRandomNumberSeed(settings.seed)
     context = make_context(system, integrator, settings.platform)
@@ -141,7 +141,7 @@ def run(settings: LiquidSettings) -> Record:
     rows, begun = [], perf_counter()
     for done in range(1, round(settings.time / EVERY) + 1):
         integrator.step(steps)
-        dipole = charges @ context.getState(positions=True).getPositions(asNumpy=True)._value
+        dipole = charges @ md(context.getState(positions=True).getPositions(asNumpy=True))
         sample = observe(context, bodies, False)
         rows.append(sample._asdict() | {"density": density(bodies.masses.sum(), sample.volume)})
         rows[-1] |= dict(zip(DIPOLE, dipole, strict=True))
@@ -191,9 +191,4 @@ def _inefficiency(tables: Sequence[pd.DataFrame], name: str) -> float:
     return float(np.average([inefficiency(frame[name].to_numpy()) for frame in tables], weights=list(map(len, tables))))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(LiquidSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(LiquidSettings, study, __doc__, __name__)

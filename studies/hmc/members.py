@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,11 +30,12 @@ from openmm_sier.measure.liquid_samples import quietly
 from openmm_sier.measure.statistics import mean_and_error, pooled
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
 from studies import records
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.samples import cost
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: What is observed, with its column in the log.
 OBSERVED = {"potential": "Potential Energy (kJ/mole)", "volume": "Box Volume (nm^3)"}
@@ -92,9 +92,7 @@ def study(settings: MemberSettings, report: Report = SILENT) -> Record:
     rows = pd.DataFrame([row_of(label, runs, settings.skip) for label, runs in alike.items()])
     shown = records.with_text(rows, *MEANS, *(f"{name}_cost" for name in COSTS))
     report.table(records.table("Samples", shown, COLUMNS))
-    record = Record({"skip": settings.skip}, {"rows": rows}, {})
-    record.write(settings.out / "members.json")
-    return record
+    return Record({"skip": settings.skip}, {"rows": rows}, {}).write(settings.out / "members.json")
 
 
 def label_of(run: FinishedRun) -> str:
@@ -156,7 +154,7 @@ def in_frames(run: FinishedRun, skip: float) -> dict[str, pd.DataFrame]:
     found = {}
     if len(box.listed) == box.topology.getNumAtoms():
         force = next(each for each in box.system.getForces() if isinstance(each, openmm.NonbondedForce))
-        charges = np.array([force.getParticleParameters(i)[0]._value for i in range(len(box.listed))])
+        charges = np.array([md(force.getParticleParameters(i)[0]) for i in range(len(box.listed))])
         found["dipole"] = pd.DataFrame(np.einsum("i,kix->kx", charges, positions), columns=["x", "y", "z"])
     # Amides and water have no psi.
     with contextlib.suppress(ValueError):
@@ -165,9 +163,4 @@ def in_frames(run: FinishedRun, skip: float) -> dict[str, pd.DataFrame]:
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(MemberSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(MemberSettings, study, __doc__, __name__)

@@ -16,8 +16,6 @@ probability by a Kolmogorov-Smirnov test that independent potential energies of 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -36,11 +34,12 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, pooled
 from openmm_sier.observe.conservation import density
 from studies import records
-from studies.command import Settings, execute
+from studies.command import Settings, command
 from studies.hmc.curvature import KINDS, Curvature
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import body_state
+from studies.units import md
 from systems import peptide
 
 #: nm: the edge of the box that is filled with water, and the cut-off.
@@ -125,8 +124,8 @@ def study(settings: MixtureSettings, report: Report = SILENT) -> None:
     rows = table(runs)
     names = [name.removesuffix("_error") for name in rows if name.endswith("_error")]
     report.table(records.table("A mixture at 1 bar", records.with_text(rows, *names), COLUMNS))
-    tests = verdicts(runs)
-    report.table(records.table("Tests of kinetic energies", tests, VERDICTS, left=2))
+    tests = kinetic_tests(runs)
+    report.table(records.table("Tests of kinetic energies, standard errors", tests, TESTS, left=2))
     Record(settings.recorded(), {"rows": rows, "tests": tests}, {}).write(settings.out / "mixture.json")
 
 
@@ -217,8 +216,8 @@ def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
             integrator.step(every)
             state = context.getState(positions=True, energy=True)
             found = temperatures(bodies, body_state(context, bodies), False)
-            row = {"potential": state.getPotentialEnergy()._value, "kinetic": state.getKineticEnergy()._value}
-            row |= {"volume": state.getPeriodicBoxVolume()._value, **found._asdict()}
+            row = {"potential": md(state.getPotentialEnergy()), "kinetic": md(state.getKineticEnergy())}
+            row |= {"volume": md(state.getPeriodicBoxVolume()), **found._asdict()}
             rows.append(row | curvature(state))
             if done % round(SAVED / EVERY) == 0 or done == count:
                 notes = {
@@ -269,41 +268,31 @@ def configurational(samples: pd.DataFrame, kind: str) -> Estimate:
     return found.times(1 / GAS_CONSTANT)
 
 
-VERDICTS = {
+TESTS = {
     "run": "{label}",
-    "check": "{check}",
+    "group": "{group}",
     "samples": "{samples}",
-    "found": "{detail}",
-    "standard errors": "{distance:.1f}",
-    "p": "{probability:.2g}",
+    "mean": "{mean:.1f}",
+    "width": "{width:.1f}",
+    "shape, p": "{shape:.2g}",
 }
 
 
-def verdicts(runs: dict[str, list[Record]]) -> pd.DataFrame:
-    """What `openmm-sier validate` says of kinetic energies."""
+def kinetic_tests(runs: dict[str, list[Record]]) -> pd.DataFrame:
+    """physical_validation's tests: standard errors of mean and width, and the probability of Kolmogorov and Smirnov."""
+    from physical_validation.kinetic_energy import distribution
+
+    columns = {"kinetic": "Kinetic Energy (kJ/mole)"}
+    columns |= dict(zip(TEMPERATURES, validation.GROUPS.values(), strict=True))
+    options = {"data_is_uncorrelated": True, "bootstrap_seed": 5, "verbosity": 0}
     rows = []
     for label, several in runs.items():
-        logs = []
-        for record in several:
-            samples = record.tables["samples"]
-            log = {"Potential Energy (kJ/mole)": samples["potential"], "Kinetic Energy (kJ/mole)": samples["kinetic"]}
-            log |= {"Box Volume (nm^3)": samples["volume"]}
-            log |= {validation.GROUPS[name]: samples[column] for name, column in _groups()}
-            logs.append({name: values.to_numpy() for name, values in log.items()})
-        sample = validation.sampled(logs, several[0].settings["temperature"], 1.0)
-        for verdict in validation.kinetic_verdicts(sample):
-            probability = math.erfc(verdict.distance / math.sqrt(2))
-            rows.append({"label": label, **verdict._asdict(), "probability": probability})
+        logs = [record.tables["samples"].rename(columns=columns) for record in several]
+        for group, data in validation.kinetic_data(logs, several[0].settings["temperature"]).items():
+            mean, width = distribution(data, strict=False, **options)
+            row = {"label": label, "group": group, "samples": len(data.observables.kinetic_energy)}
+            rows.append(row | {"mean": mean, "width": width, "shape": distribution(data, strict=True, **options)})
     return pd.DataFrame(rows)
 
 
-def _groups() -> zip:
-    return zip(validation.GROUPS, TEMPERATURES, strict=True)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(MixtureSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(MixtureSettings, study, __doc__, __name__)

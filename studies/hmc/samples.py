@@ -15,7 +15,6 @@ as a force. `--held` compares the dihedrals in one of their basins, at constant 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,12 +31,13 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.statistics import inefficiency_and_error
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from studies import records
-from studies.command import execute
+from studies.command import command
 from studies.hmc import solutes
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.hmc.solutes import SoluteSettings, Solution
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: fs: between two attempts to change the volume, and between two samples at least.
 EVERY = 120.0
@@ -203,7 +203,7 @@ def run(settings: SampleSettings, report: Report = SILENT) -> Record:
     integrator, every = integrator_of(settings, solution.system)
     integrator.setRandomNumberSeed(settings.seed)
     context = solutes.context(solution, integrator, settings)
-    interval = 1e3 * every * integrator.getStepSize()._value
+    interval = 1e3 * every * md(integrator.getStepSize())
     observe = Observer(solution)
     integrator.step(round(1e3 * settings.settling / interval) * every)
     is_hmc = isinstance(integrator, SIERHMCIntegrator)
@@ -238,13 +238,13 @@ class Observer:
     def __init__(self, solution: Solution) -> None:
         nonbonded = next(f for f in solution.system.getForces() if isinstance(f, openmm.NonbondedForce))
         particles = range(solution.system.getNumParticles())
-        self.charges = np.array([nonbonded.getParticleParameters(i)[0]._value for i in particles])
+        self.charges = np.array([md(nonbonded.getParticleParameters(i)[0]) for i in particles])
         self.phi, self.psi = backbone(solution.topology)
 
     def __call__(self, context: openmm.Context) -> dict[str, float]:
         state = context.getState(positions=True, energy=True)
-        positions = state.getPositions(asNumpy=True)._value
-        found = {"potential": state.getPotentialEnergy()._value, "volume": state.getPeriodicBoxVolume()._value}
+        positions = md(state.getPositions(asNumpy=True))
+        found = {"potential": md(state.getPotentialEnergy()), "volume": md(state.getPeriodicBoxVolume())}
         found |= {"phi": dihedral(positions, self.phi), "psi": dihedral(positions, self.psi)}
         return found | dict(zip(DIPOLE, self.charges @ positions, strict=True))
 
@@ -293,9 +293,4 @@ def cost(samples: pd.DataFrame, forces: float) -> Estimate:
     return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(SampleSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(SampleSettings, study, __doc__, __name__)

@@ -15,8 +15,6 @@ so that trajectories can be reversed. All schemes begin at one equilibrated star
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -31,11 +29,12 @@ from openmm_sier.dynamics.rotation import exact, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 from studies import records
 from studies.acceptance import expected_acceptance, pooled_spread
-from studies.command import execute
+from studies.command import command
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 COLUMNS = {
     "box": "{box}",
@@ -133,7 +132,7 @@ def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
         "atoms": context.getSystem().getNumParticles(),
         "solute": len(solution.solute),
         "waters": solution.waters,
-        "length": 1e3 * integrator.getStepSize()._value,
+        "length": 1e3 * md(integrator.getStepSize()),
         "reversal": integrator.reversalError,
     }
     with report.progress(name, settings.trials) as show:
@@ -195,9 +194,4 @@ def laws(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(SolvatedSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(SolvatedSettings, study, __doc__, __name__)

@@ -10,8 +10,6 @@ that many molecules of the box, in a smaller box of the same density, for slow p
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -25,9 +23,10 @@ from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import rms, slope_and_error
 from studies import boxes, records
-from studies.command import BoxSettings, chosen, execute
+from studies.command import BoxSettings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: Steps of 2 fs before the runs, and of 1 fs in a strong bath before those of boxes that are set up here.
 EQUILIBRATION, MELTING = 1000, 2000
@@ -177,7 +176,7 @@ def run(context: openmm.Context, state: openmm.State, step: float, time: float) 
     for _ in range(round(time / (step * every))):
         integrator.step(every)
         found = context.getState(energy=True)
-        rows.append([found.getTime()._value, found.getPotentialEnergy()._value, found.getKineticEnergy()._value])
+        rows.append([md(found.getTime()), md(found.getPotentialEnergy()), md(found.getKineticEnergy())])
     times, potential, kinetic = np.array(rows).T
     total = potential + kinetic
     return 100 * rms(total) / rms(potential), slope_and_error(times, total).value
@@ -211,14 +210,7 @@ def study(settings: NativeSettings, report: Report = SILENT) -> Record:
     name = "carbon dioxide" if settings.carbon_dioxide else settings.box.stem
     title = f"{name}, {settings.molecules or 'all'} molecules, {settings.time:g} ps"
     report.table(records.table(title, rows, COLUMNS, left=4))
-    record = Record(settings.recorded(), {"rows": rows}, {})
-    record.write(settings.out / "native-accuracy.json")
-    return record
+    return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "native-accuracy.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(NativeSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(NativeSettings, study, __doc__, __name__)

@@ -8,8 +8,6 @@ standard error. Times are processor times of the process, so other work on the m
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import process_time
@@ -23,7 +21,7 @@ from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure.starts import make_context
 from studies import boxes, records
 from studies.bench.timing import interleaved, median_and_error
-from studies.command import BoxSettings, chosen, execute
+from studies.command import BoxSettings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
 
@@ -75,14 +73,7 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
             rows.append({"scheme": scheme.name, "what": what, "ratio": ratio, "ratio_error": error})
     found = pd.DataFrame(rows)
     report.table(records.table(f"{settings.box.stem} on {settings.platform}", found, COLUMNS, left=2))
-    record = Record(settings.recorded(), {"rows": found}, {})
-    record.write(settings.out / "native-cost.json")
-    return record
+    return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "native-cost.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(CostSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(CostSettings, study, __doc__, __name__)

@@ -12,8 +12,6 @@ engines have the same box.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -26,10 +24,11 @@ from openmm_sier import SIER4G, SIERLangevinIntegrator
 from openmm_sier.measure.statistics import mean_and_error
 from openmm_sier.observe.conservation import density
 from studies import records
-from studies.command import execute
+from studies.command import command
 from studies.native.accuracy import NativeSettings, context_on, start
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: ps: the step, and what is left out at the beginning; steps between two moves of the volume.
 STEP, SETTLING, MOVES = 0.006, 2.0, 5
@@ -83,12 +82,12 @@ def _run(engine: str, settings: EnsembleSettings) -> dict[str, Any]:
     context = context_on(settings.on[0], system, integrator)
     context.setState(state)
     integrator.step(round(SETTLING / STEP) * (10 if settings.ensemble == "npt" else 1))
-    mass = sum(system.getParticleMass(i)._value for i in range(system.getNumParticles()))
+    mass = sum(md(system.getParticleMass(i)) for i in range(system.getNumParticles()))
     rows = []
     for _ in range(round(settings.time / STEP)):
         integrator.step(1)
         found = integrator.computeTemperatures()
-        volume = context.getState().getPeriodicBoxVolume()._value
+        volume = md(context.getState().getPeriodicBoxVolume())
         rows.append([found.translation, found.rotation, found.rotation - found.translation, density(mass, volume)])
     row: dict[str, Any] = {"engine": engine}
     for name, values in zip(("translation", "rotation", "difference", "density"), np.array(rows).T, strict=True):
@@ -100,14 +99,7 @@ def study(settings: EnsembleSettings, report: Report = SILENT) -> Record:
     """Run the engines, and write native-ensembles.json."""
     rows = pd.DataFrame([_run(engine, settings) for engine in settings.engines])
     report.table(records.table(f"{settings.ensemble.upper()}, {settings.time:g} ps", rows, COLUMNS))
-    record = Record(settings.recorded(), {"rows": rows}, {})
-    record.write(settings.out / "native-ensembles.json")
-    return record
+    return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "native-ensembles.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(EnsembleSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(EnsembleSettings, study, __doc__, __name__)

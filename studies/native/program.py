@@ -12,7 +12,6 @@ their own. Writes native-program.json.
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +22,7 @@ from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines.native.installation import OWN
 from openmm_sier.engines.native.program import CONSTRAIN_V, CONSTRAIN_X, Program, Statement, write
 from studies import records
-from studies.command import Settings, chosen, execute
+from studies.command import Settings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
 
@@ -136,14 +135,7 @@ def study(settings: ProgramSettings, report: Report = SILENT) -> Record:
     ]
     found = pd.DataFrame(rows)
     report.table(records.table("One step", found, COLUMNS, left=2))
-    record = Record(settings.recorded(), {"rows": found}, {})
-    record.write(settings.out / "native-program.json")
-    return record
+    return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "native-program.json")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(ProgramSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(ProgramSettings, study, __doc__, __name__)

@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 from tyro.conf import Positional
 
-from openmm_sier.measure.ensemble import Member, ensemble
+from openmm_sier.cli.pool import Member, ensemble
 from openmm_sier.measure.report import duration
 from studies.command import Settings
 from studies.paper import dipole, free_rotation, liquids, water, water_runs

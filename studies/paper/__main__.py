@@ -2,16 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
-
 from studies import paper
-from studies.command import execute
+from studies.command import command
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(paper.PaperSettings, paper.study, paper.__doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(paper.PaperSettings, paper.study, paper.__doc__, __name__)

@@ -19,6 +19,7 @@ import numpy as np
 import openmm
 
 from studies.paper.pairs import compiled_sum
+from studies.units import md
 
 #: k = N_A e^2 / (4 pi eps0), kJ/mol nm; the value that OpenMM uses.
 COULOMB = 138.935456
@@ -48,8 +49,8 @@ class MolecularCutoff:
 
     def __call__(self, state: openmm.State) -> tuple[float, np.ndarray]:
         """Energy and forces of a State with positions and box, as `openmm.PythonForce` asks for them."""
-        positions = state.getPositions(asNumpy=True)._value
-        box = np.diag(state.getPeriodicBoxVectors(asNumpy=True)._value)
+        positions = md(state.getPositions(asNumpy=True))
+        box = np.diag(md(state.getPeriodicBoxVectors(asNumpy=True)))
         return self.energy_and_forces(positions, box)
 
     def energy_and_forces(self, positions: np.ndarray, box: np.ndarray) -> tuple[float, np.ndarray]:

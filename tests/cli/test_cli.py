@@ -164,7 +164,6 @@ sys.exit(main.main(arguments))
         # step 0 and every 10 steps, so that the eighth is for step 70, when the frame of that step is there.
         (".dcd", "frame", 13, 50, 13),
         (".xtc", "frame", 13, 50, 13),
-        (".h5", "frame", 13, 50, 13),
         (".dcd", "row", 7, 50, 14),
         (".dcd", "checkpoint", 2, 25, 10),
     ],
@@ -181,8 +180,7 @@ def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
     assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == checkpoint
     if suffix != ".xtc":
         # MDTraj refuses an XTC file that ends in half a frame.
-        kept = frames(Path("cut.h5.dcd") if suffix == ".h5" else out, box)
-        assert kept.n_frames == left
+        assert frames(out, box).n_frames == left
 
     assert main.main([*command, "--restart", "cut.chk"]) == 0
     ours, theirs = frames(out, box), frames(whole_run / "whole.dcd", box)
@@ -254,7 +252,7 @@ def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "text.pdb is no PDB file with atoms" in complaint(capsys, "info", "text.pdb")
     assert 'Could not locate file "none.xml"' in complaint(capsys, "run", box, "--forcefield", "none.xml")
     assert "No template found for residue" in complaint(capsys, "run", box, "--forcefield", "amber14/lipid17.xml")
-    assert "ends in .dcd, .xtc, .h5" in complaint(capsys, "run", box, "--out", "a.trr")
+    assert "ends in .dcd, .xtc, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr")
     assert not list(Path().glob("box.*"))
 
 
@@ -300,7 +298,7 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"openmm-sier {__version__}\n"
 
 
-# --- info and the choice of a force field ---
+# --- info ---
 
 
 def test_info_shows_the_bodies_of_a_salt_solution(capsys):
@@ -320,16 +318,3 @@ def test_info_shows_virtual_sites(capsys):
     out = capsys.readouterr().out
     assert "M1 M2" in out
     assert "no periodic box" in out
-
-
-def test_choices_that_are_refused(box, capsys):
-    text = box.read_text()
-    lines = [line for line in text.splitlines(keepends=True) if not line.startswith("REMARK")]
-    atoms = [i for i, line in enumerate(lines) if line.startswith("HETATM")]
-    Path("odd.pdb").write_text("".join(lines[: atoms[2]] + lines[atoms[3] :]))
-    assert "residue HOH 1 has the atoms O H1," in complaint(capsys, "info", "odd.pdb")
-    oxygens = [line for i, line in enumerate(lines) if i not in atoms or " O " in line]
-    Path("dry.pdb").write_text("".join(oxygens))
-    assert "Are hydrogens missing?" in complaint(capsys, "info", "dry.pdb")
-    Path("ions.pdb").write_text("HETATM    1 NA    NA A   1       0.000   0.000   0.000  1.00  0.00          NA\nEND\n")
-    assert "has no water" in complaint(capsys, "info", "ions.pdb")

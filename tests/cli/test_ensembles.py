@@ -13,7 +13,7 @@ from openmm_sier.cli.ensembles import PlanError, read_plan
 from openmm_sier.cli.main import main
 from openmm_sier.cli.member import execute
 from openmm_sier.cli.options import OptionError
-from openmm_sier.measure.ensemble import _RUNNING, COMPLETE, NOTES, WORKER, ensemble, fraction_done, is_complete
+from openmm_sier.cli.pool import _RUNNING, COMPLETE, NOTES, WORKER, ensemble, fraction_done, is_complete
 from tests.support.commands import complaint, wait_for, write_lattice
 
 PLAN = """

@@ -59,7 +59,7 @@ def commands():
     return group.choices
 
 
-@pytest.mark.parametrize("command", ["run", "ensemble", "properties", "validate", "tune", "info"])
+@pytest.mark.parametrize("command", ["run", "ensemble", "properties", "tune", "info"])
 def test_help_says_every_default(command):
     options = [action for action in commands()[command]._actions if action.option_strings and action.dest != "help"]
     assert options

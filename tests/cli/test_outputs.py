@@ -12,7 +12,7 @@ import pytest
 from openmm import app
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import body_states, checkpoints, trajectories
+from openmm_sier.cli.files import body_states, checkpoints
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.options import OPTIONS
 from openmm_sier.cli.plan import OUTPUTS
@@ -66,9 +66,9 @@ def hard_link(original, name):
         (link, ["--out", "other.dcd"]),
         (hard_link, ["--out", "other.dcd"]),
         (hard_link, ["--bodies", "other.h5"]),
-        # The checkpoint, and what HDF5 files are made of.
+        # The checkpoint, and what the file of body states is made of.
         (link, ["--out", "x.dcd", "other.chk"]),
-        (hard_link, ["--out", "x.h5", "other.h5.dcd"]),
+        (hard_link, ["--bodies", "x.h5", "other.h5.frames"]),
     ],
 )
 def test_no_output_is_the_pdb_file(box, tmp_path, capsys, lattice, no_equilibration, make, options):
@@ -111,9 +111,8 @@ def test_no_output_is_the_checkpoint_that_a_run_starts_from(box, capsys):
         ["--report", "x.dcd"],
         ["--report", "x.chk"],
         ["--report", "linked.csv"],
-        ["--out", "x.h5", "--bodies", "x.h5"],
+        ["--bodies", "x.dcd"],
         ["--report", "x.csv", "--pressure-tensor", "x.csv"],
-        ["--out", "x.h5", "--report", "x.h5.dcd"],
         ["--bodies", "y.h5", "--report", "y.h5.frames"],
     ],
 )
@@ -245,70 +244,42 @@ def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
     assert frames(Path("box.dcd"), box).n_frames == 8
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("option", ["--out", "--bodies"])
-def test_hdf5_file_that_does_not_fit_keeps_its_frames(box, capsys, monkeypatch, option):
-    pytest.importorskip("h5py")
-
-    def full(self, path):
-        path.write_bytes(b"half")
-        raise RuntimeError("HDF5 error back trace\n ... No space left on device")
-
-    kind = trajectories.HDF5Trajectory if option == "--out" else body_states.BodyStates
-    with monkeypatch.context() as patch:
-        patch.setattr(kind, "_make", full)
-        message = complaint(capsys, "run", box, *SMALL, "--steps", "10", option, "made.h5")
-    frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
-    assert f"made.h5 could not be written. Its frames are kept in {frames_in}: HDF5 error back trace" in message
-    assert not Path("made.h5.tmp").exists()
-    checkpoint = "made.chk" if option == "--out" else "box.chk"
-    assert main.main(["run", str(box), "--platform", "Reference", "--restart", checkpoint]) == 0
-    assert Path("made.h5").exists()
-    assert not Path(frames_in).exists()
+def write_half(path, _):
+    path.write_bytes(b"half")
+    raise RuntimeError("HDF5 error back trace\n ... No space left on device")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("option", ["--out", "--bodies"])
-def test_hdf5_file_whose_last_frame_is_another_keeps_its_frames(box, capsys, monkeypatch, option):
+def spoil_the_last_frame(path, h5py):
     """As on a disk that fills, where HDF5 gives zeros for what was never written."""
-    h5py = pytest.importorskip("h5py")
-    kind, name = (trajectories.HDF5Trajectory, "coordinates") if option == "--out" else (body_states.BodyStates, "q")
-    make = kind._make
+    with h5py.File(path, "r+") as file:
+        file["q"][-1] = 0
 
-    def spoilt(self, path):
-        make(self, path)
-        with h5py.File(path, "r+") as file:
-            file[name][-1] = 0
 
-    monkeypatch.setattr(kind, "_make", spoilt)
-    message = complaint(capsys, "run", box, *SMALL, "--steps", "10", option, "made.h5")
-    frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
-    assert f"made.h5 could not be written. Its frames are kept in {frames_in}: only" in message
-    assert Path(frames_in).exists()
-    assert not Path("made.h5").exists()
+def cut_off(path, _):
+    """As on a disk that fills while the file is closed."""
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("option", ["--out", "--bodies"])
-def test_hdf5_file_that_is_cut_off_without_an_error_keeps_its_frames(box, capsys, monkeypatch, option):
-    """As PyTables leaves it on a disk that fills while it closes the file."""
-    pytest.importorskip("h5py")
-    kind = trajectories.HDF5Trajectory if option == "--out" else body_states.BodyStates
-    make = kind._make
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [(write_half, "HDF5 error back trace"), (spoil_the_last_frame, "only"), (cut_off, "it cannot be read back")],
+)
+def test_body_states_that_do_not_fit_keep_their_frames(box, capsys, monkeypatch, damage, expected):
+    h5py = pytest.importorskip("h5py")
+    make = body_states.BodyStates._make
 
-    def cut_off(self, path):
+    def damaged(self, path):
         make(self, path)
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        damage(path, h5py)
 
     with monkeypatch.context() as patch:
-        patch.setattr(kind, "_make", cut_off)
-        message = complaint(capsys, "run", box, *SMALL, "--steps", "10", option, "made.h5")
-    frames_in = "made.h5.dcd" if option == "--out" else "made.h5.frames"
-    assert f"made.h5 could not be written. Its frames are kept in {frames_in}" in message
-    assert not Path("made.h5").exists()
-    checkpoint = "made.chk" if option == "--out" else "box.chk"
-    assert main.main(["run", str(box), "--platform", "Reference", "--restart", checkpoint]) == 0
-    assert Path("made.h5").exists()
+        patch.setattr(body_states.BodyStates, "_make", damaged)
+        message = complaint(capsys, "run", box, *SMALL, "--steps", "10", "--bodies", "made.h5")
+    assert f"made.h5 could not be written. Its frames are kept in made.h5.frames: {expected}" in message
+    assert [path.name for path in Path().glob("made.*")] == ["made.h5.frames"]
+    assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk"]) == 0
+    assert [path.name for path in Path().glob("made.*")] == ["made.h5"]
 
 
 @pytest.mark.slow

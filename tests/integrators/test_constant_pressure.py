@@ -9,7 +9,7 @@ from openmm import unit
 
 from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import BAR
-from tests.support.restarts import WAYS, assert_same, everything, simulation_of
+from tests.support.restarts import assert_same, everything
 from tests.support.waters import cluster_system, context_at, periodic_system, platform, relaxed
 
 TEMPERATURE, PRESSURE = 300.0, 100 * BAR
@@ -75,21 +75,6 @@ def test_volume_is_that_of_openmms_barostat():
 
 
 # --- in a Context -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("save", "load"), WAYS, ids=lambda value: getattr(value, "__name__", value))
-def test_restart_is_exact_at_any_step(tmp_path, box, save, load):
-    """Also between two moves, which OpenMM's barostats do not allow: they count for themselves alone."""
-    topology, system, point = box
-    whole = simulation_of(topology, system, integrator(), point=point)
-    volume = whole.context.getState().getPeriodicBoxVolume()
-    save(whole, tmp_path / "saved")
-    assert whole.context.getState().getPeriodicBoxVolume() != volume
-    continued = simulation_of(topology, system, integrator())
-    getattr(continued, load)(str(tmp_path / "saved"))
-    continued.step(15)
-    assert_same(everything(continued.context), everything(whole.context))
 
 
 @pytest.mark.slow

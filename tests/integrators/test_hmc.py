@@ -90,31 +90,6 @@ def test_steps_of_trials_and_of_the_scheme(cluster, tmp_path):
     assert every * dt * 0.04888821 == pytest.approx(simulation.context.getTime()._value / 2, rel=1e-6)
 
 
-@PARTS_KEPT
-@ENGINES
-def test_restarts_are_bit_identical(cluster, options, engine):
-    options = {**options, **engine}
-    integrator = sampler(0.011, **options)
-    context = context_at(cluster[0], integrator, cluster[1])
-    integrator.step(3)
-    whole_state = context.getState(positions=True, velocities=True, integratorParameters=True)
-    restarts = [context.createCheckpoint(), whole_state]
-    integrator.step(8)
-    assert 0 < integrator.accepted < integrator.trials
-    for restart, load in zip(restarts, ("loadCheckpoint", "setState"), strict=True):
-        again = sampler(0.011, **options)
-        other = openmm.Context(cluster[0], again, platform())
-        getattr(other, load)(restart)
-        for count in (1, 7):
-            again.step(count)
-        assert_same(counted(other), counted(context))
-    # The Context that went on can go back, too.
-    end = counted(context)
-    context.loadCheckpoint(restarts[0])
-    integrator.step(8)
-    assert_same(counted(context), end)
-
-
 @pytest.mark.parametrize(("first", "second"), [("exact", "native"), ("native", "exact")])
 def test_the_other_engine_goes_on_from_a_sample(cluster, first, second):
     one, other = (sampler(engine=engine, substeps=2) for engine in (first, second))

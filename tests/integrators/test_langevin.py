@@ -51,23 +51,6 @@ def test_without_friction_it_is_the_nve_trajectory_bit_for_bit(cluster, scheme):
     assert np.array_equal(ends[0][1], ends[1][1])
 
 
-def test_restart_continues_the_same_noise(tmp_path, cluster):
-    system, point = cluster
-    integrator = thermostat(seed=0)
-    context = context_at(system, integrator, point)
-    integrator.step(10)
-    checkpoint = context.createCheckpoint()
-    integrator.step(10)
-    end = phase_point(context)
-    other = thermostat(seed=0)
-    fresh = openmm.Context(system, other, context.getPlatform())
-    fresh.loadCheckpoint(checkpoint)
-    other.step(10)
-    assert np.array_equal(phase_point(fresh)[0], end[0])
-    assert np.array_equal(phase_point(fresh)[1], end[1])
-    assert other.getHeat() == integrator.getHeat()
-
-
 def test_seed_zero_is_another_seed_for_every_context(cluster):
     system, point = cluster
     ends = []

@@ -36,6 +36,12 @@ def reference_context(box):
 # --- the force fields ---
 
 
+def test_shipped_boxes_name_their_force_fields():
+    files = {path.name: forcefields.pick(path)[0] for path in SYSTEMS.glob("*.pdb")}
+    assert len(files) == 10
+    assert files["peptide.pdb"] == ("amber14-all.xml", "amber14/tip3p.xml")
+
+
 def nonbonded(model):
     """Charges (e), sigma (nm), epsilon (kJ/mol) and positions (n, 3) in nm of the sites of one molecule."""
     field = forcefields.load([make.MODELS[model].pure], SYSTEMS)

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import functools
-import math
 import os
 import sys
 
 import numpy as np
 import openmm
-import pandas as pd
 import pytest
 from openmm import app, unit
 
 from openmm_sier import RigidBodies
 from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure import forcefields
-from studies import bench, records
-from studies.bench import accuracy, layer, peers, timing
-from tests.support.commands import SYSTEMS, write_lattice
-from tests.support.reports import Told
-
-
-@pytest.fixture(scope="module")
-def box(tmp_path_factory):
-    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb")
+from studies.bench import layer, peers
+from tests.support.commands import SYSTEMS
 
 
 @pytest.fixture(scope="module")
@@ -38,48 +28,6 @@ def liquid():
     return found.system, state, peers.liquid_of(found.system, state)
 
 
-@pytest.mark.slow
-def test_bench_in_miniature(box, tmp_path, monkeypatch):
-    monkeypatch.setattr(accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)})
-    monkeypatch.setattr(peers, "installed", list)
-    monkeypatch.setattr(layer, "SMALLEST", 20)
-    monkeypatch.setattr(layer, "_least", functools.partial(layer._least, repeats=1))
-    settings = timing.BenchSettings(
-        out=tmp_path,
-        box=box,
-        parts=("steps", "rotations", "layer", "accuracy"),
-        copies=(1,),
-        rounds=1,
-        bodies=(20, 40),
-        time=0.1,
-        equilibrate=0.02,
-        platform="Reference",
-    )
-    told = Told()
-    found = bench.study(settings, told).tables
-    steps = found["steps"]
-    assert set(steps["molecules"]) == {27}
-    assert (steps["median"] > 0).all()
-    # A step is longer than the calls of forces in it.
-    own = steps[steps["name"].str.endswith("the force calls in it")]
-    assert len(own) == 2
-    assert (own["median"] > 1).all()
-    assert set(found["rotations"]["bodies"]) == {20, 40}
-    assert set(found["rotations"]["name"]) == {"MRDL", "exact", "SEJ4", "exact, Numba"}
-    assert list(found["layer"]["what"][:2]) == [f"{n} bodies, ns a body and step" for n in (20, 40)]
-    assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4"]
-    assert records.read(tmp_path / "bench.json").settings["box"] == "box.pdb"
-    assert (tmp_path / "bench.png").stat().st_size > 10_000
-    assert len(told.tables) == 5
-
-
-def test_interleaved_timings_discard_the_first_round():
-    calls = []
-    seconds = timing.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
-    assert calls == ["a", "b"] * 3
-    assert [len(values) for values in seconds.values()] == [2, 2]
-
-
 def test_free_water_is_water():
     system, positions = layer.free_water(3)
     bodies = RigidBodies.from_system(system)
@@ -89,24 +37,6 @@ def test_free_water_is_water():
 
 
 # --- accuracy at a level ---
-
-
-def power_law(factor, power, steps=(0.25, 0.5, 1.0, 2.0)):
-    rows = [("m", h, factor * h**power, 100 * h) for h in steps]
-    return pd.DataFrame(rows, columns=["method", "fs_per_force", "percent", "fs_per_second"])
-
-
-@pytest.mark.parametrize("power", [2, 4])
-def test_step_at_a_level_of_a_power_law(power):
-    level = 0.1 * 0.7**power
-    assert accuracy.step_at(power_law(0.1, power), "m", level) == pytest.approx(0.7, rel=1e-12)
-
-
-def test_cost_at_a_level():
-    row = accuracy.costs_of(power_law(0.1 / 0.64, 2)).to_dict("records")[-1]
-    # 0.8 fs per force reach 0.1 %, and a force takes 10 ms.
-    expected = {"percent": 0.1, "fs_per_force": 0.8, "forces_per_ps": 1250.0, "fs_per_second": 80.0}
-    assert row == pytest.approx(expected | {"method": "m"})
 
 
 # --- peers ---
@@ -190,11 +120,3 @@ def test_a_program_on_the_path_is_found_and_read(liquid, tmp_path, monkeypatch, 
     assert seconds == 0.25
     assert processor == pytest.approx(0.24)
     assert peer.build.startswith("LAMMPS 1 Jan 2030, double precision, GNU C++ 20, ")
-
-
-def test_median_comes_with_its_standard_error(rng):
-    """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
-    found = np.array([timing.median_and_error(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
-    assert math.isnan(timing.median_and_error(np.array([1.0]))[1])
-    assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
-    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)

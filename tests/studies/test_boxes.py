@@ -1,15 +1,19 @@
-"""Boxes of many sizes, made of one; which of them are refused."""
+"""Boxes of many sizes, made of one; which of them are refused; the noise of their energies."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import openmm
 import pytest
 
+from openmm_sier import SIERIntegrator
 from openmm_sier.measure import forcefields
-from studies import boxes
-from tests.support.commands import SYSTEMS
+from studies import acceptance_trials, boxes, speed_boxes
+from studies.speed import SpeedSettings
+from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.reports import Told
 from tests.support.waters import platform
 
 
@@ -30,3 +34,45 @@ def test_repeated_box_has_the_energy_of_its_copies(name):
         energies.append(context.getState(energy=True).getPotentialEnergy()._value)
     # PME on meshes of two shapes, at a tolerance of 1e-5.
     assert energies[1] == pytest.approx(2 * energies[0], rel=1e-4)
+
+
+@pytest.mark.parametrize(("name", "noisy"), [("Reference", False), ("CPU", True)])
+def test_noise_of_the_energy(tmp_path, name, noisy):
+    box = forcefields.read_box(write_lattice(tmp_path / "box.pdb"))
+    context = openmm.Context(box.system, SIERIntegrator(0.001), platform(name))
+    context.setPositions(box.positions)
+    before = context.getState(positions=True).getPositions(asNumpy=True)
+    # In double precision the second order in displacements of 1e-6 nm is left: of overlapping molecules 1e-5 kJ/mol.
+    assert (acceptance_trials.energy_noise(context) > 2e-5) is noisy
+    assert np.array_equal(context.getState(positions=True).getPositions(asNumpy=True), before)
+
+
+def test_part_of_a_box():
+    found = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
+    part = boxes.of_size(found, SYSTEMS, 64)
+    assert part.molecules == 64
+    assert part.positions.shape == (192, 3)
+    edges = [
+        np.array([vector[i]._value for i, vector in enumerate(system.getDefaultPeriodicBoxVectors())])
+        for system in (part.system, found.system)
+    ]
+    # An eighth of the molecules in an eighth of the volume.
+    assert edges[0] == pytest.approx(edges[1] / 2)
+    waters = part.positions.reshape(64, 3, 3)
+    assert np.linalg.norm(waters[:, 1] - waters[:, 0], axis=1) == pytest.approx(0.09572, abs=1e-4)
+    assert (waters.mean(axis=1) < edges[0] * (1 + 1e-9)).all()
+    # No two molecules of the liquid come closer than they were, but for faces and the change of size.
+    apart = np.linalg.norm(waters[:, None, 0] - waters[None, :, 0], axis=2)[np.triu_indices(64, 1)]
+    assert apart.min() > 0.22
+    assert boxes.of_size(found, SYSTEMS, 1024).molecules == 1024
+    with pytest.raises(ValueError, match="a part of a box of 512 molecules has 1 to 511, got 0"):
+        boxes.of_size(found, SYSTEMS, 0)
+
+
+def test_systems_are_as_openmm_makes_them():
+    """The Ewald parameter and mesh are OpenMM's own choice, whatever the box was read with."""
+    start = speed_boxes.start("water-512", SpeedSettings(platform="Reference"), Told())
+    (force,) = speed_boxes.meshed_forces(start.system)
+    assert force.getPMEParameters()[1:] == [0, 0, 0]
+    assert force.getEwaldErrorTolerance() == speed_boxes.TOLERANCE
+    assert start.molecules == 512

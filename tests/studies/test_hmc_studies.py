@@ -8,23 +8,12 @@ import pandas as pd
 import pytest
 
 from openmm_sier import RigidBodies
-from studies.hmc import mixture, samples, solutes, solvated
+from studies.hmc import solutes
 from studies.hmc.curvature import Curvature
 from studies.hmc.dihedrals import dihedral
 from tests.support.commands import SYSTEMS
 
 DIPEPTIDE = SYSTEMS / "dipeptide.pdb"
-
-
-@pytest.mark.slow
-def test_trials_of_all_and_of_a_part(tmp_path):
-    common = {"box": DIPEPTIDE, "cutoff": 0.7, "equilibrate": 0.01, "out": tmp_path, "trials": 3, "discarded": 1}
-    made = [solvated.run(solvated.SolvatedSettings(moving=moving, **common)) for moving in ("all", "solute", "water")]
-    assert [len(record.tables["trials"]) for record in made] == [3, 3, 3]
-    assert made[0].notes["waters"] == 233
-    assert made[0].notes["solute"] == 22
-    solvated.study(solvated.SolvatedSettings(table=tuple(tmp_path.glob("dipeptide-*.json")), out=tmp_path))
-    assert (tmp_path / "solvated.json").exists()
 
 
 def test_frozen_parts_have_neither_mass_nor_constraints():
@@ -39,39 +28,6 @@ def test_heavy_water_weighs_what_water_weighs():
     solution = solutes.read(solutes.SoluteSettings(box=DIPEPTIDE, cutoff=0.7, heavy_water=True))
     masses = [solution.system.getParticleMass(i)._value for i in range(718, 721)]
     assert masses == pytest.approx([12.0154, 3, 3])
-
-
-def test_the_law_by_size():
-    """Boxes whose spreads are 0.01 for each root of the number of atoms."""
-    rows = pd.DataFrame({"atoms": [100, 400], "spread": [0.1, 0.2], "trials": [50, 50]})
-    rows = rows.assign(moving="all", scheme="sier4g", masses="3", per_force=2.0, solute=10, waters=30)
-    (law,) = solvated.laws(rows).to_dict("records")
-    assert law["one"] == pytest.approx(0.01)
-    # An acceptance of 0.5 is that of a spread of 1.349.
-    assert law["atoms_50"] == pytest.approx(134.9**2, rel=1e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("settings", [{}, {"method": "langevin"}, {"method": "wrong", "held": True}])
-def test_samples(tmp_path, settings):
-    common = {"box": DIPEPTIDE, "time": 0.72, "settling": 0.12, "equilibrate": 0.01, "out": tmp_path}
-    record = samples.run(samples.SampleSettings(**settings, **common))
-    assert len(record.tables["samples"]) == 6
-    # Steps of 2 fs for each force in 120 fs, and an energy for a trial and for a move.
-    assert record.notes["forces"] == pytest.approx(60, abs=3)
-    (row,) = samples.table(sorted(tmp_path.glob("*-1.json"))).to_dict("records")
-    assert row["time"] == pytest.approx(0.72)
-
-
-@pytest.mark.slow
-def test_a_mixture(tmp_path, monkeypatch):
-    monkeypatch.setattr(mixture, "start", lambda settings: openmm.app.PDBFile(str(DIPEPTIDE)))
-    common = {"time": 1.8, "settling": 0.06, "out": tmp_path}
-    made = {method: [mixture.run(mixture.MixtureSettings(method=method, **common))] for method in ("hmc", "langevin")}
-    rows = mixture.table(made)
-    # Means of 1.8 ps after a sudden start.
-    assert rows["conf_rotation"].between(150, 450).all()
-    assert rows["density"].between(0.8, 1.2).all()
 
 
 def test_a_dihedral():

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
-from studies import mesh, records
+from studies import mesh
 from studies.mesh import MeshSettings, Parameters
-from tests.support.commands import write_lattice
-from tests.support.reports import Told
 
 
 def test_sizes_are_those_with_fast_transforms():
@@ -45,37 +41,3 @@ def test_parameters_are_those_that_openmm_takes(box):
     assert openmm_choice.parameters.alpha == pytest.approx(mesh.ewald_parameter(5e-4, 0.9))
     # Five to six times as exact in docs/accuracy.md.
     assert mesh.error(openmm_choice.read(), exact) > 4 * mesh.error(balanced.read(), exact)
-
-
-@pytest.mark.slow
-def test_mesh_in_miniature(tmp_path):
-    box = write_lattice(tmp_path / "box.pdb", 64)
-    settings = MeshSettings(
-        out=tmp_path,
-        box=box,
-        platform="CPU",
-        molecules=(64, 512),
-        cutoff=0.55,
-        tolerances=(5e-4, 1e-4),
-        spacing=(0.06, 0.1),
-        alphas=3,
-        meshes=3,
-        rounds=1,
-        turn=1e-6,
-    )
-    told = Told()
-    mesh.study(settings, told)
-    found = records.read(tmp_path / "mesh.json").tables
-    assert len(found["scan"]) == 3 * len(mesh.sizes(1.24, settings.spacing))
-    # In a repeated box a mesh of the same spacing has the same error: single precision apart.
-    here, there = (found["meshes"].query(f"molecules == {n}") for n in (64, 512))
-    same = here.assign(mesh=2 * here["mesh"]).merge(there, on="mesh")
-    assert len(same)
-    assert list(same["error_x"]) == pytest.approx(list(same["error_y"]), rel=0.05)
-    choices = found["choices"]
-    assert list(choices["split"]) == 4 * ["OpenMM", "balanced"]
-    known = choices.dropna(subset=["best_error"])
-    assert len(known)
-    assert (known["best_error"] <= known["error"]).all()
-    assert all(math.isfinite(ratio) for ratio in known["ratio"])
-    assert (tmp_path / "mesh.png").stat().st_size > 10_000

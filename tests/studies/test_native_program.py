@@ -10,7 +10,6 @@ from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines.native.installation import install
 from openmm_sier.engines.native.program import Program, Statement, write
 from studies.native import program as counts
-from tests.support.reports import Told
 
 
 def evaluations(program: Program, groups: tuple[int, ...]) -> list[int]:
@@ -61,13 +60,3 @@ def test_statements_are_one_kernel_until_atoms_move_or_the_group_changes():
     # The first u counts to the force that follows it.
     assert counts.kernels([[v, u, fast]]) == 2
     assert counts.kernels([[v], [v]]) == 2
-
-
-def test_table_has_each_scheme_without_and_with_fast_forces(tmp_path):
-    told = Told()
-    found = counts.study(counts.ProgramSettings(out=tmp_path, schemes=("sier2", "sier4g")), told).tables["rows"]
-    assert list(found["scheme"]) == ["SIER2", "SIER4G"] * 2
-    assert list(found["fast"]) == ["none"] * 2 + ["in inner steps"] * 2
-    # Three RATTLE steps in the drift, and velocities constrained once.
-    assert found.loc[0, ["native_steps", "constrain_x", "constrain_v"]].tolist() == [2, 3, 1]
-    assert len(told.tables[0].rows) == 4

@@ -7,10 +7,9 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from studies import paper, records
-from studies.methods import PAPER
-from studies.paper import PaperSettings, dipole, free_rotation, liquids, water, water_runs
-from tests.support.reports import Told
+from studies import records
+from studies.paper import dipole, free_rotation, liquids, water, water_runs
+from tests.support.paper import runs_of_water
 
 TINY = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=2)
 
@@ -48,18 +47,6 @@ def test_the_dipole_is_told_beside_the_paper():
     assert momenta[1]["paper"] == "1.4e-06"
 
 
-def runs_of_water(settings, broken=()):
-    """Runs whose errors are powers of the step."""
-    return [
-        {"kind": kind, "number": number, "method": method.name, "force_step_fs": step}
-        | ({} if method.name in broken else {"rms_H": 1e-3 * step**method.order, "rms_V": 1.0, "drift": 0.01})
-        for kind in settings.kinds
-        for number in (1, 2)
-        for method in PAPER
-        for step in settings.steps_of(method, water_runs.PhasePoint(kind, number))
-    ]
-
-
 def test_water_is_told_beside_the_paper(tmp_path):
     settings = replace(water_runs.QUICK, kinds=(liquids.MOLECULAR,))
     record = water.evaluate(settings, 1.9, runs_of_water(settings))
@@ -79,34 +66,3 @@ def test_water_is_told_beside_the_paper(tmp_path):
     assert cells(water.tables(broken)[0])[0]["SIER4"] == "breaks"
     assert cells(water.tables(broken)[1])[0]["ratio"] == "-"
     water.figure(broken, tmp_path / "broken.png")
-
-
-def members_of_water(members, place, processes, report):
-    """In place of the ensemble: what its members would write."""
-    assert [member.name for member in members] == ["molecular-1", "molecular-2"]
-    for member in members:
-        settings = water_runs.QUICK
-        assert member.module == paper.MEMBER
-        assert member.arguments[:3] == ("water", "--phase-point", member.name)
-        (place / member.name).mkdir(parents=True)
-        kind, number = water_runs.phase_point(member.name, settings)
-        runs = [run for run in runs_of_water(settings) if (run["kind"], run["number"]) == (kind, number)]
-        records.replace_file(place / member.name / water_runs.FILE, pd.DataFrame(runs).to_json(orient="records"))
-
-
-@pytest.mark.slow
-def test_all_runs_every_experiment(tmp_path, monkeypatch):
-    monkeypatch.setattr(dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1))
-    monkeypatch.setattr(free_rotation, "QUICK", TINY)
-    monkeypatch.setattr(water_runs, "QUICK", replace(water_runs.QUICK, kinds=(liquids.MOLECULAR,)))
-    monkeypatch.setattr(paper, "ensemble", members_of_water)
-    told = Told()
-    found = paper.study(PaperSettings(quick=True, out=tmp_path, seed=9), told)
-    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
-        f"{name}.{ending}" for name in paper.EXPERIMENTS for ending in ("json", "png")
-    }
-    assert [record.settings["seed"] for record in found.values()] == [9, 9, 9]
-    assert len(told.tables) == 6
-    for _, fractions in told.runs:
-        assert fractions == sorted(fractions)
-        assert fractions[-1] == pytest.approx(1)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.properties import ROWS, Run, estimated
-from studies import records, step_study
-from studies.records import Record
-from studies.step_study import MEASURED, StepSettings
+from studies import step_study
+from studies.step_study import StepSettings
 from tests.support.commands import log, run, write_lattice
 from tests.support.reports import Told
 
@@ -27,71 +24,10 @@ def box(tmp_path, monkeypatch):
     return write_lattice(tmp_path / "box.pdb")
 
 
-def row(method, h, forces=1, box="spce-512", time=180.0, **found):
-    place = {"box": box, "method": method, "step": forces * h, "fs_per_force": h, "runs": 2, "time": time}
-    unknown = dict.fromkeys((name for key in MEASURED for name in (key, f"{key}_error")), math.nan)
-    given = {name: x for key, pair in found.items() for name, x in zip((key, f"{key}_error"), pair, strict=True)}
-    return place | unknown | given
-
-
-READ = pd.DataFrame(
-    [
-        row("SIER4G", 2.0, 3, rotation=(296.8, 0.4), density=(0.998, 0.002), diffusion=(2.5, 0.1)),
-        row("OpenMM Verlet", 4.0, density=(0.98, 0.001), energy=(-46.0, math.nan)),
-        row("OpenMM Verlet", 1.0, density=(0.99, 0.001)),
-        row("SIER4G HMC", 2.0, 3, density=(1.0, 0.003)),
-        row("SIER4G", 2.0, 3, box="tip3p-512", density=(0.985, 0.002)),
-    ]
-)
-
-
-@pytest.mark.slow
-def test_the_table_is_by_box_method_and_step(tmp_path):
-    record = Record({}, {"rows": step_study.in_order(READ)}, {"title": "Water"})
-    lines = records.markdown(step_study.table(record)).splitlines()
-    assert len(lines) == 2 + len(READ)
-    assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | 2.50 ± 0.10"
-    assert lines[2] == f"| spce-512 | SIER4G | 6 | 2 | 2 | 180 | {found} |"
-    assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
-    assert lines[-1].startswith("| tip3p-512")
-    step_study.figure(record, tmp_path / "figure.png")
-    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_errors_are_shared_by_rows_of_one_box_and_method():
-    rows = [
-        row("SIER2", 4.0, time=90.0, density=(1.0, 0.002), energy=(-46.0, math.nan)),
-        row("SIER2", 1.0, time=10.0, density=(0.99, 0.001), energy=(-47.0, math.nan)),
-        row("SIER4G", 1.0, 3, density=(0.99, 0.007)),
-    ]
-    found = step_study.with_shared_errors(pd.DataFrame(rows))
-    # (90^2 0.002^2 + 10^2 0.001^2)/100 is the square of the error of 1 ps.
-    factor = math.sqrt(0.000325)
-    assert list(found["density"]) == [1.0, 0.99, 0.99]
-    assert list(found["density_error"]) == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
-    # An error that no row has stays unknown.
-    assert found["energy_error"].isna().all()
-
-
 def test_momenta_that_are_drawn_anew_tell_no_diffusion():
     plan = new_plan(Options(Path("box.pdb"), ensemble="hmc"))
     (diffusion,) = [row for row in ROWS if row.key == "diffusion"]
     assert estimated(diffusion, [Run(plan, {}, None, 512, None)]) == {plan.out: None}
-
-
-def test_deviations_are_from_the_shortest_step_and_share_its_error():
-    rows = [
-        row("SIER2", 1.0, energy=(-46.0, 0.3)),
-        row("SIER4G", 1.0, 3, energy=(-45.0, 0.3)),
-        # Left out of the reference, since its bath heats the liquid.
-        row("OpenMM Verlet", 1.0, energy=(-40.0, 0.3)),
-        row("SIER4G", 2.0, 3, energy=(-45.3, 0.4)),
-    ]
-    made = step_study.deviations(Record({}, {"rows": pd.DataFrame(rows)}, {}), "energy")
-    assert made.columns == ["method", "fs per force", "SPC/E"]
-    # The mean of two rows with errors of 0.3 has 0.3 / sqrt(2), and the difference sqrt(0.4^2 + 0.3^2 / 2).
-    assert made.rows == [["mean at the shortest step", "1", "-45.50 ± 0.21"], ["SIER4G", "2", "0.20 ± 0.45"]]
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ make = load_program("systems/make.py")
 
 
 def frames(path, box):
-    return mdtraj.load(str(path)) if path.suffix == ".h5" else mdtraj.load(str(path), top=str(box))
+    return mdtraj.load(str(path), top=str(box))
 
 
 def log(path):

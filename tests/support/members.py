@@ -11,7 +11,7 @@ import signal
 import sys
 from pathlib import Path
 
-# Those of openmm_sier.measure.ensemble, which would take longer to import than the member runs.
+# Those of openmm_sier.cli.pool, which would take longer to import than the member runs.
 LOG, COMPLETE = "run.csv", "complete.json"
 
 HEADING = "Time (ps),Number\n"

@@ -19,10 +19,11 @@ def simulation_of(topology, system, integrator, name="Reference", point=None):
 
 
 def everything(context):
-    """Positions, velocities, box, time, step count and what the heat bath counts."""
+    """Positions, velocities, box, time, step count and what bath, moves and trials count."""
     integrator = context.getIntegrator()
-    counted = [integrator.getGlobalVariableByName(name) for name in ("sier_heat", "sier_draws")]
-    return (*phase_point(context), *clock_and_box(context), *counted)
+    names = (integrator.getGlobalVariableName(i) for i in range(integrator.getNumGlobalVariables()))
+    counted = {name: integrator.getGlobalVariableByName(name) for name in names}
+    return (*phase_point(context), *clock_and_box(context), *counted.values())
 
 
 def assert_same(one, two):
@@ -40,36 +41,20 @@ def assert_restart_is_the_same(system, context, other, steps):
     assert_same(everything(context), everything(again))
 
 
-def by_checkpoint(simulation, path):
+#: Files that a restart begins from, and which of OpenMM's reporters or methods writes them.
+WAYS = ("Checkpoint", "State", "CheckpointReporter", "StateReporter")
+
+
+def after_ten_steps(simulation, way, path):
+    """Make ten steps and write a file in one of the `WAYS`; the name of the method that reads it."""
+    kind = way.removesuffix("Reporter")
+    if way != kind:
+        simulation.reporters.append(app.CheckpointReporter(str(path), 5, writeState=kind == "State"))
     simulation.step(10)
-    simulation.saveCheckpoint(str(path))
-    simulation.step(15)
-
-
-def by_state(simulation, path):
-    simulation.step(10)
-    simulation.saveState(str(path))
-    simulation.step(15)
-
-
-def by_reporter(simulation, path):
-    simulation.reporters.append(app.CheckpointReporter(str(path), 5))
-    simulation.step(12)  # The last file is of step 10.
     simulation.reporters.clear()
-    simulation.step(13)
-
-
-def by_state_reporter(simulation, path):
-    simulation.reporters.append(app.CheckpointReporter(str(path), 5, writeState=True))
-    simulation.step(12)
-    simulation.reporters.clear()
-    simulation.step(13)
-
-
-WAYS = [(by_checkpoint, "loadCheckpoint"), (by_state, "loadState")]
-
-
-WAYS += [(by_reporter, "loadCheckpoint"), (by_state_reporter, "loadState")]
+    if way == kind:
+        getattr(simulation, f"save{kind}")(str(path))
+    return f"load{kind}"
 
 
 def clock_and_box(context):

@@ -16,14 +16,13 @@ from openmm_sier.observe.body_states import BodyStateFile, body_frame, frame_typ
 CHUNK = 100
 
 
-class BodyStates(records.MadeAtTheEnd):
+class BodyStates(records.GrowingFile):
     """An HDF5 file in the layout of `openmm_sier.observe.body_states`, whose centres follow continuous paths.
 
-    It is made of a file of frames alone. Both hold every bit of the numbers, so a finished file can be turned back into
-    frames and continued.
+    An HDF5 file that is cut off while being written is lost, so it is made at the end of a run, of a file of frames
+    beside it. As long as that is there, it is what counts, also where a kill came just before its removal. Both hold
+    every bit of the numbers, so a finished file can be turned back into frames and continued.
     """
-
-    GROWING = ".frames"
 
     def __init__(self, path: Path, bodies: RigidBodies, periodic: bool, noted: records.Noted | None = None):
         """
@@ -35,6 +34,14 @@ class BodyStates(records.MadeAtTheEnd):
         """
         super().__init__(self.growing(path), noted)
         self.target, self._bodies, self._periodic = path, bodies, periodic
+
+    @classmethod
+    def growing(cls, path: Path) -> Path:
+        return path.with_name(f"{path.name}.frames")
+
+    @classmethod
+    def unfinished(cls, path: Path) -> bool:
+        return cls.growing(path).exists() or super().unfinished(path)
 
     @classmethod
     def check(cls, path: Path, noted: records.Noted) -> None:
@@ -68,12 +75,41 @@ class BodyStates(records.MadeAtTheEnd):
         finally:
             file.close()
 
-    def _read_back(self, path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        first = 0
-        with import_h5py().File(path, "r") as file:
-            for chunk in self._chunks():
-                yield chunk, read_frames(file, first, first + len(chunk))
-                first += len(chunk)
+    def _check_made(self, path: Path) -> None:
+        """Compare every frame of the file at a path: a full disk may leave a damaged one without a word.
+
+        Raises:
+            RecordError: a frame is missing or different.
+        """
+        found = 0
+        try:
+            with import_h5py().File(path, "r") as file:
+                for chunk in self._chunks():
+                    if read_frames(file, found, found + len(chunk)).tobytes() != chunk.tobytes():
+                        break
+                    found += len(chunk)
+        # h5py has errors of many kinds and many lines for files that are cut off.
+        except Exception as error:
+            raise records.RecordError("it cannot be read back. Is the disk full?") from error
+        if found != self.count:
+            raise records.RecordError(f"only {found} of {self.count} frames can be read back. Is the disk full?")
+
+    def finish(self) -> None:
+        """Make the HDF5 file, read it back, and remove the file of frames.
+
+        Raises:
+            RecordError: it could not be written, or not be read back. The file of frames stays.
+        """
+        super().finish()
+        try:
+            with records.replacing(self.target) as made:
+                self._make(made)
+                self._check_made(made)
+        # h5py has errors of many kinds for files that are cut off.
+        except Exception as error:
+            message = f"{self.target} could not be written. Its frames are kept in {self.path}: {error}"
+            raise records.RecordError(message) from error
+        self.path.unlink()
 
 
 def _take_apart(path: Path, frames: Path) -> None:

@@ -25,7 +25,7 @@ class OutputFiles:
     Attributes:
         checkpoint: path of the checkpoint.
         outputs: those that grow, by the names of their kinds.
-        everything: all files, also those of which HDF5 files are made, the checkpoint first.
+        everything: all files, also the one of which body states are made, the checkpoint first.
     """
 
     def __init__(self, plan: Plan, checkpoint: Path):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -167,73 +166,6 @@ def _fingerprint(path: Path, size: int) -> str:
     with naming(path), open(path, "rb") as file:
         file.seek(begin)
         return hashlib.blake2b(file.read(max(0, size - begin)), digest_size=16).hexdigest()
-
-
-class MadeAtTheEnd(GrowingFile):
-    """An output that is made of another, growing file at the end of a run.
-
-    An HDF5 file that is cut off while being written is lost, so the frames are kept in a file beside it until the run
-    ends. As long as that file is there, it is what counts, also where a kill came just before its removal.
-
-    Attributes:
-        target: path of the output.
-    """
-
-    #: Appended to the name of the output, this is the name of the growing file.
-    GROWING = ""
-
-    target: Path
-
-    @classmethod
-    def growing(cls, path: Path) -> Path:
-        return path.with_name(path.name + cls.GROWING)
-
-    @classmethod
-    def unfinished(cls, path: Path) -> bool:
-        return cls.growing(path).exists() or super().unfinished(path)
-
-    @abstractmethod
-    def _make(self, path: Path) -> None:
-        """Write the output to a path."""
-
-    @abstractmethod
-    def _read_back(self, path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Frames of the growing file, some at a time, each time with those read from the output at a path."""
-
-    def _check_made(self, path: Path) -> None:
-        """Compare every frame of the output at a path: on a full disk PyTables may leave a damaged one without a word.
-
-        Raises:
-            RecordError: a frame is missing or different.
-        """
-        found = 0
-        try:
-            for kept, read in self._read_back(path):
-                if kept.tobytes() != read.tobytes():
-                    break
-                found += len(read)
-        # PyTables and h5py have errors of many kinds and many lines for files that are cut off.
-        except Exception as error:
-            raise RecordError("it cannot be read back. Is the disk full?") from error
-        if found != self.count:
-            raise RecordError(f"only {found} of {self.count} frames can be read back. Is the disk full?")
-
-    def finish(self) -> None:
-        """Make the output, read it back, and remove the growing file.
-
-        Raises:
-            RecordError: the output could not be written, or not be read back. The growing file stays.
-        """
-        super().finish()
-        try:
-            with replacing(self.target) as made:
-                self._make(made)
-                self._check_made(made)
-        # PyTables and h5py have errors of many kinds for files that are cut off.
-        except Exception as error:
-            message = f"{self.target} could not be written. Its frames are kept in {self.path}: {error}"
-            raise RecordError(message) from error
-        self.path.unlink()
 
 
 class Log(GrowingFile):

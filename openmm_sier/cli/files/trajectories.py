@@ -1,4 +1,4 @@
-"""Trajectories that survive a run being cut off at any moment, in three formats."""
+"""Trajectories that survive a run being cut off at any moment, of two formats."""
 
 from __future__ import annotations
 
@@ -6,18 +6,14 @@ import errno
 import io
 import struct
 import tempfile
-import warnings
 from abc import abstractmethod
-from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from openmm import app
 from openmm.unit import Quantity
 
-from openmm_sier.cli.files.records import CHANGING, GrowingFile, MadeAtTheEnd, Noted, RecordError
+from openmm_sier.cli.files.records import CHANGING, GrowingFile, Noted, RecordError
 
 #: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
 DCD_HEADER, DCD_TIME = 276, slice(180, 260)
@@ -96,75 +92,15 @@ def _is_frame(path: Path, atoms: int) -> bool:
         return False
 
 
-class HDF5Trajectory(MadeAtTheEnd, DCDTrajectory):
-    """An HDF5 file in MDTraj's layout, whose frames are in a DCD file until the run ends."""
-
-    GROWING = ".dcd"
-
-    def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None = None
-    ) -> None:
-        """
-        Raises:
-            RecordError: the run is to go on, but its HDF5 file has been made.
-        """
-        if noted and not self.unfinished(path):
-            raise RecordError(f"{path} is complete; an .h5 trajectory can only be continued where its run was cut off")
-        super().__init__(self.growing(path), topology, dt, interval, noted)
-        self.target = path
-
-    @classmethod
-    def check(cls, path: Path, noted: Noted) -> None:
-        # One that is complete is not continued, so nothing of it is cut.
-        if cls.unfinished(path):
-            super().check(cls.growing(path), noted)
-
-    def _chunks(self) -> Iterator[Any]:
-        """The frames so far, in parts, as trajectories of MDTraj."""
-        import mdtraj
-
-        from openmm_sier.measure.liquid_samples import read_chunks
-
-        if self.count:
-            yield from read_chunks(self.path, mdtraj.Topology.from_openmm(self._topology))
-
-    def _make(self, path: Path) -> None:
-        import mdtraj
-
-        with mdtraj.formats.HDF5TrajectoryFile(str(path), "w", force_overwrite=True) as file:
-            file.topology, done = mdtraj.Topology.from_openmm(self._topology), 0
-            for chunk in self._chunks():
-                time = (np.arange(done, done + len(chunk)) + 1) * self._interval * self._dt
-                file.write(chunk.xyz, time, cell_lengths=chunk.unitcell_lengths, cell_angles=chunk.unitcell_angles)
-                done += len(chunk)
-
-    def _read_back(self, path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        import mdtraj
-
-        with warnings.catch_warnings():
-            # It recommends the ending .h5, which a temporary file does not have.
-            warnings.simplefilter("ignore")
-            file = mdtraj.formats.HDF5TrajectoryFile(str(path))
-        with file:
-            for chunk in self._chunks():
-                yield chunk.xyz, file.read(n_frames=len(chunk)).coordinates
-
-
-FORMATS: dict[str, type[Trajectory]] = {
-    ".dcd": DCDTrajectory,
-    ".xtc": XTCTrajectory,
-    ".h5": HDF5Trajectory,
-}
+FORMATS: dict[str, type[Trajectory]] = {".dcd": DCDTrajectory, ".xtc": XTCTrajectory}
 
 
 def trajectory_format(path: Path) -> type[Trajectory]:
     """The class for a file name.
 
     Raises:
-        RecordError: the ending is unknown, or a package that it needs is missing.
+        RecordError: the ending is unknown.
     """
     if path.suffix not in FORMATS:
         raise RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
-    if path.suffix == ".h5" and find_spec("tables") is None:
-        raise RecordError("an .h5 trajectory needs PyTables; install it with: pip install tables")
     return FORMATS[path.suffix]

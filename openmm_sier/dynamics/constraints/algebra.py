@@ -34,13 +34,7 @@ NAMED = 8
 
 
 class ConstraintError(ValueError):
-    """Constraints that cannot be satisfied.
-
-    Attributes:
-        bodies: columns of the state that they join, if they have no solution near a phase point; else empty.
-    """
-
-    bodies: np.ndarray = np.empty(0, dtype=np.int64)
+    """Constraints that cannot be satisfied."""
 
 
 class Constraints:
@@ -237,9 +231,7 @@ class Constraints:
 
     def _insoluble(self, failed: int) -> ConstraintError:
         bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
-        error = ConstraintError(
+        return ConstraintError(
             f"the constraints of {self._name(*bodies)} have no solution near: they contradict each other, their "
             "atoms are far from where they belong, or they move too fast for this time"
         )
-        error.bodies = bodies
-        return error

@@ -212,10 +212,9 @@ class ExactEngine(Engine):
         try:
             state = step(state)
         except ConstraintError as error:
-            stiffest = self.forces.stiffest_on(error.bodies, self.positions())
             raise TrajectoryError(
-                f"In step {steps + 1} {error}. Is the step size too long{stiffest}? The Context is left at the last "
-                "completed step."
+                f"In step {steps + 1} {error}. Is the step size too long, or a force too stiff for it? The Context is "
+                "left at the last completed step."
             ) from error
         # In one assignment, so that an error finds the clock and the bodies in agreement.
         self._state, self.clock = state, Clock(time + self._flow.step, steps + 1)

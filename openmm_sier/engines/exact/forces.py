@@ -11,7 +11,6 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.system.stiffness import stiffest_force
 
 
 class BodyForces:
@@ -110,12 +109,6 @@ class BodyForces:
     def forget_energies(self) -> None:
         """Compute energies anew next time: positions, box, parameters or the potential were changed."""
         self._energies = []
-
-    def stiffest_on(self, bodies: np.ndarray, positions: np.ndarray) -> str:
-        """What a message says of the stiffest force on some bodies, at positions (N, 3), nm."""
-        atoms = [int(i) for body in bodies.tolist() for i in self._bodies.atoms_of(body)]
-        found = stiffest_force(self._context, positions, atoms)
-        return "" if found is None else f", or a force too stiff for it ({found})"
 
     def _of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.evaluations += 1

@@ -8,8 +8,8 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import pytest
 
-from openmm_sier.measure import ensemble as module
-from openmm_sier.measure.ensemble import COMPLETE, LOG, OUTPUT, EnsembleError, Member, ensemble, fraction_done
+from openmm_sier.cli import pool as module
+from openmm_sier.cli.pool import COMPLETE, LOG, OUTPUT, EnsembleError, Member, ensemble, fraction_done
 from tests.support import members
 from tests.support.members import HEADING
 

@@ -1,0 +1,431 @@
+"""Studies from command line to files, in miniature; how fast anything is, no test says."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+import pandas as pd
+import pytest
+from openmm import app, unit
+
+from openmm_sier.measure.forcefields import Interactions
+from studies import (
+    acceptance,
+    defaults,
+    equipartition,
+    mesh,
+    paper,
+    processed,
+    records,
+    schemes,
+    speed,
+    speed_boxes,
+    whole_run,
+)
+from studies.acceptance_trials import AcceptanceSettings
+from studies.bench import __main__ as bench_command
+from studies.bench import accuracy, layer, peers, usual_inputs
+from studies.hmc import exactness, mixture, samples, solvated
+from studies.native import program as counts
+from studies.paper import __main__ as paper_command
+from studies.paper import dipole, free_rotation, liquids, water_runs
+from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.paper import members_of_water
+from tests.support.waters import water_box
+
+DIPEPTIDE = SYSTEMS / "dipeptide.pdb"
+
+
+class Miniature(NamedTuple):
+    """A study made small.
+
+    Attributes:
+        study: its module.
+        lines: command lines, one after the other, in which names of files are filled in.
+        check: of its tables, by name.
+        record: name of its file.
+        figure: whether it draws one of this name.
+        patches: what is changed in its modules.
+        kept: runs that are kept one by one, which are not to be made again.
+    """
+
+    study: ModuleType
+    lines: tuple[str, ...]
+    check: Callable[[dict[str, pd.DataFrame]], None]
+    record: str
+    figure: bool = True
+    patches: tuple[tuple[object, str, object], ...] = ()
+    kept: str = ""
+
+
+def acceptances(found):
+    verlet, sier4g = found["rows"].to_dict("records")
+    assert [(row["method"], row["step"], row["length"], row["trials"]) for row in (verlet, sier4g)] == [
+        ("Verlet, RATTLE", 2.0, 12.0, 3),
+        ("SIER4G", 6.0, 12.0, 3),
+    ]
+    assert 0 < sier4g["spread"] < verlet["spread"]
+    assert 0 < verlet["acceptance"] <= 1
+    # Forces of single precision on 27 molecules: 1e-7 of energies of 1000 kJ/mol.
+    assert 0 < verlet["noise"] < 1e-3
+
+
+def benchmarks(found):
+    steps = found["steps"]
+    assert set(steps["molecules"]) == {27}
+    # A step is longer than the calls of forces in it.
+    own = steps[steps["name"].str.endswith("the force calls in it")]
+    assert len(own) == 2
+    assert (own["median"] > 1).all()
+    assert set(found["rotations"]["name"]) == {"MRDL", "exact", "SEJ4", "exact, Numba"}
+    assert list(found["layer"]["what"][:2]) == [f"{n} bodies, ns a body and step" for n in (20, 40)]
+    assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4"]
+
+
+def two_means_and_ranges(found):
+    rows = found["rows"]
+    assert len(rows) == 8
+    assert rows["percent"].between(1e-3, 50).all()
+
+
+def temperatures(found):
+    rows = found["rows"]
+    names = ("OpenMM Verlet", "SIER2", "SIER4")
+    assert list(zip(rows["method"], rows["step"], strict=True)) == [
+        (name, h) for name, steps in zip(names, ((1, 2), (1, 2), (4, 8)), strict=True) for h in steps
+    ]
+    # The box has not been equilibrated: it is hot, but no simulation of it breaks down.
+    assert rows["rotation"].between(100, 2000).all()
+    assert not rows["broken"].any()
+    assert rows["density"][0] == pytest.approx(0.997, abs=1e-3)
+    # Known for SIER2 alone, where it is that of h^2.
+    predicted = rows["predicted"]
+    assert predicted[2] < 0
+    assert predicted[3] == pytest.approx(4 * predicted[2])
+    assert predicted[[0, 1, 4, 5]].isna().all()
+
+
+def known_averages(found):
+    rows = found["rows"]
+    assert rows.groupby("model", sort=False).size().tolist() == [4, 4, 4, 4]
+    # Errors of so few trials, which are not independent, are too small. A wrong ensemble is off by the mean itself.
+    exact = rows[rows["name"].isin(["cosine", "volume of the gas", "p^2 / m kT"])]
+    assert (exact["mean"] / exact["exact"]).between(0.7, 1.4).all()
+
+
+def meshes(found):
+    assert len(found["scan"]) == 3 * len(mesh.sizes(1.24, (0.06, 0.1)))
+    # In a repeated box a mesh of the same spacing has the same error: single precision apart.
+    here, there = (found["meshes"].query(f"molecules == {n}") for n in (64, 512))
+    same = here.assign(mesh=2 * here["mesh"]).merge(there, on="mesh")
+    assert len(same)
+    assert list(same["error_x"]) == pytest.approx(list(same["error_y"]), rel=0.05)
+    choices = found["choices"]
+    assert list(choices["split"]) == 4 * ["OpenMM", "balanced"]
+    known = choices.dropna(subset=["best_error"])
+    assert len(known)
+    assert (known["best_error"] <= known["error"]).all()
+    assert known["ratio"].notna().all()
+
+
+def counted(found):
+    rows = found["rows"]
+    assert list(rows["scheme"]) == ["SIER2", "SIER4G"] * 2
+    assert list(rows["fast"]) == ["none"] * 2 + ["in inner steps"] * 2
+    # Three RATTLE steps in the drift, and velocities constrained once.
+    assert rows.loc[0, ["native_steps", "constrain_x", "constrain_v"]].tolist() == [2, 3, 1]
+
+
+def schemes_by_step(found):
+    rows = found["rows"]
+    assert list(zip(rows["method"], rows["step"], strict=True)) == [
+        (name, forces * h) for h in (2.0, 12.0) for name, forces in (("OpenMM Verlet", 1), ("SIER2", 1), ("SIER4G", 3))
+    ]
+    verlet, sier2, sier4g = rows["percent"][:3]
+    # Second order is second order, and the fourth is several times better, cut-off and all.
+    assert 0.3 < sier2 / verlet < 3
+    assert sier4g < 0.5 * sier2
+    # A step of a whole period of libration breaks the run, and says so.
+    assert rows["broken"].iloc[-1]
+    assert rows["percent"].isna().iloc[-1]
+
+
+def speeds(found):
+    rows = found["speeds"]
+    assert rows.groupby("box", sort=False)["atoms"].first().to_dict() == {"water-27": 81, "peptide": 2538}
+    assert list(rows["fs_per_force"]) == [1, 2, 2, 4, 2, 4, 2, 1, 2, 2, 4, 2, 3, 2]
+    assert set(rows["platform"]) == {"CPU"}
+    assert list(rows["engine"][:7]) == ["", "", "", "", "exact", "exact", "exact"]
+    assert (rows.loc[rows["name"] == speed.REFERENCE, "over"] == 1).all()
+    # Speed at equal energy error is for water alone.
+    assert set(found["equal"]["box"]) == {"water-27"}
+    assert set(found["points"]["method"]) == {"OpenMM Verlet", "SIER2", "SIER2P3", "SIER4G"}
+
+
+def whole_runs(found):
+    rows = found["rows"].set_index(["method", "step"])
+    # Within 1 ps Verlet has some 0.5 % and SIER4G 0.03 % (64 molecules); a fifth is far from both scatters.
+    assert rows.loc[("SIER4G", 4.5), "percent"] < rows.loc[("OpenMM Verlet", 1.5), "percent"] / 5
+    assert "is refused" in rows.loc[("SIER4G", 60.0), "broken"]
+    assert rows["percent"].isna()["SIER4G", 60.0]
+    assert found["gains"]["gain"].dropna().iloc[0] > 5
+
+
+def processed_state(found):
+    """Takahashi and Imada's step is of second order, some 0.1 % at 2 fs, and of fourth in the processed state."""
+    row = found["rows"].iloc[0]
+    assert row["processed"] < row["percent"] / 2
+
+
+def solvated_trials(found):
+    rows = found["rows"]
+    assert list(rows["trials"]) == [3, 3, 3]
+    assert set(rows["moving"]) == {"all", "solute", "water"}
+    assert set(zip(rows["solute"], rows["waters"], strict=True)) == {(22, 233)}
+
+
+def sampled(found):
+    # 12 samples of 0.06 ps from each of three kinds of run.
+    assert list(found["rows"]["time"]) == pytest.approx([0.72] * 3)
+
+
+def mixtures(found):
+    rows = found["rows"]
+    # Means of 1.8 ps after a sudden start.
+    assert rows["conf_rotation"].between(150, 450).all()
+    assert rows["density"].between(0.8, 1.2).all()
+    assert found["tests"]["group"].tolist() == 2 * ["translation", "rotation", "flexible molecules"]
+    # No mean is off by more than these 150 K, which are some ten standard errors.
+    assert found["tests"]["mean"].between(0, 30).all()
+
+
+WATER = replace(water_runs.QUICK, kinds=(liquids.MOLECULAR,))
+FREE = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=2)
+
+MINIATURES = {
+    "acceptance": Miniature(
+        acceptance,
+        ("{box} --sizes 27 --schemes verlet sier4g --trials 3 --time 0.012 --equilibrate 0.03 --platform CPU",),
+        acceptances,
+        "acceptance",
+        kept=f"{acceptance.KEPT}/*",
+    ),
+    "bench": Miniature(
+        bench_command,
+        (
+            "{box} --parts steps rotations layer accuracy --copies 1 --rounds 1 --bodies 20 40 --time 0.1 "
+            "--equilibrate 0.02 --platform Reference",
+        ),
+        benchmarks,
+        "bench",
+        patches=(
+            (accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)}),
+            (peers, "installed", list),
+            (layer, "SMALLEST", 20),
+            (layer, "_least", functools.partial(layer._least, repeats=1)),
+        ),
+    ),
+    "defaults": Miniature(
+        defaults,
+        (
+            "{box} --tolerance 5e-4 --cutoff 0.4 --switch yes --starts 2 --time 0.12 --equilibrate 0.03 "
+            "--platform Reference",
+        ),
+        two_means_and_ranges,
+        "defaults",
+        figure=False,
+        kept="*.jsonl",
+    ),
+    "equipartition": Miniature(
+        equipartition,
+        ("{box} --dt 1 2 --methods verlet sier2 sier4 --time 0.1 --equilibrate 0.02 --platform Reference",),
+        temperatures,
+        "equipartition",
+        patches=((equipartition, "SETTLING", 0.02),),
+    ),
+    "exactness": Miniature(exactness, ("--trials 200 --processes 1",), known_averages, "exactness", figure=False),
+    "mesh": Miniature(
+        mesh,
+        (
+            "{lattice_64} --platform CPU --molecules 64 512 --cutoff 0.55 --tolerances 5e-4 1e-4 --spacing 0.06 0.1 "
+            "--alphas 3 --meshes 3 --rounds 1 --turn 1e-6",
+        ),
+        meshes,
+        "mesh",
+    ),
+    "mixture": Miniature(
+        mixture,
+        (
+            "--method hmc --time 1.8 --settling 0.06",
+            "--method langevin --time 1.8 --settling 0.06",
+            "--table {runs}",
+        ),
+        mixtures,
+        "mixture",
+        figure=False,
+        patches=((mixture, "start", lambda settings: app.PDBFile(str(DIPEPTIDE))),),
+    ),
+    "native program": Miniature(counts, ("--schemes sier2 sier4g",), counted, "native-program", figure=False),
+    "paper, dipole": Miniature(
+        paper_command,
+        ("dipole --quick",),
+        lambda found: None,
+        "dipole",
+        patches=((dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1)),),
+    ),
+    "paper, free rotation": Miniature(
+        paper_command,
+        ("free-rotation --quick",),
+        lambda found: None,
+        "free-rotation",
+        patches=((free_rotation, "QUICK", FREE),),
+    ),
+    "paper, water": Miniature(
+        paper_command,
+        ("water --quick",),
+        lambda found: None,
+        "water",
+        patches=((water_runs, "QUICK", WATER), (paper, "ensemble", members_of_water)),
+    ),
+    "samples": Miniature(
+        samples,
+        (
+            *(
+                f"--box {{dipeptide}} --time 0.72 --settling 0.12 --equilibrate 0.01 {more}"
+                for more in ("", "--method langevin", "--method wrong --held")
+            ),
+            "--table {runs}",
+        ),
+        sampled,
+        "samples",
+        figure=False,
+    ),
+    "schemes": Miniature(
+        schemes,
+        (
+            "{liquid_64} --forcefield tip3p.xml --dt 2 12 --schemes verlet sier2 sier4g --starts 1 --time 0.3 "
+            "--equilibrate 0.2 --platform CPU",
+        ),
+        schemes_by_step,
+        "schemes",
+        kept="*.jsonl",
+    ),
+    "solvated": Miniature(
+        solvated,
+        (
+            *(
+                f"{{dipeptide}} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1 --moving {moving}"
+                for moving in ("all", "solute", "water")
+            ),
+            "--table {runs}",
+        ),
+        solvated_trials,
+        "solvated",
+        figure=False,
+    ),
+    "speed": Miniature(
+        speed,
+        (
+            "{box} --boxes water-27 peptide --rounds 1 --turn 1e-6 --time 0.02 --equilibrate 0.01 --starts 1 "
+            "--platform CPU",
+        ),
+        speeds,
+        "speed",
+        figure=False,
+        patches=(
+            (speed, "STEPS", {"verlet": (0.5, 2.0), "sier2": (0.5,), "sier2p3": (1.0,), "sier4g": (1.0,)}),
+            (usual_inputs, "installed", list),
+            # The cut-off that fits the box.
+            (speed_boxes, "INTERACTIONS", Interactions()),
+        ),
+    ),
+    "whole runs": Miniature(
+        whole_run,
+        ("--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1",),
+        whole_runs,
+        "whole-run",
+        kept="*.jsonl",
+    ),
+    "processed": Miniature(
+        processed,
+        ("--starts 1 --steps 2 --time 0.3 --equilibrate 0.1",),
+        processed_state,
+        "processed",
+        figure=False,
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    place = tmp_path_factory.mktemp("boxes")
+    topology, positions, _ = water_box("tip3p", 64)
+    app.PDBFile.writeFile(topology, positions * unit.nanometer, str(place / "box.pdb"))
+    (place / "lattice").mkdir()
+    return {
+        "box": write_lattice(place / "lattice" / "box.pdb"),
+        "lattice_64": write_lattice(place / "lattice" / "64.pdb", 64),
+        "liquid_64": place / "box.pdb",
+        "dipeptide": DIPEPTIDE,
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MINIATURES)
+def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
+    if name == "mixture":
+        pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
+    made = MINIATURES[name]
+    for patch in made.patches:
+        monkeypatch.setattr(*patch)
+
+    def execute(line):
+        runs = " ".join(map(str, sorted(tmp_path.glob("*.json"))))
+        arguments = line.format(**boxes, out=tmp_path, runs=runs).split()
+        return made.study.main([*arguments, "--out", str(tmp_path)]), capsys.readouterr()
+
+    for line in made.lines:
+        code, (said, complaint) = execute(line)
+        assert code == 0, complaint
+    record = records.read(tmp_path / f"{made.record}.json")
+    made.check(record.tables)
+    assert said.strip()
+    assert json.loads((tmp_path / f"{made.record}.json").read_text())["versions"]["openmm"]
+    if made.figure:
+        assert (tmp_path / f"{made.record}.png").read_bytes().startswith(b"\x89PNG")
+    if not made.kept:
+        return
+    runs = {path: path.stat().st_mtime_ns for path in tmp_path.glob(made.kept)}
+    assert runs
+    assert execute(made.lines[0])[0] == 0
+    assert {path: path.stat().st_mtime_ns for path in runs} == runs
+    again = records.read(tmp_path / f"{made.record}.json").tables
+    for key, table in record.tables.items():
+        pd.testing.assert_frame_equal(again[key], table)
+
+
+def test_results_of_other_settings_are_refused(tmp_path, capsys):
+    """Studies whose runs are kept one by one."""
+    for study, kind, noted in (
+        (acceptance, AcceptanceSettings, f"{acceptance.KEPT}/settings.json"),
+        (schemes, schemes.SchemesSettings, "schemes-settings.json"),
+        (defaults, defaults.DefaultsSettings, "settings.json"),
+        (whole_run, whole_run.WholeRunSettings, "whole-run-settings.json"),
+    ):
+        path = tmp_path / study.__name__ / noted
+        path.parent.mkdir(parents=True)
+        path.write_text(json.dumps(kind().recorded() | {"temperature": 350.0}))
+        assert study.main(["--out", str(tmp_path / study.__name__)]) == 1
+        assert "has results with temperature 350.0, got 297.0: take another directory" in capsys.readouterr().err
+
+
+def test_speed_tables_are_made_of_a_file(tmp_path, capsys):
+    data = Path(speed.__file__).parent / "data" / "speed.json"
+    assert speed.main(["--table", str(data), "--out", str(tmp_path)]) == 0
+    assert "| OpenMM Verlet, 1 fs |" in (tmp_path / "speed.md").read_text()

@@ -1,0 +1,320 @@
+"""What studies make of numbers: pooled runs, points with errors, costs, laws, and what a pool refuses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from openmm_sier.dynamics.schemes import SIER2V2, SIER4P, SIER4V
+from studies import acceptance, equipartition, records, schemes, speed, step_study, whole_run
+from studies.bench import accuracy, timing
+from studies.equipartition import MEASURED, EquipartitionSettings
+from studies.hmc import solvated
+from studies.methods import OTHERS
+from studies.records import Record
+from studies.speed import Turn
+
+# --- acceptance -------------------------------------------------------------------------------------------------------
+
+
+def trials_of(molecules, errors, method="SIER2", broken=""):
+    """What `acceptance_trials.measure` gives."""
+    place = {"molecules": molecules, "method": method, "fs_per_force": 2.0, "step": 2.0, "length": 60.0}
+    return place | {"errors": list(errors), "reversal": 1e-8, "noise": 1e-3, "broken": broken}
+
+
+def normal(molecules, spread, trials=200):
+    errors = 0.5 * spread**2 + spread * np.random.default_rng(4).normal(size=trials)
+    return trials_of(molecules, errors)
+
+
+def test_a_trajectory_that_could_not_be_followed_is_rejected():
+    row = acceptance.row_of(trials_of(27, (0.1, None)))
+    assert row["acceptance"] == pytest.approx(0.5 * math.exp(-0.1))
+    assert math.isnan(row["spread"])
+
+
+def test_limits():
+    """Spreads of boxes of 512 molecules and more are pooled; what was measured is told from what was not."""
+    members = [normal(64, 5.0), *(normal(n, 0.02 * n**0.5) for n in (512, 4096, 32768))]
+    refused = trials_of(512, (), "SIER4", broken="too long")
+    rows = pd.DataFrame([acceptance.row_of(member) for member in (*members, refused)])
+    (limit,) = acceptance.limits(rows).to_dict("records")
+    assert limit["method"] == "SIER2"
+    assert limit["spread"] == pytest.approx(0.02, abs=4 * limit["spread_error"])
+    # (1.349/0.02)^2 = 4549.
+    assert limit["measured"] == 4096
+    assert limit["largest"] == pytest.approx(4549, abs=4 * limit["largest_error"])
+    assert acceptance.expected_acceptance(limit["spread"] * limit["largest"] ** 0.5) == pytest.approx(0.5)
+    # A spread that is larger by its error makes the box smaller by about as much as is said.
+    smaller = limit["largest"] / (1 + limit["spread_error"] / limit["spread"]) ** 2
+    assert limit["largest"] - smaller == pytest.approx(limit["largest_error"], rel=0.1)
+
+
+def test_spreads_of_boxes_of_several_sizes_are_pooled(rng):
+    sizes, trials, of_one = (100, 400, 1600), (4000, 1000, 250), 0.03
+    spreads = [rng.normal(0, of_one * n**0.5, k).std(ddof=1) for n, k in zip(sizes, trials, strict=True)]
+    rows = pd.DataFrame({"molecules": sizes, "trials": trials, "spread": spreads})
+    value, error = acceptance.pooled_spread(rows)
+    assert error == pytest.approx(of_one / (2 * 5250) ** 0.5, rel=0.05)
+    assert abs(value - of_one) < 4 * error
+
+
+def test_the_law_of_acceptance_by_size():
+    """Boxes whose spreads are 0.01 for each root of the number of atoms."""
+    rows = pd.DataFrame({"atoms": [100, 400], "spread": [0.1, 0.2], "trials": [50, 50]})
+    rows = rows.assign(moving="all", scheme="sier4g", masses="3", per_force=2.0, solute=10, waters=30)
+    (law,) = solvated.laws(rows).to_dict("records")
+    assert law["one"] == pytest.approx(0.01)
+    # An acceptance of 0.5 is that of a spread of 1.349.
+    assert law["atoms_50"] == pytest.approx(134.9**2, rel=1e-3)
+
+
+# --- temperatures -----------------------------------------------------------------------------------------------------
+
+
+def run_of(mean, error, time, predicted=math.nan, broken=""):
+    measured = dict.fromkeys(MEASURED, mean) | {f"{name}_error": error for name in MEASURED}
+    place = {"method": "SIER4", "step": 4.0, "fs_per_force": 1.0, "time": time}
+    return place | measured | {"drift": mean, "predicted": predicted, "broken": broken}
+
+
+def pooled(*rows):
+    (found,) = equipartition.pooled(pd.DataFrame(rows)).to_dict("records")
+    return found
+
+
+def test_replicas_are_pooled_by_their_lengths():
+    """Three times the length weighs as much, and has a standard error less by the square root of it."""
+    found = pooled(run_of(1.0, 0.3, 30.0), run_of(2.0, 0.3 * 3**0.5, 10.0))
+    assert found["time"] == 40.0
+    # The best estimate of all, whose error is that of one run of 40 ps.
+    assert (found["difference"], found["difference_error"]) == pytest.approx((1.25, 0.3 * (3 / 4) ** 0.5))
+    assert found["drift"] == pytest.approx(1.25)
+    assert math.isnan(found["predicted"])
+    parts = run_of(1.0, 0.3, 30.0, -2.0), run_of(1.0, 0.3, 10.0, -1.0), run_of(1.0, 0.3, 10.0)
+    assert pooled(*parts)["predicted"] == -1.5
+    assert pooled(run_of(1.0, 0.3, 30.0), run_of(0.0, 1.0, 10.0, broken="too hot"))["broken"] == "too hot"
+
+
+def test_directories_are_pooled(tmp_path):
+    def write(name, seeds, **changes):
+        settings = EquipartitionSettings(seed=seeds[0], replicas=len(seeds), **changes).recorded()
+        rows = equipartition.pooled(pd.DataFrame([run_of(float(seed), 0.3, 10.0) for seed in seeds]))
+        (tmp_path / name).mkdir()
+        Record(settings, {"rows": rows}, {}).write(tmp_path / name / equipartition.FILE)
+        return rows
+
+    together = write("both", (1, 2))
+    write("1", (1,))
+    write("2", (2,))
+    found = equipartition.pool((tmp_path / "1", tmp_path / "2"))
+    pd.testing.assert_frame_equal(found.tables["rows"], together)
+    write("hot", (1,), temperature=350.0)
+    with pytest.raises(ValueError, match=r"cannot be pooled: their settings of temperature are 350.0 and 297.0"):
+        equipartition.pool((tmp_path / "1", tmp_path / "hot"))
+    with pytest.raises(ValueError, match="cannot be pooled: both have SIER4 at 4 fs with seed 2"):
+        equipartition.pool((tmp_path / "both", tmp_path / "2"))
+
+
+# --- schemes ----------------------------------------------------------------------------------------------------------
+
+CANDIDATES = {**OTHERS, "sier4v": SIER4V, "sier4p": SIER4P}
+FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "sier4p": 4, "omf3gg": 5}
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_candidates_are_symmetric_and_of_fourth_order(name):
+    scheme = CANDIDATES[name]
+    assert (scheme.order, scheme.is_palindrome, scheme.force_evaluations) == (4, True, FORCES[name])
+
+
+def test_points_are_means_over_starts_with_their_errors():
+    names = ["liquid", "method", "fs_per_force", "percent", "broken"]
+    runs = [("A", "OpenMM Verlet", 2.0, 0.9, ""), ("A", "OpenMM Verlet", 2.0, 1.1, "")]
+    runs += [("A", "X", 4.0, 1.0, ""), ("A", "X", 4.0, 2.0, ""), ("B", "X", 4.0, 3.0, "")]
+    runs += [("A", "Y", 4.0, 1.0, ""), ("A", "Y", 4.0, math.nan, "too long")]
+    same = {"order": 2, "forces": 1, "step": 4.0, "drift": 0.0}
+    rows = schemes.points(pd.DataFrame(runs, columns=names).assign(**same)).set_index(["liquid", "method"])
+    verlet, x, y = (rows.loc["A", name] for name in ("OpenMM Verlet", "X", "Y"))
+    # The standard error of two values is half their difference.
+    assert (verlet["percent"], verlet["percent_error"]) == pytest.approx((1.0, 0.1))
+    assert (verlet["relative"], verlet["relative_error"]) == (1.0, 0.0)
+    assert (x["relative"], x["relative_error"]) == pytest.approx((1.5, 1.5 * math.hypot(0.5 / 1.5, 0.1)))
+    assert (x["least"], x["most"], x["starts"]) == (1.0, 2.0, 2)
+    assert math.isnan(y["percent"])
+    assert y["broken"] == "too long"
+    # One start has no error, and a liquid without Verlet nothing to be divided by.
+    assert math.isnan(rows.loc[("B", "X"), "percent_error"])
+    assert math.isnan(rows.loc[("B", "X"), "relative"])
+
+
+def test_means_over_liquids_need_all_of_them():
+    names = ["liquid", "method", "fs_per_force", "relative", "relative_error"]
+    rows = [
+        ("A", "X", 4.0, 1.0, 0.3),
+        ("B", "X", 4.0, 2.0, 0.4),
+        ("A", "Y", 4.0, 1.0, 0.1),
+        ("C", "X", 4.0, math.nan, 1),
+    ]
+    (mean,) = schemes.over_liquids(pd.DataFrame(rows, columns=names)).to_dict("records")
+    assert mean == pytest.approx({"method": "X", "fs_per_force": 4.0, "relative": 1.5, "relative_error": 0.25})
+
+
+def test_palindromes_by_their_fractions():
+    first, verlet, second = schemes.methods_of(["kick:0.1931833275037836,0.5", "verlet", "drift:0.5"])
+    assert first.scheme.stages == SIER2V2.stages
+    assert verlet is schemes.KNOWN["verlet"]
+    assert [stage.fraction for stage in second.scheme.stages] == [0.5, 1.0, 0.5]
+    with pytest.raises(ValueError, match="'drift' must sum to 1"):
+        schemes.methods_of(["kick:0.2,0.6"])
+
+
+# --- steps and costs --------------------------------------------------------------------------------------------------
+
+
+def point(method, h, forces=1, box="spce-512", time=180.0, **found):
+    place = {"box": box, "method": method, "step": forces * h, "fs_per_force": h, "runs": 2, "time": time}
+    unknown = dict.fromkeys((name for key in step_study.MEASURED for name in (key, f"{key}_error")), math.nan)
+    given = {name: x for key, pair in found.items() for name, x in zip((key, f"{key}_error"), pair, strict=True)}
+    return place | unknown | given
+
+
+READ = pd.DataFrame(
+    [
+        point("SIER4G", 2.0, 3, rotation=(296.8, 0.4), density=(0.998, 0.002), diffusion=(2.5, 0.1)),
+        point("OpenMM Verlet", 4.0, density=(0.98, 0.001), energy=(-46.0, math.nan)),
+        point("OpenMM Verlet", 1.0, density=(0.99, 0.001)),
+        point("SIER4G HMC", 2.0, 3, density=(1.0, 0.003)),
+        point("SIER4G", 2.0, 3, box="tip3p-512", density=(0.985, 0.002)),
+    ]
+)
+
+
+@pytest.mark.slow
+def test_the_table_is_by_box_method_and_step(tmp_path):
+    record = Record({}, {"rows": step_study.in_order(READ)}, {"title": "Water"})
+    lines = records.markdown(step_study.table(record)).splitlines()
+    assert len(lines) == 2 + len(READ)
+    assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
+    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | 2.50 ± 0.10"
+    assert lines[2] == f"| spce-512 | SIER4G | 6 | 2 | 2 | 180 | {found} |"
+    assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
+    assert lines[-1].startswith("| tip3p-512")
+    step_study.figure(record, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_errors_are_shared_by_rows_of_one_box_and_method():
+    rows = [
+        point("SIER2", 4.0, time=90.0, density=(1.0, 0.002), energy=(-46.0, math.nan)),
+        point("SIER2", 1.0, time=10.0, density=(0.99, 0.001), energy=(-47.0, math.nan)),
+        point("SIER4G", 1.0, 3, density=(0.99, 0.007)),
+    ]
+    found = step_study.with_shared_errors(pd.DataFrame(rows))
+    # (90^2 0.002^2 + 10^2 0.001^2)/100 is the square of the error of 1 ps.
+    factor = math.sqrt(0.000325)
+    assert list(found["density"]) == [1.0, 0.99, 0.99]
+    assert list(found["density_error"]) == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
+    # An error that no row has stays unknown.
+    assert found["energy_error"].isna().all()
+
+
+def test_deviations_are_from_the_shortest_step_and_share_its_error():
+    rows = [
+        point("SIER2", 1.0, energy=(-46.0, 0.3)),
+        point("SIER4G", 1.0, 3, energy=(-45.0, 0.3)),
+        # Left out of the reference, since its bath heats the liquid.
+        point("OpenMM Verlet", 1.0, energy=(-40.0, 0.3)),
+        point("SIER4G", 2.0, 3, energy=(-45.3, 0.4)),
+    ]
+    made = step_study.deviations(Record({}, {"rows": pd.DataFrame(rows)}, {}), "energy")
+    assert made.columns == ["method", "fs per force", "SPC/E"]
+    # The mean of two rows with errors of 0.3 has 0.3 / sqrt(2), and the difference sqrt(0.4^2 + 0.3^2 / 2).
+    assert made.rows == [["mean at the shortest step", "1", "-45.50 ± 0.21"], ["SIER4G", "2", "0.20 ± 0.45"]]
+
+
+def power_law(factor, power):
+    rows = [("m", h, factor * h**power, 100 * h) for h in (0.25, 0.5, 1.0, 2.0)]
+    return pd.DataFrame(rows, columns=["method", "fs_per_force", "percent", "fs_per_second"])
+
+
+@pytest.mark.parametrize("power", [2, 4])
+def test_step_and_cost_at_a_level_of_a_power_law(power):
+    assert accuracy.step_at(power_law(0.1, power), "m", 0.1 * 0.7**power) == pytest.approx(0.7, rel=1e-12)
+    row = accuracy.costs_of(power_law(0.1 / 0.8**power, power)).to_dict("records")[-1]
+    # 0.8 fs per force reach 0.1 %, and a force takes 10 ms.
+    expected = {"percent": 0.1, "fs_per_force": 0.8, "forces_per_ps": 1250.0, "fs_per_second": 80.0}
+    assert row == pytest.approx(expected | {"method": "m"})
+
+
+def test_interleaved_timings_discard_the_first_round():
+    calls = []
+    seconds = timing.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
+    assert calls == ["a", "b"] * 3
+    assert [len(values) for values in seconds.values()] == [2, 2]
+
+
+def test_median_comes_with_its_standard_error(rng):
+    """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
+    found = np.array([timing.median_and_error(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
+    assert math.isnan(timing.median_and_error(np.array([1.0]))[1])
+    assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
+    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)
+
+
+def test_a_speed_is_simulated_time_over_what_it_took():
+    """2 fs in 1 ms of processor time and 2 ms of wall time."""
+    turns = {
+        speed.REFERENCE: np.array(3 * [Turn(2.0, 0.002, 0.001)]),
+        "other": np.array(3 * [Turn(12.0, 0.004, 0.003)]),
+    }
+    reference, own = speed.rows_of(turns, "CPU")
+    # 1 fs/ms is 86.4 ns/day.
+    assert (reference["ns_per_day"], reference["ns_per_day_processor"]) == pytest.approx((86.4, 172.8))
+    assert own["over"] == pytest.approx(2.0)
+    assert speed.rows_of(turns, "CUDA")[1]["over"] == pytest.approx(3.0)
+
+
+def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):
+    """Second order, 0.04 % and 0.01 % at 1 fs: 0.1 % at 1.58 and 3.16 fs, the second at the same cost of a force."""
+    monkeypatch.setattr(speed, "LEVELS", (0.1,))
+    methods = {"OpenMM Verlet": 0.04, "SIER2": 0.01}
+    points = pd.DataFrame(
+        [
+            {"method": method, "seed": seed, "fs_per_force": dt, "percent": factor * dt**2}
+            for method, factor in methods.items()
+            for seed in (1, 2)
+            for dt in (1.0, 4.0)
+        ]
+    )
+    place = {"box": "water-512", "fs_per_force": 2.0, "over": 1.0, "over_error": 0.0}
+    rows = pd.DataFrame([place | {"method": method} for method in methods])
+    verlet, own = speed.at_equal_error(rows, points).to_dict("records")
+    assert verlet["fs_per_force"] == pytest.approx(math.sqrt(2.5))
+    assert own["fs_per_force"] == pytest.approx(math.sqrt(10))
+    assert (own["over"], own["over_error"]) == pytest.approx((2.0, 0.0))
+
+
+def test_steps_of_a_solute_are_those_that_its_bonds_allow():
+    steps = [{each.method: each.step for each in speed.contestants(solute)} for solute in (False, True)]
+    assert [(each["SIER2P3"], each["SIER4G"]) for each in steps] == [(12, 6), (9, 6)]
+
+
+def test_the_law_of_the_walk_is_found_again():
+    """Points that follow the law give back its constants; points below the floor and of second order do not count."""
+    box = {"liquid": "x", "molecules": 1, "time": 1.0, "tolerance": 1e-4}
+    scales = {"SIER4G": 2e4, "SIER4P": 3e3}
+    rows = [
+        box | {"method": name, "step": h, "walk": scale * np.exp(-2 * 31.54 / h)}
+        for name, scale in scales.items()
+        for h in (4.5, 5.0, 6.0, 7.0)
+    ]
+    rows += [rows[0] | {"walk": 0.001, "step": 3.0}, rows[0] | {"method": "SIER2", "walk": 3.0}]
+    found = whole_run.law(pd.DataFrame(rows))
+    # Exact data: only the rounding of a least-squares solution is left.
+    assert found["decay"] == pytest.approx(2, rel=1e-9)
+    assert found["at_infinity"] == pytest.approx(scales, rel=1e-8)
