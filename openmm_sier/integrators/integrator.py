@@ -262,13 +262,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
         with interrupts.deferred():
             self._record.restore()
             flow = self._flow()
-            engine.begin(flow)
             try:
-                self._ensemble.advance(engine, flow, self._record, count)
-                engine.publish()
-            except BaseException:
-                engine.recover()
-                raise
+                with engine.following(flow):
+                    self._ensemble.advance(engine, flow, self._record, count)
             finally:
                 self._record.keep()
 
@@ -361,7 +357,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             raise openmm.OpenMMException(
                 "The System was prepared after the integrator was given to its Context: create a new Context"
             )
-        engine = engine_for(given.engine, self, context, self._flow(), given.bodies, self._program)
+        engine = engine_for(given.engine, context, self._flow(), given.bodies, self._program)
         self._ensemble.check(context.getSystem(), engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.

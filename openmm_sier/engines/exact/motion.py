@@ -16,7 +16,7 @@ from openmm_sier.dynamics.constrained import (
     point_operators,
 )
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
-from openmm_sier.dynamics.schemes import BATH, DRIFT, WITHIN_DRIFTS, Scheme
+from openmm_sier.dynamics.schemes import BATH, DRIFT, WITHIN_DRIFTS
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.exact.solute import SoluteForces, solute_system
 from openmm_sier.engines.protocol import Flow
@@ -80,7 +80,7 @@ class Motion:
             found = dict(self._outer)
             if flow.bath is not None:
                 found[BATH] = self.bath(flow.bath)
-            longest = inner_step(flow.scheme, flow.step, flow.substeps)
+            longest = inner_step(flow)
             if self.fast is not None and longest:
                 found[DRIFT] = self._nested_drift(self.fast, longest)
             self._made = flow, found
@@ -135,14 +135,8 @@ def _flexible_points(bodies: RigidBodies) -> np.ndarray:
     return groups
 
 
-def inner_step(scheme: Scheme, h: float, substeps: int | None) -> float:
-    """Length of the inner steps in the longest drift of a scheme, ps.
-
-    Args:
-        scheme: the scheme.
-        h: its step, ps.
-        substeps: inner steps in its longest drift; None: as many as `LONGEST_INNER_STEP` asks for.
-    """
-    longest = h * scheme.longest_drift
+def inner_step(flow: Flow) -> float:
+    """Length of the inner steps in the longest drift of a flow, ps; without `substeps` at most `LONGEST_INNER_STEP`."""
+    longest, substeps = flow.step * flow.scheme.longest_drift, flow.substeps
     count = max(1, math.ceil(longest / LONGEST_INNER_STEP * (1 - 1e-9))) if substeps is None else substeps
     return longest / count
