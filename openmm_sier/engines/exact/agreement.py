@@ -92,11 +92,19 @@ class Agreement:
         return state, Clock(now.time, now.steps)
 
     def updated(self, state: BodyState) -> BodyState:
-        """The phase point after Forces of OpenMM changed the Context that was published."""
+        """The phase point after Forces of OpenMM changed the Context that was published.
+
+        Raises:
+            RigidityError: the positions do not form the bodies.
+        """
         now, before = Snapshot(self._context), self._agreed
-        state = self._reconciled(state, before, now)
-        self._take(now, moved=not now.same_positions(before))
-        return state
+        moved = not now.same_positions(before)
+        q, A = self.fit(now, state) if moved else (state.q, state.A)
+        found = replace(state, q=q, p=self._bodies.constraints.project(q, state.p), A=A)
+        if not (now.same_velocities(before) and np.array_equal(A, state.A)):
+            found = self._with_velocities(found, now)
+        self._take(now, moved)
+        return found
 
     def _take(self, now: Snapshot, moved: bool) -> None:
         """Take over positions, box and parameters of a Context where they differ."""
@@ -113,8 +121,12 @@ class Agreement:
         variable = self._context.getIntegrator().getPerDofVariableByName
         # One after the other: OpenMM gives lists of objects, which take much memory.
         values = np.stack([np.array(variable(name)) for name in STATE_VARIABLES])
-        before = None if moved else self._agreed
-        return self._recalled(values, now, moved) or self._reconciled(known, before, now)
+        if (recalled := self._recalled(values, now, moved)) is not None:
+            return recalled
+        if known is None or moved:
+            q, A = self.fit(now)
+            known = BodyState(q, np.zeros_like(q), A, np.zeros_like(q))
+        return self._with_velocities(known, now)
 
     def _recalled(self, values: np.ndarray, now: Snapshot, moved: bool) -> BodyState | None:
         """A stored state, if it reproduces the atoms to the last bit.
@@ -139,25 +151,6 @@ class Agreement:
         if np.array_equal(bodies.move(state, now.velocities.copy()), now.velocities):
             return state
         return self._with_velocities(state, now) if moved else None
-
-    def _reconciled(self, old: BodyState | None, before: Snapshot | None, now: Snapshot) -> BodyState:
-        """The state after the Context changed from one snapshot to another.
-
-        Args:
-            old: the state at the earlier snapshot.
-            before: the earlier snapshot; None if there is none.
-            now: what the Context holds.
-
-        Raises:
-            RigidityError: the positions do not form the bodies.
-        """
-        if old is None or before is None:
-            q, A = self.fit(now)
-            return self._with_velocities(BodyState(q, np.zeros_like(q), A, np.zeros_like(q)), now)
-        q, A = (old.q, old.A) if now.same_positions(before) else self.fit(now, old)
-        if now.same_velocities(before) and np.array_equal(A, old.A):
-            return replace(old, q=q, p=self._bodies.constraints.project(q, old.p), A=A)
-        return self._with_velocities(replace(old, q=q, A=A), now)
 
     def fit(self, now: Snapshot, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Bodies at the positions of a snapshot, (q, A); warns once of those that are moved onto their constraints.

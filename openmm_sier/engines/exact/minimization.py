@@ -72,10 +72,6 @@ def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, numb
     x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
     energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-    arguments = {
-        "system energy": energy,
-        "restraint energy": 0.0,
-        "restraint strength": 0.0,
-        "max constraint error": 0.0,
-    }
+    others = dict.fromkeys(("restraint energy", "restraint strength", "max constraint error"), 0.0)
+    arguments = {"system energy": energy, **others}
     return bool(reporter.report(number, x.ravel().tolist(), (-forces).ravel().tolist(), arguments))

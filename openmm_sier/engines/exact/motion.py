@@ -54,20 +54,17 @@ class Motion:
             SoluteError: a fast force is not a bonded force, or one of its terms acts on something other than a flexible
                 point.
         """
-        self._bodies, self._rotation = bodies, rotation
+        self._bodies = bodies
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
         self.solute = _solute(context, bodies, self._members, groups_of(fast_groups))
         self.fast = None if self.solute is None else CachedForces(self.solute)
         self._drift = operators.drift(bodies, rotation)
-        self._outer = self._without_bath(forces)
+        if len(self._members):
+            self._outer = constrained_operators(bodies, forces, bodies.constraints, rotation, groups=self._groups)
+        else:
+            self._outer = operators.body_operators(bodies, forces, rotation)
         self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
-
-    def _without_bath(self, forces: CachedForces) -> dict[str, Operator]:
-        bodies, rotation = self._bodies, self._rotation
-        if not len(self._members):
-            return operators.body_operators(bodies, forces, rotation)
-        return constrained_operators(bodies, forces, bodies.constraints, rotation, groups=self._groups)
 
     def bath(self, bath: OrnsteinUhlenbeck) -> Operator:
         """A bath as an operator."""

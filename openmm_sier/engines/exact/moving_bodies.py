@@ -87,7 +87,7 @@ class MovingBodies:
         if self.moves_volume:
             checks.refuse_constant_pressure(system, bodies)
         self.motion = self._new_motion(bodies)
-        self.forces.act_on(bodies)
+        self.forces.bodies = bodies
         self.movers, self.is_settled = Movers(bodies, lambda: context.getMolecules()), True
         return self.movers
 

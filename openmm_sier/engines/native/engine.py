@@ -243,18 +243,14 @@ class NativeEngine(Engine):
 
     @property
     def point(self) -> BodyState:
-        return self._point(Snapshot(self._context))
-
-    def _point(self, now: Snapshot) -> BodyState:
-        """The phase point of the atoms of a snapshot, which is read in full each time."""
-        points, q, v = self.movers.bodies, now.positions[self._atoms].T, now.velocities[self._atoms].T
+        now, points = Snapshot(self._context), self.movers.bodies
+        q, v = now.positions[self._atoms].T, now.velocities[self._atoms].T
         A = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, points.n))
         return BodyState(q, points.masses * v, A, np.zeros_like(q), self._variables[HEAT], self.draws)
 
     def change(self, operation: Callable[[BodyState], BodyState]) -> None:
-        context, now = self._context, Snapshot(self._context)
-        old = self._point(now)
-        new = operation(old)
+        context, old = self._context, self.point
+        new, now = operation(old), Snapshot(context)
         if new.q is not old.q:
             now.positions[self._atoms] = new.q.T
             context.setPositions(now.positions)
