@@ -6,6 +6,7 @@ from __future__ import annotations
 STUDIES = {
     "studies.paper": "2 min with --quick, else 70 min",
     "studies.whole_run": "3 h of two cores for all runs of docs/accuracy.md",
+    "studies.heat_bath": "3 h of one core for 250 ps of each method",
     "studies.processed": "5 min of one core",
     "studies.schemes": "3 to 10 min of one core a liquid",
     "studies.equipartition": "",

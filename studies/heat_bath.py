@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
@@ -38,7 +37,7 @@ from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
 from studies import boxes, records
-from studies.command import SYSTEMS, Settings, chosen, claim, execute
+from studies.command import SYSTEMS, Settings, chosen, claim, command
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -284,9 +283,4 @@ def averaged(runs: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(over=frame["speed"] / frame["box"].map(reference))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(BathSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(BathSettings, study, __doc__, __name__)

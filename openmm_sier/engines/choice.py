@@ -19,7 +19,6 @@ EXACT_PLATFORMS = ("CPU", "Reference")
 
 def engine_for(
     wanted: str,
-    integrator: openmm.CustomIntegrator,
     context: openmm.Context,
     flow: Flow,
     bodies: Bodies,
@@ -28,5 +27,5 @@ def engine_for(
     """The engine of a Context, "exact", "native" or "auto" as wanted; the program is that of the flow."""
     on_host = context.getPlatform().getName() in EXACT_PLATFORMS
     if wanted == "exact" or (wanted == "auto" and on_host):
-        return ExactEngine(integrator, context, flow, bodies)
-    return NativeEngine(integrator, context, flow, bodies, program)
+        return ExactEngine(context, flow, bodies)
+    return NativeEngine(context, flow, bodies, program)

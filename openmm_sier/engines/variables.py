@@ -24,7 +24,7 @@ SITES = PREFIX + "sites"
 class Record:
     """Global variables by name that travel in checkpoints, beside the values that they had after the last step."""
 
-    def __init__(self, integrator: openmm.CustomIntegrator, names: tuple[str, ...]):
+    def __init__(self, integrator: openmm.CustomIntegrator, names: tuple[str, ...] = ()):
         """
         Args:
             integrator: has the variables.

@@ -174,7 +174,7 @@ class Binding:
             raise openmm.OpenMMException(
                 "The System was prepared after the integrator was given to its Context: create a new Context"
             )
-        engine = engine_for(given.engine, self._integrator, context, self._flow(), given.bodies, self.program)
+        engine = engine_for(given.engine, context, self._flow(), given.bodies, self.program)
         self.ensemble.check(system, engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.
@@ -196,13 +196,9 @@ class Binding:
         with interrupts.deferred():
             self.record.restore()
             flow = self._flow()
-            engine.begin(flow)
             try:
-                self.ensemble.advance(engine, flow, self.record, steps)
-                engine.publish()
-            except BaseException:
-                engine.recover()
-                raise
+                with engine.following(flow):
+                    self.ensemble.advance(engine, flow, self.record, steps)
             finally:
                 self.record.keep()
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.engines.phase_point import Movers, PhasePoint
 from openmm_sier.engines.protocol import Clock, Flow, TrajectoryError
 from openmm_sier.engines.variables import SEED
 from openmm_sier.ensembles.metropolis import ACCEPTED, ERROR, TRIALS, Metropolis
@@ -85,8 +85,10 @@ class Dipoles(Wells):
         return self.directions(state.A)[2]
 
 
-class ModelEngine:
-    """An engine without OpenMM: what ensembles need, for a model in a cubic box."""
+class ModelEngine(PhasePoint):
+    """An engine without OpenMM: what ensembles need, for a model in a cubic box. It follows `flow`."""
+
+    flow: Flow
 
     def __init__(
         self,
@@ -96,75 +98,48 @@ class ModelEngine:
         volume: float = 1.0,
         molecules: list | None = None,
     ) -> None:
-        self.model, self.bodies = model, model.bodies
-        self.removes_momentum, self.mass = removes_momentum, float(model.bodies.masses.sum())
-        self.reached, self.clock, self._volume = model.start(), Clock(0.0, 0), volume
-        forces = operators.CachedForces(model.forces)
-        self._operators = operators.body_operators(model.bodies, forces, rotation)
-        atoms = [[i] for i in range(model.bodies.n_particles)]
-        self._centres = MoleculeCentres(model.bodies, molecules or atoms)
-        self.molecules = self._centres.count
+        self.model, self.bodies, self.removes_momentum = model, model.bodies, removes_momentum
+        self.movers = Movers(model.bodies, lambda: molecules or [[i] for i in range(model.bodies.n_particles)])
+        self._reached, self.clock, self._volume = model.start(), Clock(0.0, 0), volume
+        self._operators = operators.body_operators(model.bodies, operators.CachedForces(model.forces), rotation)
 
     @property
-    def draws(self) -> int:
-        return self.reached.draws
+    def point(self) -> BodyState:
+        return self._reached
 
-    @draws.setter
-    def draws(self, number: int) -> None:
-        self.reached = replace(self.reached, draws=number)
-
-    def begin(self, flow: Flow) -> None:
-        self._flow = flow
+    def change(self, operation: Callable[[BodyState], BodyState]) -> None:
+        self._reached = operation(self._reached)
 
     def follow(self, steps: int) -> None:
-        step = operators.stepper(self._flow.scheme, self._operators, self._flow.step)
+        step = operators.stepper(self.flow.scheme, self._operators, self.flow.step)
         try:
             for _ in range(steps):
-                self.reached = step(self.reached)
-                self.clock = Clock(self.clock.time + self._flow.step, self.clock.steps + 1)
+                self.change(step)
+                self.clock = Clock(self.clock.time + self.flow.step, self.clock.steps + 1)
         except NotFiniteError as error:
             raise TrajectoryError(str(error)) from error
 
     def potential_energy(self) -> float:
-        return self.model.potential(self.reached)
-
-    def kinetic_energy(self) -> float:
-        return sum(self.bodies.kinetic_energies(self.reached))
+        return self.model.potential(self._reached)
 
     def positions(self) -> np.ndarray:
-        return self.bodies.place(self.reached.q, self.reached.A, np.zeros((self.bodies.n_particles, 3)))
+        return self.bodies.place(self._reached.q, self._reached.A, np.zeros((self.bodies.n_particles, 3)))
 
     def draw_momenta(self, bath: Thermostat, time: float) -> None:
-        self.reached = bath.operator(self.bodies)(self.reached, time)
+        self._reached = bath.operator(self.bodies)(self._reached, time)
 
     def remember(self) -> tuple:
-        return self.reached, self.clock, self._volume
+        return self._reached, self.clock, self._volume
 
     def go_back(self, memory: tuple, reverse: bool = False) -> None:
         state, self.clock, self._volume = memory
-        self.reached = replace(state, p=-state.p, L=-state.L) if reverse else state
-
-    def centre_velocity(self) -> np.ndarray:
-        return self.reached.p.sum(axis=1) / self.mass
-
-    def shift_velocities(self, velocity: np.ndarray) -> None:
-        before = self.kinetic_energy()
-        self.reached = replace(self.reached, p=self.reached.p + self.bodies.masses * velocity[:, None])
-        self.add_heat(self.kinetic_energy() - before)
+        self._reached = replace(state, p=-state.p, L=-state.L) if reverse else state
 
     def volume(self) -> float:
         return self._volume
 
-    def scale(self, factor: float) -> None:
+    def _scale_box(self, factor: float) -> None:
         self._volume *= factor**3
-        q = self.reached.q
-        self.reached = replace(self.reached, q=q + (factor - 1) * self._centres(q))
-
-    def heat(self) -> float:
-        return self.reached.heat
-
-    def add_heat(self, energy: float) -> None:
-        self.reached = replace(self.reached, heat=self.reached.heat + energy)
 
 
 class Sample(NamedTuple):
@@ -215,8 +190,8 @@ class Chain:
         # What a trial asks of an engine and of a record is here; what OpenMM and users ask is not.
         engine: Any = self.engine
         record: Any = self.record
-        engine.begin(self.flow)
+        engine.flow = self.flow
         for steps in itertools.islice(itertools.cycle(self.steps), trials):
             self.ensemble(steps).advance(engine, self.flow, record, 1)
             counts = int(record[TRIALS]), int(record[ACCEPTED]), record[ERROR]
-            yield Sample(engine.reached, *counts, engine.volume())
+            yield Sample(engine.point, *counts, engine.volume())

@@ -423,7 +423,7 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(peptide
     members = np.flatnonzero(integrator.bodies.flexible)
     atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
     expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
-    (found,) = integrator.binding.engine._motion.fast.at(q[:, members], None)
+    (found,) = integrator.binding.engine._moving.motion.fast.at(q[:, members], None)
     # Forces of the CPU platform pass through single precision where they are summed.
     assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
 
@@ -434,7 +434,7 @@ def test_an_engine_with_fast_forces_needs_no_garbage_collector():
     integrator = SIER4GIntegrator(0.002, fastForceGroups={FAST})
     context = started(system, integrator, positions)
     integrator.step(1)
-    motion = weakref.ref(integrator.binding.engine._motion)
+    motion = weakref.ref(integrator.binding.engine._moving.motion)
     gc.disable()
     try:
         del context, integrator

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from studies import (
     acceptance,
     defaults,
     equipartition,
+    heat_bath,
     mesh,
     paper,
     processed,
@@ -177,6 +179,15 @@ def whole_runs(found):
     assert found["gains"]["gain"].dropna().iloc[0] > 5
 
 
+def bath_averages(found):
+    rows = found["rows"].set_index("method")
+    # Means of 5 ps of 22 atoms, and of 233 molecules, after a sudden start.
+    assert rows["water"].between(250, 350).all()
+    assert rows["solute"].between(150, 450).all()
+    assert rows["bonds"].between(5, 100).all()
+    assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
+
+
 def processed_state(found):
     """Takahashi and Imada's step is of second order, some 0.1 % at 2 fs, and of fourth in the processed state."""
     row = found["rows"].iloc[0]
@@ -250,6 +261,14 @@ MINIATURES = {
         patches=((equipartition, "SETTLING", 0.02),),
     ),
     "exactness": Miniature(exactness, ("--trials 200 --processes 1",), known_averages, "exactness", figure=False),
+    "heat bath": Miniature(
+        heat_bath,
+        ('{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2, 8 fs" --time 5 --equilibrate 0.2 --friction 20',),
+        bath_averages,
+        "heat-bath",
+        figure=False,
+        kept="*.jsonl",
+    ),
     "mesh": Miniature(
         mesh,
         (
@@ -387,7 +406,7 @@ def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
 
     def execute(line):
         runs = " ".join(map(str, sorted(tmp_path.glob("*.json"))))
-        arguments = line.format(**boxes, out=tmp_path, runs=runs).split()
+        arguments = shlex.split(line.format(**boxes, out=tmp_path, runs=runs))
         return made.study.main([*arguments, "--out", str(tmp_path)]), capsys.readouterr()
 
     for line in made.lines:

@@ -55,7 +55,7 @@ class ConstraintTable(NamedTuple):
 
 def differences(ends, x):
     """Vectors (3, c) from the second to the first end of each constraint."""
-    return x[:, ends[0]] - x[:, ends[1]]
+    return taken(ends[0], x) - taken(ends[1], x)
 
 
 def pushed(ends, multipliers, bonds, p):

@@ -14,10 +14,11 @@ from openmm_sier.dynamics.backend import constraint_solver, numba_loops
 #: Sums and products may be contracted, but not reordered, so that NumPy and Numba agree to rounding.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
-#: Functions on arrays that are faster as loops.
+#: Functions on arrays that are faster as loops. Compiled as they are, `lengths_after` makes a drift with constraints
+#: 1.03 to 1.14 times as long, `linear_equations` 1.1 to 1.2 times, and `solution` 1.8 times with 15 constraints.
 LOOPS: dict[Any, Any] = {
     getattr(constraint_solver, name): getattr(numba_loops, name)
-    for name in ("differences", "pushed", "lengths_after", "taken", "put", "linear_equations", "solution")
+    for name in ("pushed", "lengths_after", "taken", "put", "linear_equations", "solution")
 }
 
 

@@ -233,15 +233,6 @@ def turn_groups(edges, part, m, q, at, F):
                 F[axis, n] += m[k] / determinant * force[axis]
 
 
-def differences(ends, x):
-    """As `constraint_solver.differences`."""
-    out = np.empty((3, ends.shape[1]))
-    for axis in range(3):
-        for c in range(ends.shape[1]):
-            out[axis, c] = x[axis, np.uint64(ends[0, c])] - x[axis, np.uint64(ends[1, c])]
-    return out
-
-
 def pushed(ends, multipliers, bonds, p):
     """As `constraint_solver.pushed`."""
     out = p.copy()

@@ -19,6 +19,7 @@ class BodyForces:
     What is not finite raises `TrajectoryError`.
 
     Attributes:
+        bodies: on which they act.
         positions, velocities: of the atoms as they were last written, (N, 3), nm and nm/ps; those of atoms in no body
             are stored here.
         evaluations: number of force evaluations so far.
@@ -27,7 +28,7 @@ class BodyForces:
             told of these calls.
     """
 
-    _bodies: RigidBodies
+    bodies: RigidBodies
     _placed: tuple[np.ndarray | None, np.ndarray | None]
     get_state = staticmethod(openmm.Context.getState)
     set_positions = staticmethod(openmm.Context.setPositions)
@@ -45,10 +46,6 @@ class BodyForces:
         # The last two, for the start and the end of a trajectory.
         self._energies: list[tuple[np.ndarray, np.ndarray, float]] = []
 
-    def act_on(self, bodies: RigidBodies) -> None:
-        """Take bodies."""
-        self._bodies = bodies
-
     def select(self, groups: int, fast_groups: int) -> None:
         """Take the force groups that move the bodies, and the fast ones among them, each as a bit mask."""
         self._groups, self._groups_in_kicks = groups, groups & ~fast_groups
@@ -63,7 +60,7 @@ class BodyForces:
         if self.is_at(q, A):
             return
         try:
-            positions = self._bodies.place(q, A, self.positions)
+            positions = self.bodies.place(q, A, self.positions)
         except NotFiniteError as error:
             raise self._blown_up("position of", error) from None
         self.set_positions(self._context, positions)
@@ -117,12 +114,12 @@ class BodyForces:
         # Like getForces(asNumpy=True), but without its overhead for names and units.
         found._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         try:
-            return self._bodies.forces_and_torques(self._vectors, A)
+            return self.bodies.forces_and_torques(self._vectors, A)
         except NotFiniteError as error:
             raise self._blown_up("force on", error) from None
 
     def _blown_up(self, what: str, error: NotFiniteError) -> TrajectoryError:
         return TrajectoryError(
-            f"The {what} {self._bodies.describe(error.body)} is not finite in step {self.step}. Is the step size too "
+            f"The {what} {self.bodies.describe(error.body)} is not finite in step {self.step}. Is the step size too "
             "long, or do atoms overlap? The Context is left at the last completed step."
         )

@@ -6,20 +6,18 @@ rigid only because they were named.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.minimizer import descent
 from openmm_sier.engines import interrupts
 from openmm_sier.system import tables
-
-if TYPE_CHECKING:
-    from openmm_sier.engines.exact.engine import ExactEngine
 
 
 def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
@@ -34,44 +32,37 @@ def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
 
 def minimize_bodies(
     context: openmm.Context,
-    engine: ExactEngine,
+    bodies: RigidBodies,
+    forces: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    start: BodyState,
     tolerance: Any,
     iterations: int,
     reporter: openmm.MinimizationReporter | None = None,
 ) -> None:
     """Minimize the energy of a Context's rigid bodies, as `openmm.LocalEnergyMinimizer.minimize` does for atoms.
 
-    Only positions change.
+    Only positions change. Where this raises an error they are not those of the start.
 
     Args:
         context: openmm.Context.
-        engine: the engine of its integrator.
+        bodies: its bodies.
+        forces: (q, A) -> forces and torques on them, each (3, n); places them in the Context.
+        start: where they are.
         tolerance: root mean square at which the minimization ends, a quantity or a number in kJ/mol/nm. It is that of
             forces, and of torques divided by radii of gyration, over the degrees of freedom of the bodies.
         iterations: largest number of iterations, each with one evaluation of forces; 0 for no limit.
         reporter: an openmm.MinimizationReporter or None.
 
     Raises:
-        RigidityError: the Context's positions do not form the bodies. Nothing has been changed then.
-        openmm.OpenMMException: a force is not finite. The bodies are left where they were before.
+        openmm.OpenMMException: a force is not finite.
     """
     if unit.is_quantity(tolerance):
         tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
-    with interrupts.deferred():
-        _descend(context, engine, tolerance, iterations, reporter)
-
-
-def _descend(context: openmm.Context, engine: ExactEngine, tolerance: float, iterations: int, reporter: Any) -> None:
-    state = engine.state()
-    points = descent(engine.bodies, engine.forces.of_all_groups, state.q, state.A)
-    try:
-        for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
-            if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):
-                break
-            interrupts.act_on_pending()
-    except BaseException:
-        engine.recover()
-        raise
+    points = descent(bodies, forces, start.q, start.A)
+    for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
+        if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):
+            break
+        interrupts.act_on_pending()
 
 
 def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, number: int) -> bool:
@@ -81,10 +72,6 @@ def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, numb
     x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
     energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-    arguments = {
-        "system energy": energy,
-        "restraint energy": 0.0,
-        "restraint strength": 0.0,
-        "max constraint error": 0.0,
-    }
+    others = dict.fromkeys(("restraint energy", "restraint strength", "max constraint error"), 0.0)
+    arguments = {"system energy": energy, **others}
     return bool(reporter.report(number, x.ravel().tolist(), (-forces).ravel().tolist(), arguments))

@@ -62,20 +62,17 @@ class Motion:
             SoluteError: a fast force is not a bonded force, or one of its terms acts on something other than a flexible
                 point.
         """
-        self._bodies, self._rotation = bodies, rotation
+        self._bodies = bodies
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
         self.solute = _solute(context, bodies, self._members, groups_of(fast_groups))
         self.fast = None if self.solute is None else CachedForces(self.solute)
         self._drift = operators.drift(bodies, rotation)
-        self._outer = self._without_bath(forces)
+        if len(self._members):
+            self._outer = constrained_operators(bodies, forces, bodies.constraints, rotation, groups=self._groups)
+        else:
+            self._outer = operators.body_operators(bodies, forces, rotation)
         self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
-
-    def _without_bath(self, forces: CachedForces) -> dict[str, Operator]:
-        bodies, rotation = self._bodies, self._rotation
-        if not len(self._members):
-            return operators.body_operators(bodies, forces, rotation)
-        return constrained_operators(bodies, forces, bodies.constraints, rotation, groups=self._groups)
 
     def bath(self, bath: Thermostat) -> Operator:
         """A bath as an operator."""
@@ -88,7 +85,7 @@ class Motion:
             found = dict(self._outer)
             if flow.bath is not None:
                 found[BATH] = self.bath(flow.bath)
-            longest = inner_step(flow.scheme, flow.step, flow.substeps)
+            longest = inner_step(flow)
             if self.fast is not None and longest:
                 found |= self._nested_drifts(self.fast, flow.scheme, longest)
             self._made = flow, found
@@ -148,15 +145,13 @@ def _flexible_points(bodies: RigidBodies) -> np.ndarray:
     return groups
 
 
-def inner_step(scheme: Scheme, h: float, substeps: int | None) -> float:
-    """Length of the inner steps in the longest drift of a scheme, ps.
+def inner_step(flow: Flow) -> float:
+    """Length of the inner steps in the longest drift of a flow, ps.
 
-    Args:
-        scheme: the scheme.
-        h: its step, ps.
-        substeps: inner steps in its longest drift, the one with a bath in its middle counted half; None: as many as
-            `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` ask for.
+    `Flow.substeps` counts the one with a bath in its middle half. Without it there are as many as `LONGEST_INNER_STEP`
+    and `LONGEST_WITH_BATH` ask for.
     """
+    scheme, h, substeps = flow.scheme, flow.step, flow.substeps
     if scheme.bath_divides_drift:
         return h / (steps_with_bath(h, LONGEST_WITH_BATH) if substeps is None else 2 * substeps - 1)
     longest = h * scheme.longest_drift

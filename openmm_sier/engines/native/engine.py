@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
@@ -19,14 +20,15 @@ from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import WORK, Program, longest_inner_step
+from openmm_sier.engines.phase_point import Movers
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.step_check import StepCheck
 from openmm_sier.engines.temperature import Temperatures, temperature, thermal_energies
-from openmm_sier.engines.variables import DRAWS, HEAT
+from openmm_sier.engines.variables import DRAWS, HEAT, Record
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
-from openmm_sier.system.vibrations import Vibrations
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, a larger energy error than that of the schemes.
@@ -46,13 +48,8 @@ NOT_CONVERGED = 1e-4
 set_velocities, draw_velocities = openmm.Context.setVelocities, openmm.Context.setVelocitiesToTemperature
 
 
-class _Memory(NamedTuple):
-    """What `remember` gives."""
-
-    now: Snapshot
-    potential: float | None
-    heat: float
-    draws: int
+#: What `remember` gives: the Context, the potential energy if it is known, heat and draws.
+Memory = tuple[Snapshot, float | None, float, int]
 
 
 class NativeEngine(Engine):
@@ -65,14 +62,7 @@ class NativeEngine(Engine):
     name = "native"
     repeats_noise = False
 
-    def __init__(
-        self,
-        integrator: openmm.CustomIntegrator,
-        context: openmm.Context,
-        flow: Flow,
-        bodies: Bodies,
-        program: Program,
-    ) -> None:
+    def __init__(self, context: openmm.Context, flow: Flow, bodies: Bodies, program: Program) -> None:
         """The integrator has the program; see `Engine` for the rest.
 
         Bodies, as users give them, have to be rigid by constraints.
@@ -81,24 +71,26 @@ class NativeEngine(Engine):
             openmm.OpenMMException: the integrator needs what only the exact engine has, or the System has a Force that
                 does not work with divided steps.
         """
-        super().__init__(integrator, context, flow)
-        system = context.getSystem()
-        self._program = program
+        super().__init__(context, flow)
+        system, integrator = context.getSystem(), context.getIntegrator()
+        self._program, self._variables = program, Record(integrator)
         refusals.refuse(flow, bodies, program, system)
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
         self._constraints = tables.constraints(system)
-        self._points = refusals.points(system)
+        points, itself = refusals.points(system), weakref.proxy(context)
+        self.movers = Movers(points, lambda: itself.getMolecules())
+        # The atom of each point: those of none come first.
+        self._atoms = np.argsort(points.owners, kind="stable")[points.n_particles - points.n :]
         try:
             self._found: Any = known_or_planned(system, bodies)
         except RigidityError as error:
             self._found = error
-        self._vibrations = Vibrations(system, self._points)
-        self._check_step()
-        self._masses = tables.masses(system)
+        self._check_step = StepCheck(system, points, _inner_step)
+        self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
         self._environment: Any = None
-        self._is_guarded = bool(integrator.getGlobalVariableByName(EXACT_ONLY))
+        self._is_guarded = bool(self._variables[EXACT_ONLY])
         self._is_fresh = True
         self.evaluations = 0
         platform = context.getPlatform()
@@ -118,11 +110,6 @@ class NativeEngine(Engine):
         return self._found.bodies(self.positions()) if isinstance(self._found, BodyPlan) else self._found
 
     @property
-    def _movers(self) -> RigidBodies:
-        """The massive atoms, each a body of its own."""
-        return self._points
-
-    @property
     def clock(self) -> Clock:
         return Clock(self._context.getTime().value_in_unit(unit.picosecond), self._context.getStepCount())
 
@@ -131,38 +118,27 @@ class NativeEngine(Engine):
         self._context.setTime(clock.time)
         self._context.setStepCount(clock.steps)
 
-    @property
-    def _counted_heat(self) -> float:
-        """The heat without that which the program counts for each degree of freedom, kJ/mol."""
-        return self._integrator.getGlobalVariableByName(HEAT)
-
     def heat(self) -> float:
-        return self._counted_heat + float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
-
-    def add_heat(self, energy: float) -> None:
-        self._integrator.setGlobalVariableByName(HEAT, self._counted_heat + energy)
+        return self._variables[HEAT] + float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
 
     @property
     def draws(self) -> int:
-        return int(self._integrator.getGlobalVariableByName(DRAWS))
+        return int(self._variables[DRAWS])
 
     @draws.setter
     def draws(self, number: int) -> None:
-        self._integrator.setGlobalVariableByName(DRAWS, number)
+        self._variables[DRAWS] = number
 
     # --- one call of the integrator's step ---
 
-    def begin(self, flow: Flow) -> None:
+    def _begin(self, flow: Flow) -> None:
         self._flow = flow
-        self._check_motion()
+        self._check_step(flow, self._integrator.getIntegrationForceGroups(), self._context)
         set_variables(self._integrator, flow.bath, is_guarded=False)
         state = self._context.getState(parameters=True)
         environment = state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
         if environment != self._environment:
             self._environment, self._potential = environment, None
-
-    def _inner_step(self) -> float:
-        return self._flow.step * longest_inner_step(self._flow.scheme, self._flow.substeps)
 
     def follow(self, steps: int) -> None:
         clock, flow = self.clock, self._flow
@@ -194,13 +170,10 @@ class NativeEngine(Engine):
                 self.clock = after
         return after
 
-    def publish(self) -> None:
+    def _publish(self) -> None:
         """Close the program to anyone else; the Context has the state at any time."""
         if self._is_guarded:
-            self._integrator.setGlobalVariableByName(EXACT_ONLY, 1.0)
-
-    def recover(self) -> None:
-        self.publish()
+            self._variables[EXACT_ONLY] = 1.0
 
     def start_anew(self) -> None:
         self._is_fresh, self._potential = True, None
@@ -268,13 +241,24 @@ class NativeEngine(Engine):
             self._potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
         return self._potential
 
-    def kinetic_energy(self) -> float:
-        return 0.5 * float(self._masses @ (Snapshot(self._context).velocities ** 2).sum(axis=1))
+    @property
+    def point(self) -> BodyState:
+        now, points = Snapshot(self._context), self.movers.bodies
+        q, v = now.positions[self._atoms].T, now.velocities[self._atoms].T
+        A = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, points.n))
+        return BodyState(q, points.masses * v, A, np.zeros_like(q), self._variables[HEAT], self.draws)
 
-    def _set_velocities(self, velocities: np.ndarray, gained_since: float) -> None:
-        """Set velocities (N, 3); what is gained since a kinetic energy is heat."""
-        set_velocities(self._context, velocities)
-        self.add_heat(self.kinetic_energy() - gained_since)
+    def change(self, operation: Callable[[BodyState], BodyState]) -> None:
+        context, old = self._context, self.point
+        new, now = operation(old), Snapshot(context)
+        if new.q is not old.q:
+            now.positions[self._atoms] = new.q.T
+            context.setPositions(now.positions)
+            context.computeVirtualSites()
+        if new.p is not old.p:
+            now.velocities[self._atoms] = (new.p / self.movers.bodies.masses).T
+            set_velocities(context, now.velocities)
+        self._variables[HEAT], self.draws = new.heat, new.draws
 
     def positions(self) -> np.ndarray:
         return Snapshot(self._context).positions
@@ -282,47 +266,33 @@ class NativeEngine(Engine):
     def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
         self._settle()
-        old, before = Snapshot(self._context).velocities, self.kinetic_energy()
+        context, now = self._context, Snapshot(self._context)
+        before = self.kinetic_energy()
         # OpenMM replaces a zero by a seed of its own choice.
         seed = int(generator(bath.seed, self.draws).integers(1, 2**31 - 1))
-        draw_velocities(self._context, bath.temperature, seed)
+        draw_velocities(context, bath.temperature, seed)
         kept = math.exp(-bath.friction * time)
-        self._set_velocities(kept * old + math.sqrt(1 - kept**2) * Snapshot(self._context).velocities, before)
+        set_velocities(context, kept * now.velocities + math.sqrt(1 - kept**2) * Snapshot(context).velocities)
+        self.add_heat(self.kinetic_energy() - before)
         self.draws += 1
 
-    def remember(self) -> _Memory:
-        return _Memory(Snapshot(self._context), self._potential, self._counted_heat, self.draws)
+    def remember(self) -> Memory:
+        return Snapshot(self._context), self._potential, self._variables[HEAT], self.draws
 
-    def go_back(self, memory: _Memory, reverse: bool = False) -> None:
-        context, now = self._context, memory.now
-        if context.getState().getPeriodicBoxVectors().value_in_unit(unit.nanometer) != now.box:
-            context.setPeriodicBoxVectors(*now.box)
+    def go_back(self, memory: Memory, reverse: bool = False) -> None:
+        context, (now, potential, heat, draws) = self._context, memory
+        if now.box != self._box():
+            self._set_box(now.box)
         context.setPositions(now.positions)
         context.setVelocities(-now.velocities if reverse else now.velocities)
-        self._integrator.setGlobalVariableByName(HEAT, memory.heat)
-        self.clock, self.draws, self._potential = Clock(now.time, now.steps), memory.draws, memory.potential
-
-    def centre_velocity(self) -> np.ndarray:
-        return self._masses @ Snapshot(self._context).velocities / self.mass
-
-    def shift_velocities(self, velocity: np.ndarray) -> None:
-        old = Snapshot(self._context).velocities
-        self._set_velocities(np.where(self._masses[:, None] > 0, old + velocity, old), self.kinetic_energy())
-
-    def scale_velocities(self, factor: float) -> None:
-        self._set_velocities(factor * Snapshot(self._context).velocities, self.kinetic_energy())
-
-    def scale(self, factor: float) -> None:
-        context = self._context
-        box = context.getState().getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
-        positions = self.positions()
-        context.setPeriodicBoxVectors(*(factor * box))
-        atoms = np.concatenate([species.atoms[:, 0] for species in self._points.species])
-        positions[atoms] += (factor - 1) * self._centres(positions[atoms].T).T
-        context.setPositions(positions)
-        context.computeVirtualSites()
+        self.clock = Clock(now.time, now.steps)
+        self._potential, self._variables[HEAT], self.draws = potential, heat, draws
 
     # --- what users ask ---
+
+    @property
+    def _inner_step(self) -> float:
+        return _inner_step(self._flow)
 
     @property
     def momentum_lag(self) -> float:
@@ -330,10 +300,7 @@ class NativeEngine(Engine):
         return self._integrator.scheme.momentum_lag
 
     def state(self) -> BodyState:
-        return self._state_of(self.bodies)
-
-    def _state_of(self, bodies: RigidBodies) -> BodyState:
-        now = Snapshot(self._context)
+        bodies, now = self.bodies, Snapshot(self._context)
         q, A = bodies.fit(now.positions)
         p, L = bodies.momenta(now.velocities, A)
         return BodyState(q, p, A, L, self.heat())
@@ -342,14 +309,14 @@ class NativeEngine(Engine):
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""
         if not isinstance(self._found, RigidityError):
             return super().temperatures()
-        kinetic = sum(thermal_energies(self._points, self._state_of(self._points), self.conserves_momentum()))
+        kinetic = sum(thermal_energies(self.movers.bodies, self.point, self.conserves_momentum()))
         return Temperatures(temperature(kinetic, self.degrees_of_freedom()), math.nan, math.nan)
 
     def degrees_of_freedom(self) -> float:
         if not isinstance(self._found, RigidityError):
             return super().degrees_of_freedom()
-        return self._points.dof - len(self._constraints.pairs) - (3 if self.conserves_momentum() else 0)
+        return self.movers.bodies.dof - len(self._constraints.pairs) - (3 if self.conserves_momentum() else 0)
 
-    def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
-        by_openmm()
-        self.atoms_moved()
+
+def _inner_step(flow: Flow) -> float:
+    return flow.step * longest_inner_step(flow.scheme, flow.substeps)

@@ -1,0 +1,48 @@
+"""Whether a step is short enough for what vibrates in a System."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.engines.protocol import Flow
+from openmm_sier.system.vibrations import Vibrations
+
+
+class StepCheck:
+    """Refuses steps that are too long for bonds and librations, and speaks of those at which the energy walks."""
+
+    def __init__(self, system: openmm.System, bodies: RigidBodies, inner_step: Callable[[Flow], float]):
+        """
+        Args:
+            system: openmm.System.
+            bodies: what moves in it.
+            inner_step: the longest step of a flow within drifts, ps.
+        """
+        self._vibrations, self._inner_step = Vibrations(system, bodies), inner_step
+        self._checked: tuple = ()
+
+    def __call__(self, flow: Flow, groups: int, context: openmm.Context | None = None) -> None:
+        """Check a flow, once, by forces of integration force groups, a bit mask.
+
+        Args:
+            flow: what will be followed.
+            groups: the integration force groups.
+            context: whose positions tell how stiff expressions are; None before there are any.
+
+        Raises:
+            openmm.OpenMMException: the step is too long.
+        """
+        if context is not None and self._vibrations.measure(context):
+            self._checked = ()
+        checked = flow.scheme, flow.step, flow.substeps, flow.fast_groups, groups
+        if checked == self._checked:
+            return
+        slow, fast = groups & ~flow.fast_groups, groups & flow.fast_groups
+        self._vibrations.check(flow.scheme, flow.step, slow)
+        self._vibrations.check_nested(flow.scheme, flow.scheme.within_drifts, self._inner_step(flow), flow.step, fast)
+        if flow.constant_energy:
+            self._vibrations.tell_of_walk(flow.scheme, flow.step, slow)
+        self._checked = checked
