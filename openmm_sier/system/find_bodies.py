@@ -65,8 +65,8 @@ class RigidBodies(dynamics.RigidBodies):
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
                 massless particle that is not a virtual site is in a body, or positions are needed and were not given.
-            ValueError: `rigid` names particles or residues that do not exist, or a particle twice; or it needs the
-                topology.
+            ValueError: `rigid` names particles or residues that do not exist, or a particle twice; a list in it is
+                empty; or it needs the topology.
         """
         if unit.is_quantity(positions):
             positions = positions.value_in_unit(unit.nanometer)
@@ -146,8 +146,10 @@ class BodyPlan:
     def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
         """Named bodies without their virtual sites; those that are frozen entirely are none."""
         clusters: list[Cluster] = []
-        for indices in groups:
+        for number, indices in enumerate(groups):
             particles = [int(i) for i in indices]
+            if not particles:
+                raise ValueError(f"bodies must name the particles of each, got an empty list in place {number}")
             if outside := [i for i in particles if not 0 <= i < self._n]:
                 raise ValueError(f"bodies name particle {outside[0]}, the System has {self._n} particles")
             cluster = tuple(i for i in particles if not system.isVirtualSite(i))

@@ -456,6 +456,7 @@ def test_constrained_hydrogens_are_points_and_may_be_named_as_a_body():
     [
         ([[0, 1]], RigidityError, "constraint between atoms 0 and 2 joins a rigid body to another particle"),
         ([[0, 1, 2, 3], [3]], ValueError, "name particle 3 twice"),
+        ([[0, 1, 2, 3], []], ValueError, "must name the particles of each, got an empty list in place 1"),
         ([[0, 1, 2, 7]], ValueError, "name particle 7, the System has 4 particles"),
         ({"XYZ": "rigid"}, ValueError, "name residue XYZ, which the topology does not have"),
         ({"CH3": "stiff"}, ValueError, "must be \"rigid\", got 'stiff'"),
