@@ -16,7 +16,7 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.arguments import Bodies, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.notices import tell
@@ -66,11 +66,16 @@ class RigidBodies(dynamics.RigidBodies):
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
                 massless particle that is not a virtual site is in a body, or positions are needed and were not given.
             ValueError: `rigid` names particles or residues that do not exist, or a particle twice; a list in it is
-                empty; or it needs the topology.
+                empty; it needs the topology; or positions have another shape.
+            TypeError: `system` is something else, such as a Topology.
         """
         if unit.is_quantity(positions):
             positions = positions.value_in_unit(unit.nanometer)
-        return BodyPlan(system, topology, rigid).bodies(None if positions is None else np.array(positions, dtype=float))
+        n = checked_system(system).getNumParticles()
+        found = None if positions is None else np.array(positions, dtype=float)
+        if found is not None and found.shape != (n, 3):
+            raise ValueError(f"positions must have the shape ({n}, 3) of the System's particles, got {found.shape}")
+        return BodyPlan(system, topology, rigid).bodies(found)
 
 
 class BodyPlan:

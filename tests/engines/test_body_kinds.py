@@ -468,6 +468,15 @@ def test_bodies_that_cannot_be(rigid, error, message):
         RigidBodies.from_system(system, topology, rigid, positions)
 
 
+def test_bodies_of_something_else():
+    """Positions of other particles would give a geometry without a word, as long as the named ones are among them."""
+    system, topology, positions = methyl()
+    with pytest.raises(ValueError, match=r"positions must have the shape \(4, 3\) .*, got \(3, 3\)"):
+        RigidBodies.from_system(system, topology, [[0, 1, 2]], positions[:3])
+    with pytest.raises(TypeError, match=r"must be an openmm\.System, got a Topology"):
+        RigidBodies.from_system(topology)
+
+
 def test_massless_atom_in_a_named_body():
     gas = Gas("CH4")
     gas.system.setParticleMass(2, 0)
