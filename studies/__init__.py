@@ -18,6 +18,7 @@ STUDIES = {
     "studies.step_study": "its runs 3.6 h of one core",
     "studies.liquid_figure": "its runs 20 min of one core",
     "studies.molecules": "",
+    "studies.crowding": "15 min of one core of a busy machine",
     "studies.hmc.exactness": "7 min of one core",
     "studies.hmc.liquid": "",
     "studies.hmc.solvated": "10 min of one core for all trials of docs/hmc.md",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from studies import acceptance, equipartition, liquid_figure, mesh, records, step_study, whole_run
+from studies import acceptance, crowding, equipartition, liquid_figure, mesh, records, step_study, whole_run
 from studies.bench import accuracy
 from studies.command import Settings, chosen, command
 from studies.paper import water
@@ -35,6 +35,7 @@ class Drawn(NamedTuple):
 FIGURES = {
     "acceptance": Drawn(acceptance.figure, "acceptance.json", "python -m studies.acceptance"),
     "cost": Drawn(accuracy.figure, "cost.json", "python -m studies.bench --parts accuracy"),
+    "crowding": Drawn(crowding.figure, "crowding.json", "python -m studies.crowding"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json", "python -m studies.equipartition"),
     "mesh": Drawn(mesh.figure, "mesh.json", "python -m studies.mesh"),
     "paper-water": Drawn(water.figure, "paper-water.json", "python -m studies.paper water"),

@@ -16,7 +16,7 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.arguments import Bodies, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.notices import tell
@@ -65,12 +65,17 @@ class RigidBodies(dynamics.RigidBodies):
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
                 massless particle that is not a virtual site is in a body, or positions are needed and were not given.
-            ValueError: `rigid` names particles or residues that do not exist, or a particle twice; or it needs the
-                topology.
+            ValueError: `rigid` names particles or residues that do not exist, or a particle twice; a list in it is
+                empty; it needs the topology; or positions have another shape.
+            TypeError: `system` is something else, such as a Topology.
         """
         if unit.is_quantity(positions):
             positions = positions.value_in_unit(unit.nanometer)
-        return BodyPlan(system, topology, rigid).bodies(None if positions is None else np.array(positions, dtype=float))
+        n = checked_system(system).getNumParticles()
+        found = None if positions is None else np.array(positions, dtype=float)
+        if found is not None and found.shape != (n, 3):
+            raise ValueError(f"positions must have the shape ({n}, 3) of the System's particles, got {found.shape}")
+        return BodyPlan(system, topology, rigid).bodies(found)
 
 
 class BodyPlan:
@@ -146,8 +151,10 @@ class BodyPlan:
     def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
         """Named bodies without their virtual sites; those that are frozen entirely are none."""
         clusters: list[Cluster] = []
-        for indices in groups:
+        for number, indices in enumerate(groups):
             particles = [int(i) for i in indices]
+            if not particles:
+                raise ValueError(f"bodies must name the particles of each, got an empty list in place {number}")
             if outside := [i for i in particles if not 0 <= i < self._n]:
                 raise ValueError(f"bodies name particle {outside[0]}, the System has {self._n} particles")
             cluster = tuple(i for i in particles if not system.isVirtualSite(i))

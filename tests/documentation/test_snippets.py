@@ -32,8 +32,9 @@ def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
     for block in code(page):
         fewer = re.sub(r"\.step\((\d+)\)", lambda found: f".step({min(int(found[1]), FEWER)})", block)
         fewer = fewer.replace("for _ in range(20):", "for _ in range(2):")  # states that a report compares
-        if "physical_validation" in fewer:  # the last block of its page
-            pytest.importorskip("physical_validation", reason="install the extra validation")
+        for module in ("physical_validation", "openmmtools"):
+            if f"from {module} import" in fewer or f"import {module}" in fewer:  # the last block of its page
+                pytest.importorskip(module, reason="install the extra validation")
         exec(compile(fewer, page, "exec"), names)
 
 

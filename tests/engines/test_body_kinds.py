@@ -456,6 +456,7 @@ def test_constrained_hydrogens_are_points_and_may_be_named_as_a_body():
     [
         ([[0, 1]], RigidityError, "constraint between atoms 0 and 2 joins a rigid body to another particle"),
         ([[0, 1, 2, 3], [3]], ValueError, "name particle 3 twice"),
+        ([[0, 1, 2, 3], []], ValueError, "must name the particles of each, got an empty list in place 1"),
         ([[0, 1, 2, 7]], ValueError, "name particle 7, the System has 4 particles"),
         ({"XYZ": "rigid"}, ValueError, "name residue XYZ, which the topology does not have"),
         ({"CH3": "stiff"}, ValueError, "must be \"rigid\", got 'stiff'"),
@@ -465,6 +466,15 @@ def test_bodies_that_cannot_be(rigid, error, message):
     system, topology, positions = methyl()
     with pytest.raises(error, match=message):
         RigidBodies.from_system(system, topology, rigid, positions)
+
+
+def test_bodies_of_something_else():
+    """Positions of other particles would give a geometry without a word, as long as the named ones are among them."""
+    system, topology, positions = methyl()
+    with pytest.raises(ValueError, match=r"positions must have the shape \(4, 3\) .*, got \(3, 3\)"):
+        RigidBodies.from_system(system, topology, [[0, 1, 2]], positions[:3])
+    with pytest.raises(TypeError, match=r"must be an openmm\.System, got a Topology"):
+        RigidBodies.from_system(topology)
 
 
 def test_massless_atom_in_a_named_body():

@@ -220,6 +220,20 @@ def test_langevin_moves_after_moves_at_constant_energy(drop):
     assert np.isfinite(array(sampler.sampler_state.positions)).all()
 
 
+@pytest.mark.parametrize(
+    "bath",
+    [lambda: langevin(300), lambda: openmm.LangevinMiddleIntegrator(300 * KELVIN, FRICTION, 2 * FEMTOSECOND)],
+    ids=["Langevin", "OpenMM"],
+)
+def test_an_integrator_move_with_a_bath_has_one_temperature(drop, bath):
+    """openmmtools refuses it at another one, as it does OpenMM's integrators; `LangevinMove` above runs there."""
+    move = mcmc.IntegratorMove(bath(), n_steps=1)
+    used = cache.ContextCache(platform=platform())
+    with pytest.raises(states.ThermodynamicsError, match="heat bath at a different temperature"):
+        move.apply(state_at(drop, 350), sampler_state(drop), context_cache=used)
+    LangevinMove(n_steps=1).apply(state_at(drop, 350), sampler_state(drop), context_cache=used)
+
+
 def test_moves_do_not_repeat_their_noise(drop):
     """Every move asks for a new integrator, and the cache gives the old one."""
     contexts = cache.ContextCache(platform=platform())
