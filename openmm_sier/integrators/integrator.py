@@ -80,9 +80,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
             TypeError: the step is not a time, `scheme` is neither a Scheme nor a name, or `bodies` or `fastForceGroups`
                 have the wrong type.
         """
+        ensemble = ensemble or ConstantEnergy()
         given = Settings(
             kind=place_of(type(self)),
-            scheme=checked_scheme(scheme),
+            scheme=ensemble.suited(checked_scheme(scheme)),
             step=step_size(stepSize),
             engine=engine,
             substeps=None if substeps is None else whole_number("substeps", substeps),
@@ -90,7 +91,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             finds_fast_groups=fastForceGroups is None,
             bodies=checked_bodies(bodies),
             rotation=rotation,
-            ensemble=ensemble or ConstantEnergy(),
+            ensemble=ensemble,
         )
         super().__init__(given.step)
         self.binding = Binding(self, given)

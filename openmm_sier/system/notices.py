@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import warnings
@@ -9,8 +10,11 @@ from pathlib import Path
 
 import openmm
 
-#: Calls from these are not the user's own: OpenMM's Simulation creates Contexts.
-_PACKAGES = tuple(f"{folder}{os.sep}" for folder in (Path(__file__).parent.parent, Path(openmm.__file__).parent))
+#: Calls from these are not the user's own: OpenMM's Simulation creates Contexts, and context managers are entered here.
+_PACKAGES = (
+    *(f"{folder}{os.sep}" for folder in (Path(__file__).parent.parent, Path(openmm.__file__).parent)),
+    contextlib.__file__,
+)
 
 
 def tell(message: str) -> None:

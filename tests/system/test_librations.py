@@ -55,7 +55,7 @@ def test_steps_in_use_are_taken(model, engine):
 def test_a_step_at_which_the_energy_walks(engine):
     """It is told once, with what to expect and what to take; nothing is said where the energy need not hold."""
     _, positions, system = cluster_system(3)
-    told = r"a step of 6 fs makes the energy walk: expect .* 0\.6 % over a whole run, where SIER4G at 4\.5 fs has 0\.0"
+    told = r"a step of 6 fs makes the energy walk: expect .* 0\.[67] % over a whole run, where SIER4G at 4 fs has 0\.0"
     integrator = SIER4GIntegrator(0.006, engine=engine)
     with pytest.warns(UserWarning, match=told):
         context = context_at(system, integrator, (positions, 0 * positions))
@@ -73,7 +73,7 @@ def test_a_step_at_which_the_energy_walks(engine):
         silently(with_collisions, SIER4GIntegrator(0.006, engine=engine))
     for i in range(9):
         system.setParticleMass(i, 4 * system.getParticleMass(i))
-    silently(system, SIER4GIntegrator(0.009, engine=engine))
+    silently(system, SIER4GIntegrator(0.008, engine=engine))
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -112,7 +112,7 @@ def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
 
 def test_bonds_inside_bodies_do_not_count(flexible):
     _, positions, system = flexible
-    named = SIERIntegrator(0.0045, SIER4G, bodies=[[0, 1, 2], [3, 4, 5], [6, 7, 8]])
+    named = SIERIntegrator(0.004, SIER4G, bodies=[[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", "3 bodies like .* share one geometry")
