@@ -32,8 +32,8 @@ def balance_pme(system: openmm.System) -> None:
     The direct sum ends at the cut-off, where the energy has a jump that the forces lack. By OpenMM's rule for
     `ewaldErrorTolerance` this jump limits how well energy can be conserved, and most of the error is in the direct sum.
     A larger Ewald parameter makes the jump some two hundred times smaller. It makes the error of the mesh two to three
-    times larger, and with it the small net force of PME on the whole box. Forces in water take as long and are five to
-    eight times as accurate (cut-offs of 0.9 and 1.2 nm, tolerances from 1e-5 to 5e-4; twice as accurate at 0.55 nm).
+    times larger, and with it the small net force of PME on the whole box. Forces in water take as long and are four to
+    seven times as accurate (cut-off of 0.9 nm, tolerances from 1e-5 to 5e-4).
 
     Call it after box, cut-off and tolerance of the System are set and before a Context is created, and again if they
     change. It calls `NonbondedForce.setPMEParameters`, which replaces earlier parameters. The Lennard-Jones part of

