@@ -25,14 +25,18 @@ def checked_bodies(bodies: Bodies) -> Bodies:
     """Bodies as `RigidBodies`, lists of integers, or None.
 
     Raises:
-        TypeError: they are none of these.
+        TypeError: they are none of these, or a mask of booleans.
     """
     if bodies is None or isinstance(bodies, RigidBodies):
         return bodies
     try:
-        return [[operator.index(i) for i in cluster] for cluster in bodies]
+        clusters = [list(cluster) for cluster in bodies]
+        found = [[operator.index(i) for i in cluster] for cluster in clusters]
     except TypeError:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
+    if any(isinstance(i, bool) for cluster in clusters for i in cluster):
+        raise TypeError("bodies must be RigidBodies or lists of particle indices, got True and False: not a mask")
+    return found
 
 
 def checked_system(system: Any) -> openmm.System:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
@@ -124,6 +126,19 @@ def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
             f"the mass 0, such as atom {frozen[0]}), and counts them among those that share the heat. To hold atoms in "
             "place at constant pressure, restrain them by forces"
         )
+
+
+def tell_of_other_temperatures(system: openmm.System, temperature: float) -> None:
+    """Warn of a barostat or an AndersenThermostat of OpenMM at another temperature in K than that of a heat bath."""
+    for force in system.getForces():
+        if not isinstance(force, (openmm.AndersenThermostat, *BAROSTATS)):
+            continue
+        theirs = force.getDefaultTemperature().value_in_unit(unit.kelvin)
+        if not math.isclose(theirs, temperature, rel_tol=1e-6):
+            tell(
+                f"The {type(force).__name__} has {theirs:g} K and the heat bath of the integrator {temperature:g} K: "
+                "averages are those of neither temperature. Give both the same"
+            )
 
 
 def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:

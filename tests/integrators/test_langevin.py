@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -218,3 +219,15 @@ def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
     assert np.log2(deviations["end"][0] / deviations["end"][1]) == pytest.approx(1, abs=0.5)
     assert np.log2(deviations["whole"][0] / deviations["whole"][1]) == pytest.approx(2, abs=0.6)
     assert deviations["whole"][1] < deviations["end"][1] / 5
+
+
+@pytest.mark.parametrize("force", [openmm.MonteCarloBarostat(1, 350, 25), openmm.AndersenThermostat(350, 1)])
+def test_a_force_at_another_temperature_is_spoken_of(force):
+    topology, positions, system = periodic_system()
+    system.addForce(openmm.XmlSerializer.clone(force))
+    name = type(force).__name__
+    with pytest.warns(UserWarning, match=f"The {name} has 350 K and the heat bath of the integrator 300 K"):
+        context_at(system, SIERLangevinIntegrator(300, 1, 0.002, SIER2), (positions, 0 * positions))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=f"The {name}")
+        context_at(system, SIERLangevinIntegrator(350, 1, 0.002, SIER2), (positions, 0 * positions))
