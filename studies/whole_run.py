@@ -34,6 +34,7 @@ from openmm_sier.measure import forcefields
 from openmm_sier.measure.observables import energy_error, energy_walk
 from openmm_sier.measure.starts import make_context, prepare
 from openmm_sier.measure.statistics import slope_and_error
+from openmm_sier.prepare.pme import DIRECT_SHARE
 from openmm_sier.system import find_bodies
 from openmm_sier.system.vibrations import WATER
 from studies import boxes, records, style
@@ -63,14 +64,15 @@ LIQUIDS = {
 #: fs between two samples of the energy. It is far below the 1 ps over which the walk is averaged.
 INTERVAL = 24.0
 
-#: What a point of the table has in common; its runs differ in their seeds alone.
-POINT = ["liquid", "molecules", "time", "tolerance", "method", "step"]
+#: What a point of the table has in common; its runs differ in their seeds alone. `share` is the ratio of the tolerances
+#: of PME's two sums, `prepare.pme.DIRECT_SHARE`.
+POINT = ["liquid", "molecules", "time", "tolerance", "share", "method", "step"]
 
 COLUMNS = {
     "liquid": "{liquid}",
     "molecules": "{molecules}",
     "ps": "{time:g}",
-    "PME": "{tolerance:g}",
+    "PME": "{tolerance:g}/{share:g}",
     "scheme": "{method}",
     "step/fs": "{step:g}",
     "fs per force": "{fs_per_force:.3g}",
@@ -85,7 +87,7 @@ GAINS = {
     "liquid": "{liquid}",
     "molecules": "{molecules}",
     "ps": "{time:g}",
-    "PME": "{tolerance:g}",
+    "PME": "{tolerance:g}/{share:g}",
     "fs per force": "{per_force:.3g}",
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
     "SIER4G/%": "{percent:.3f} ± {percent_error:.1g}",
@@ -156,6 +158,7 @@ class Task(NamedTuple):
             "molecules": self.molecules,
             "time": self.settings.time,
             "tolerance": self.settings.tolerance,
+            "share": DIRECT_SHARE,
             "method": CONSTANT_ENERGY[self.method].name,
             "step": round(self.step, 6),
             "seed": self.seed,
@@ -282,7 +285,7 @@ def write_tables(record: Record, directory: Path) -> None:
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
     """Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation."""
-    same = ["liquid", "molecules", "time", "tolerance"]
+    same = ["liquid", "molecules", "time", "tolerance", "share"]
     rows = rows.assign(per_force=rows["fs_per_force"].round(4))
     ours, theirs = rows[rows["method"] == SIER4G.name], rows[rows["method"] == VERLET]
     pairs = ours.merge(theirs, on=[*same, "per_force"], suffixes=("", "_verlet"))
@@ -309,7 +312,7 @@ def law(rows: pd.DataFrame) -> dict[str, Any]:
 
 def first_box(rows: pd.DataFrame) -> pd.DataFrame:
     """The points of the box and the length of run that have the most of them."""
-    return max((mine for _, mine in rows.groupby(POINT[:4], sort=False)), key=len)
+    return max((mine for _, mine in rows.groupby(POINT[:5], sort=False)), key=len)
 
 
 def figure(record: Record, path: Path) -> None:
