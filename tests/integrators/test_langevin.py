@@ -223,7 +223,7 @@ def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
 
 @pytest.mark.parametrize("force", [openmm.MonteCarloBarostat(1, 350, 25), openmm.AndersenThermostat(350, 1)])
 def test_a_force_at_another_temperature_is_spoken_of(force):
-    topology, positions, system = periodic_system()
+    _, positions, system = periodic_system()
     system.addForce(openmm.XmlSerializer.clone(force))
     name = type(force).__name__
     with pytest.warns(UserWarning, match=f"The {name} has 350 K and the heat bath of the integrator 300 K"):
