@@ -29,15 +29,15 @@ def test_a_log_is_read_as_it_was_written():
     # Logs have twelve digits.
     for name, column in values.items():
         np.testing.assert_allclose(found[name], column, rtol=1e-11)
-    assert list(found["Step"][:3]) == [0, 9, 18]
+    assert list(found["Step"][:3]) == [0, 10, 20]
     run = open_runs([Path("a/run.chk")])[0]
     assert list(run.log(10.5)["Time (ps)"]) == list(range(11, ROWS))
     assert run.tensors(0) is None
 
 
 FAULTS = {
-    "repeated": (lambda lines: lines.insert(6, lines[5]), "expected 40 rows, one every 9 steps"),
-    "short": (lambda lines: lines.pop(), "expected 40 rows, one every 9 steps"),
+    "repeated": (lambda lines: lines.insert(6, lines[5]), "expected 40 rows, one every 10 steps"),
+    "short": (lambda lines: lines.pop(), "expected 40 rows, one every 10 steps"),
     "no number": (lambda lines: lines.__setitem__(3, lines[3].replace("2,", "two,", 1)), "could not convert string"),
     "cut off": (lambda lines: lines.__setitem__(-1, lines[-1][:30]), "number of columns changed"),
     "heading": (lambda lines: lines.pop(0), "expected a heading with Step"),
