@@ -64,6 +64,9 @@ LIQUIDS = {
 #: fs between two samples of the energy. It is far below the 1 ps over which the walk is averaged.
 INTERVAL = 24.0
 
+#: Times in ps over which changes of H tell how fast it walks.
+WALK_LAGS = (5, 20)
+
 #: What a point of the table has in common; its runs differ in their seeds alone. `share` is the ratio of the tolerances
 #: of PME's two sums, `prepare.pme.DIRECT_SHARE`.
 POINT = ["liquid", "molecules", "time", "tolerance", "share", "method", "step"]
@@ -245,11 +248,25 @@ def points(runs: pd.DataFrame) -> pd.DataFrame:
 def _point(runs: pd.DataFrame) -> dict[str, Any]:
     starts = len(runs)
     point = {name: runs.iloc[0][name] for name in (*POINT, "forces", "fs_per_force")} | {"starts": starts}
-    point["its_error"] = math.sqrt((runs["its_error"] ** 2).sum()) / starts
+    walks = np.array([walk_slope(np.array(means, dtype=float)) for means in runs["means"] if np.ndim(means)])
+    point["its_error"] = math.sqrt((runs["its_error"] ** 2).sum() + (walks**2).sum()) / starts
     for name in ("percent", "walk", "drift"):
         point[name] = runs[name].mean(skipna=False)
         point[f"{name}_error"] = runs[name].std(skipna=False) / math.sqrt(starts)
     return point | {"broken": next((reason for reason in runs["broken"] if reason), "")}
+
+
+def walk_slope(means: np.ndarray) -> float:
+    """Standard deviation of the slope that a random walk gives a run by chance, from means of H over 1 ps, kJ/mol/ps.
+
+    The mean square of what H changes by in a time grows with it by the diffusion D of the walk; what oscillates adds a
+    constant. A straight line through a walk of the length T has a slope of the variance 6 D/(5 T).
+    """
+    short, long = WALK_LAGS
+    if len(means) <= 2 * long:
+        return 0.0
+    squares = [np.mean((means[lag:] - means[:-lag]) ** 2) for lag in WALK_LAGS]
+    return math.sqrt(1.2 * max(0.0, squares[1] - squares[0]) / (long - short) / len(means))
 
 
 def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
