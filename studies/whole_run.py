@@ -360,7 +360,7 @@ def _energies(axes: Any, record: Record) -> None:
         run = runs[(runs[POINT] == pd.Series(wanted)).all(axis=1) & (runs["broken"] == "")].iloc[0]
         means = np.array(run["means"])
         look = style.of_method(method) | {"marker": "", "lw": 1}
-        label = f"{method}, {step:g} fs: {run['percent']:.2g} %"
+        label = f"{method}, {step:.3g} fs: {run['percent']:.2g} %"
         axes.plot(np.arange(len(means)), 100 * (means - means.mean()) / run["rms_V"], label=label, **look)
     axes.set(xlabel="time (ps)", ylabel="H, means over 1 ps (% of rms(V))")
     axes.set_title(f"As many forces, {pair['liquid']}, {pair['molecules']} molecules")
