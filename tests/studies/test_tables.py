@@ -306,7 +306,7 @@ def test_steps_of_a_solute_are_those_that_its_bonds_allow():
 
 def test_the_law_of_the_walk_is_found_again():
     """Points that follow the law give back its constants; points below the floor and of second order do not count."""
-    box = {"liquid": "x", "molecules": 1, "time": 1.0, "tolerance": 1e-4}
+    box = {"liquid": "x", "molecules": 1, "time": 1.0, "tolerance": 1e-4, "share": 200}
     scales = {"SIER4G": 2e4, "SIER4P": 3e3}
     rows = [
         box | {"method": name, "step": h, "walk": scale * np.exp(-2 * 31.54 / h)}
