@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
@@ -63,6 +63,34 @@ def write_lattice(path: Path, molecules: int = 27, forcefield: str = "tip3p.xml"
     remarks = [f"FORCEFIELD {forcefield}"] if named else []
     make.write(path, topology, positions * unit.nanometer, edge, remarks)
     return path
+
+
+def dhfr(cutoff: float, switch: float, tolerance: float, hydrogen_mass: float) -> Any:
+    """DHFR in water, the benchmark of Amber and CHARMM, 23558 atoms: openmmtools' test system, its CMMotionRemover out.
+
+    Args:
+        cutoff: of PME, nm.
+        switch: where Lennard-Jones starts to be switched off, nm.
+        tolerance: OpenMM's ewaldErrorTolerance.
+        hydrogen_mass: dalton.
+
+    Raises:
+        ImportError: openmmtools is not installed.
+    """
+    try:
+        from openmmtools import testsystems
+    except ModuleNotFoundError as error:
+        raise ImportError("the files of DHFR are in openmmtools; install it with: pip install openmmtools") from error
+    made = testsystems.DHFRExplicit(
+        nonbondedCutoff=cutoff * unit.nanometer,
+        switch_width=(cutoff - switch) * unit.nanometer,
+        ewaldErrorTolerance=tolerance,
+        hydrogenMass=hydrogen_mass * unit.dalton,
+    )
+    for index in reversed(range(made.system.getNumForces())):
+        if isinstance(made.system.getForce(index), openmm.CMMotionRemover):
+            made.system.removeForce(index)
+    return made
 
 
 class Replica(NamedTuple):

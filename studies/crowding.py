@@ -10,28 +10,27 @@ and crowding.png. The structure is that of openmmtools (`pip install openmmtools
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import app, unit
+from openmm import unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, RigidBodies, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.starts import make_context
-from studies import records, style
-from studies.command import Settings, execute
+from studies import boxes, records, style
+from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report, Table
 from studies.speed_boxes import SYSTEMS_OF
+from studies.units import md
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,15 +104,10 @@ def dhfr() -> Protein:
     Raises:
         ImportError: openmmtools is not installed.
     """
-    found = find_spec("openmmtools")
-    if found is None or found.origin is None:
-        raise ImportError("the files of DHFR are in openmmtools; install it with: pip install openmmtools")
-    files = Path(found.origin).parent / "data" / "dhfr"
-    topology = app.AmberPrmtopFile(str(files / "JAC.prmtop")).topology
-    positions = app.AmberInpcrdFile(str(files / "JAC.inpcrd")).getPositions(asNumpy=True)
-    carbons = [atom for atom in topology.atoms() if atom.name == "CA"]
-    masses = np.array([sum(a.element.mass._value for a in carbon.residue.atoms()) for carbon in carbons])
-    beads = positions.value_in_unit(unit.nanometer)[[carbon.index for carbon in carbons]]
+    made = boxes.dhfr(0.9, 0.75, 5e-4, 1.008)
+    carbons = [atom for atom in made.topology.atoms() if atom.name == "CA"]
+    masses = np.array([sum(md(atom.element.mass) for atom in carbon.residue.atoms()) for carbon in carbons])
+    beads = md(made.positions)[[carbon.index for carbon in carbons]]
     return Protein(beads - masses @ beads / masses.sum(), masses)
 
 
@@ -298,9 +292,4 @@ def _draw(axes: Axes, beads: np.ndarray, centres: np.ndarray, attitudes: np.ndar
     axes.set_axis_off()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    return execute(CrowdSettings, study, __doc__, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = command(CrowdSettings, study, __doc__, __name__)

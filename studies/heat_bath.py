@@ -12,10 +12,7 @@ Writes heat-bath.json and heat-bath.md.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,7 +22,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import unit
 from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system
@@ -41,6 +37,8 @@ from studies.command import SYSTEMS, Settings, chosen, claim, command
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.sampling import HIGHEST_TEMPERATURE, Unstable
+from studies.units import md
 
 #: Kinds of bonded energy, by the class of Force that has it.
 BONDED = {"bonds": "HarmonicBondForce", "angles": "HarmonicAngleForce", "torsions": "PeriodicTorsionForce"}
@@ -65,9 +63,6 @@ COLUMNS = {
 
 #: Of which the speeds are multiples.
 REFERENCE = "LangevinMiddle, 4 fs"
-
-#: What identifies a run.
-POINT = ("box", "method", "time", "seed")
 
 #: fs between samples.
 INTERVAL = 200.0
@@ -155,15 +150,14 @@ class Observer:
     def __call__(self, context: openmm.Context) -> dict[str, float]:
         """The values at the end of a step."""
         state = context.getState(positions=True, velocities=True, energy=True)
-        speeds = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
-        positions = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+        speeds = md(state.getVelocities(asNumpy=True))
+        positions = md(state.getPositions(asNumpy=True))
         twice = self._masses * (speeds**2).sum(axis=1)
         found = {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
-        found["potential"] = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        found["potential"] = md(state.getPotentialEnergy())
         for kind, alone in self._contexts.items():
             alone.setPositions(positions)
-            energy = alone.getState(energy=True).getPotentialEnergy()
-            found[kind] = energy.value_in_unit(unit.kilojoule_per_mole)
+            found[kind] = md(alone.getState(energy=True).getPotentialEnergy())
         if self._dihedrals:
             found["helical"] = float(all(dihedral(positions, atoms) < 0 for atoms in self._dihedrals))
         return found
@@ -223,7 +217,7 @@ def run(task: Task) -> dict[str, Any]:
         context.setVelocitiesToTemperature(settings.temperature, task.seed)
         integrator.step(max(1, round(1e3 * settings.equilibrate / method.step)))
         samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
-    except (openmm.OpenMMException, ValueError) as error:
+    except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
     for key in samples[0]:
         found[key], found[f"{key}_error"] = mean_and_error(np.array([sample[key] for sample in samples]))[:2]
@@ -241,8 +235,8 @@ def _sampled(
         context.getIntegrator().step(every)
         processor += process_time() - begun
         samples.append(observe(context))
-        if not samples[-1]["water"] < 10 * 300:
-            raise ValueError("the box is hotter than 3000 K")
+        if not samples[-1]["water"] < HIGHEST_TEMPERATURE:
+            raise Unstable(f"water is hotter than {HIGHEST_TEMPERATURE:g} K")
     return samples, processor
 
 
@@ -251,13 +245,8 @@ def study(settings: BathSettings, report: Report = SILENT) -> Record:
     shared = {name: settings.recorded()[name] for name in ("temperature", "friction", "tolerance", "equilibrate")}
     claim(settings.out / "heat-bath-settings.json", shared)
     path = settings.out / "heat-bath.jsonl"
-    done = [{name: kept.get(name) for name in POINT} for kept in records.kept_runs(path)]
-    missing = [task for task in tasks(settings) if task.point not in done]
-    os.environ.setdefault("OPENMM_CPU_THREADS", "1")
-    with ProcessPoolExecutor(settings.processes, multiprocessing.get_context("spawn")) as pool:
-        for made in as_completed([pool.submit(run, task) for task in missing]):
-            records.keep_run(path, made.result())
-            report.note(", ".join(str(value) for value in made.result().values()))
+    for found in records.make_missing(path, tasks(settings), run, settings.processes):
+        report.note(", ".join(str(value) for value in found.values()))
     rows = averaged(pd.DataFrame(records.kept_runs(path)))
     record = Record(shared, {"rows": rows}, {})
     made_table = records.table("Averages in a heat bath", records.with_text(rows, *AVERAGED), COLUMNS, left=3)

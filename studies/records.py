@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
+import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import pandas as pd
 
@@ -113,6 +116,37 @@ def keep_run(path: Path, run: Mapping[str, Any]) -> None:
     """Add a run to a file as soon as it is made, so that a study that is stopped loses nothing."""
     with path.open("a") as file:
         file.write(json.dumps(_plain(run), allow_nan=False) + "\n")
+
+
+class Task(Protocol):
+    """A run that may be made by another process."""
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """What identifies the run, a part of what is kept of it."""
+
+
+Some = TypeVar("Some", bound=Task)
+
+
+def make_missing(
+    path: Path, tasks: Iterable[Some], run: Callable[[Some], dict[str, Any]], processes: int
+) -> Iterator[dict[str, Any]]:
+    """The runs that a file lacks, in the order in which they are done; each is added to the file first.
+
+    Args:
+        path: of the file, see `keep_run`.
+        tasks: all that are wanted.
+        run: a function of a module, which makes a run and gives what is to be kept, its point included.
+        processes: that make runs at the same time, of one thread each.
+    """
+    kept = kept_runs(path)
+    missing = [task for task in tasks if not any(task.point.items() <= each.items() for each in kept)]
+    os.environ.setdefault("OPENMM_CPU_THREADS", "1")
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
+        for made in as_completed([pool.submit(run, task) for task in missing]):
+            keep_run(path, made.result())
+            yield made.result()
 
 
 # --- as text ---

@@ -77,20 +77,7 @@ def _peptide() -> tuple[int, openmm.System, np.ndarray]:
 
 
 def _dhfr() -> tuple[int, openmm.System, np.ndarray]:
-    """DHFR in water, 23558 atoms, the benchmark of Amber and CHARMM."""
-    try:
-        from openmmtools import testsystems
-    except ModuleNotFoundError as error:
-        raise ImportError("the files of DHFR are in openmmtools; install it with: pip install openmmtools") from error
-    made = testsystems.DHFRExplicit(
-        nonbondedCutoff=CUTOFF * unit.nanometer,
-        switch_width=(CUTOFF - SWITCH) * unit.nanometer,
-        ewaldErrorTolerance=TOLERANCE,
-        hydrogenMass=HYDROGEN * unit.dalton,
-    )
-    for index in reversed(range(made.system.getNumForces())):
-        if isinstance(made.system.getForce(index), openmm.CMMotionRemover):
-            made.system.removeForce(index)
+    made = boxes.dhfr(CUTOFF, SWITCH, TOLERANCE, HYDROGEN)
     return made.topology.getNumResidues(), made.system, np.array(made.positions.value_in_unit(unit.nanometer))
 
 

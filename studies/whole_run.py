@@ -15,11 +15,8 @@ whole-run.png from all runs there.
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -229,15 +226,9 @@ def run(task: Task) -> dict[str, Any]:
 
 def run_missing(settings: WholeRunSettings, path: Path, report: Report = SILENT) -> None:
     """Make the runs that a file lacks, and add each to it."""
-    done = [{name: kept.get(name) for name in (*POINT, "seed")} for kept in records.kept_runs(path)]
-    missing = [task for task in tasks(settings) if task.point not in done]
-    os.environ.setdefault("OPENMM_CPU_THREADS", "1")
-    with ProcessPoolExecutor(settings.processes, multiprocessing.get_context("spawn")) as pool:
-        for made in as_completed([pool.submit(run, task) for task in missing]):
-            found = made.result()
-            records.keep_run(path, found)
-            told = found["broken"] or records.cell("{percent:.3f} %, walk {walk:.3f} %, {drift:+.4f} kJ/mol/ps", found)
-            report.note(", ".join(str(found[name]) for name in (*POINT, "seed")) + f": {told}")
+    for found in records.make_missing(path, tasks(settings), run, settings.processes):
+        told = found["broken"] or records.cell("{percent:.3f} %, walk {walk:.3f} %, {drift:+.4f} kJ/mol/ps", found)
+        report.note(", ".join(str(found[name]) for name in (*POINT, "seed")) + f": {told}")
 
 
 def points(runs: pd.DataFrame) -> pd.DataFrame:

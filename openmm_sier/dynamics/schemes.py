@@ -142,6 +142,13 @@ class Scheme:
         """The scheme of inner steps, where there are fast forces in the drifts."""
         return SIER2.with_bath() if self.bath_divides_drift else SIER4G
 
+    def inner_fraction(self, substeps: int) -> float:
+        """The longest inner step as a fraction of the step, with so many in the longest drift.
+
+        Where a bath divides a drift, the inner step that has it in its middle counts in the drifts on both sides.
+        """
+        return 1 / (2 * substeps - 1) if self.bath_divides_drift else self.longest_drift / substeps
+
     @property
     def momentum_lag(self) -> float:
         """The fraction of a kick by which momenta at the end of a step lag behind those of the palindrome.

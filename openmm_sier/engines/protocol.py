@@ -210,10 +210,10 @@ class Engine(PhasePoint):
         """See `Scheme.momentum_lag`."""
         return self._flow.scheme.momentum_lag
 
-    @property
+    @staticmethod
     @abstractmethod
-    def _inner_step(self) -> float:
-        """The longest step within drifts, ps."""
+    def inner_step(flow: Flow) -> float:
+        """The longest step of a flow within drifts, ps."""
 
     def at_whole_step(self, state: BodyState) -> BodyState:
         """The phase point of a whole step, with momenta that do not lag; it costs a force evaluation if they do."""
@@ -221,7 +221,7 @@ class Engine(PhasePoint):
             return state
         bodies, groups, fast = self.bodies, self._integrator.getIntegrationForceGroups(), self._flow.fast_groups
         p, L = state.p, state.L
-        for step, acting in ((self._flow.step, groups & ~fast), (self._inner_step, groups & fast)):
+        for step, acting in ((self._flow.step, groups & ~fast), (self.inner_step(self._flow), groups & fast)):
             if acting:
                 forces = self._context.getState(forces=True, groups=acting).getForces(asNumpy=True)
                 F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)

@@ -17,7 +17,7 @@ from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
-from openmm_sier.system import checks
+from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 
 #: Global variables of all trials: their number, how many were accepted, the energy error of the last one in kT; and the
 #: step in ps at which reversibility was checked, with the error found, nm.
@@ -80,7 +80,7 @@ class Metropolis(ConstantTemperature):
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         for force in system.getForces():
-            if isinstance(force, (*checks.BAROSTATS, openmm.AndersenThermostat)):
+            if isinstance(force, OF_ENSEMBLES):
                 remedy = "leave it out" if isinstance(force, openmm.AndersenThermostat) else "give `pressure` instead"
                 raise openmm.OpenMMException(
                     f"A {type(force).__name__} acts within trajectories, which hybrid Monte Carlo does not allow: "

@@ -66,7 +66,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 native engine: 3 and 5 make the drift fourth order, and None means 3, or 5 with SIER4, SIER4V and other
                 schemes with long drifts. The exact engine's drifts are then not divided. With fast forces they are
                 inner steps of SIER4G. None then means, with the exact engine, the least number for which they are no
-                longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts.
+                longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts. With SIER2 and a bath
+                they are leapfrog steps, of which one has the bath in its middle and counts on both sides: n substeps
+                are 2n - 1 in a step. None then means at most 3.5 fs, or 2 with the native engine.
             fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
                 of molecules that are not rigid. None: those of a System that `prepare_system` prepared, which are found
                 when the Context is created, and none in other Systems. The exact engine computes them in a separate

@@ -21,7 +21,7 @@ from openmm_sier.measure.forcefields import USUAL, Box, Interactions
 from openmm_sier.measure.pdb_files import ForceFieldError, check_positions, first_line, named_atom
 from openmm_sier.prepare.masses import HEAVIEST_HYDROGEN, hydrogens
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import BAROSTATS
+from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 from openmm_sier.system.molecules import make_whole
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
@@ -31,9 +31,6 @@ IGNORED = {
     PSF: (),
     SYSTEM: ("forcefield", "constraints", "cutoff", "switch", "tolerance", "edges"),
 }
-
-#: Forces that the ensemble of a run takes the place of.
-_OF_ENSEMBLES = (*BAROSTATS, openmm.AndersenThermostat)
 
 #: Dalton, of hydrogen, and above that of deuterium, below which no other atom is.
 HYDROGEN, LIGHTEST_OTHER = 1.008, 2.5
@@ -193,7 +190,7 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     except openmm.OpenMMException as error:
         raise ForceFieldError(f"cannot read {topology} as {kind}: {first_line(error)}") from error
     for force in system.getForces():
-        if isinstance(force, _OF_ENSEMBLES):
+        if isinstance(force, OF_ENSEMBLES):
             raise ForceFieldError(
                 f"{topology} has a {force.getName()}, in whose place the run has an ensemble: leave it out, and use "
                 "--ensemble, --temperature and --pressure"

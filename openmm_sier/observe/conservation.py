@@ -84,7 +84,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     potential = observed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     kinetic = sum(bodies.kinetic_energies(motion))
     conserved = kinetic
-    if isinstance(integrator, SIERIntegrator):
+    if isinstance(integrator, SIERIntegrator) and integrator.scheme.momentum_lag:
         conserved = sum(bodies.kinetic_energies(integrator.getWholeStepState()))
     momentum, angular_momentum = bodies.total_momenta(motion)
     periodic = context.getSystem().usesPeriodicBoundaryConditions()

@@ -28,8 +28,11 @@ BAROSTATS = (
     openmm.MonteCarloFlexibleBarostat,
 )
 
+#: Forces of OpenMM that set a temperature or a pressure.
+OF_ENSEMBLES = (openmm.AndersenThermostat, *BAROSTATS)
+
 #: These exert no forces, whatever their group.
-WITHOUT_FORCES = (openmm.CMMotionRemover, openmm.AndersenThermostat, *BAROSTATS)
+WITHOUT_FORCES = (openmm.CMMotionRemover, *OF_ENSEMBLES)
 
 
 def bonded_kind(force: openmm.Force) -> type | None:

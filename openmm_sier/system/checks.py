@@ -12,7 +12,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import BAROSTATS, TERMS
+from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES, TERMS
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.notices import tell
 
@@ -131,7 +131,7 @@ def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
 def tell_of_other_temperatures(system: openmm.System, temperature: float) -> None:
     """Warn of a barostat or an AndersenThermostat of OpenMM at another temperature in K than that of a heat bath."""
     for force in system.getForces():
-        if not isinstance(force, (openmm.AndersenThermostat, *BAROSTATS)):
+        if not isinstance(force, OF_ENSEMBLES):
             continue
         theirs = force.getDefaultTemperature().value_in_unit(unit.kelvin)
         if not math.isclose(theirs, temperature, rel_tol=1e-6):

@@ -21,7 +21,7 @@ from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import BAROSTATS, TERMS, WITHOUT_FORCES, harmonic_bonds
+from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
 from openmm_sier.system.curvature import EXPRESSIONS, fastest_vibration
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
 from openmm_sier.system.notices import tell
@@ -140,9 +140,7 @@ class Vibrations:
         self._librations = list(_fastest_librations(system, bodies, self._constraints, self._mobility))
         self._is_measured = not any(map(_is_expression, system.getForces()))
         self._unknown = [force for force in map(_unknown, system.getForces()) if force is not None]
-        self._isolated = not any(
-            isinstance(force, (openmm.AndersenThermostat, *BAROSTATS)) for force in system.getForces()
-        )
+        self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
         self._told: set[str] = set()
 
     def measure(self, context: openmm.Context) -> bool:

@@ -15,6 +15,7 @@ from openmm_sier import prepare_system
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.starts import make_context
+from studies import boxes
 from studies.command import Settings
 from systems import peptide
 
@@ -106,20 +107,7 @@ def _of_pdb(settings: SoluteSettings) -> tuple[openmm.System, app.Topology, np.n
 
 
 def _dhfr(settings: SoluteSettings) -> tuple[openmm.System, app.Topology, np.ndarray]:
-    try:
-        from openmmtools import testsystems
-    except ModuleNotFoundError as error:
-        raise ImportError("the files of DHFR are in openmmtools; install it with: pip install openmmtools") from error
-    cutoff = settings.cutoff * unit.nanometer
-    made = testsystems.DHFRExplicit(
-        nonbondedCutoff=cutoff,
-        switch_width=cutoff / 6,
-        ewaldErrorTolerance=settings.tolerance,
-        hydrogenMass=settings.hydrogen_mass * unit.dalton,
-    )
-    for index in reversed(range(made.system.getNumForces())):
-        if isinstance(made.system.getForce(index), openmm.CMMotionRemover):
-            made.system.removeForce(index)
+    made = boxes.dhfr(settings.cutoff, settings.cutoff * 5 / 6, settings.tolerance, settings.hydrogen_mass)
     return made.system, made.topology, np.array(made.positions.value_in_unit(unit.nanometer))
 
 

@@ -148,11 +148,12 @@ def _flexible_points(bodies: RigidBodies) -> np.ndarray:
 def inner_step(flow: Flow) -> float:
     """Length of the inner steps in the longest drift of a flow, ps.
 
-    `Flow.substeps` counts the one with a bath in its middle half. Without it there are as many as `LONGEST_INNER_STEP`
-    and `LONGEST_WITH_BATH` ask for.
+    Without `Flow.substeps` there are as many as `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` ask for.
     """
-    scheme, h, substeps = flow.scheme, flow.step, flow.substeps
+    scheme, h = flow.scheme, flow.step
+    if flow.substeps is not None:
+        return h * scheme.inner_fraction(flow.substeps)
     if scheme.bath_divides_drift:
-        return h / (steps_with_bath(h, LONGEST_WITH_BATH) if substeps is None else 2 * substeps - 1)
+        return h / steps_with_bath(h, LONGEST_WITH_BATH)
     longest = h * scheme.longest_drift
-    return longest / (inner_steps(longest, LONGEST_INNER_STEP) if substeps is None else substeps)
+    return longest / inner_steps(longest, LONGEST_INNER_STEP)

@@ -165,8 +165,7 @@ def usual_substeps(scheme: Scheme, nested: bool) -> int:
 
 def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
     """The longest inner step of a program with fast forces, in units of h; None means `usual_substeps`."""
-    number = substeps or usual_substeps(scheme, nested=True)
-    return 1 / (2 * number - 1) if scheme.bath_divides_drift else scheme.longest_drift / number
+    return scheme.inner_fraction(substeps or usual_substeps(scheme, nested=True))
 
 
 def write(
@@ -239,7 +238,7 @@ def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) ->
         inner_drift = partial(_drift, substeps=INNER_SUBSTEPS, unit="d/e")
         within = _lines(scheme.within_drifts.stages, "e", force, lambda one: inner_drift(one.fraction))
         return Line(title, (), (stage.fraction / number,) * number, "e/h", tuple(within))
-    e = 2 * stage.fraction / (2 * number - 1)
+    e = scheme.inner_fraction(number)
     whole, half = (Stage(KICK, 1), Stage(DRIFT, 1)) * (number - 1), Stage(DRIFT, 0.5)
     stages = (half, *whole) if stage.operator == DRIFT_FROM_BATH else (*whole, Stage(KICK, 1), half)
     within = _lines(stages, "e", force, lambda one: _drift(one.fraction, 1, "d/e"))
