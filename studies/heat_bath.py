@@ -2,7 +2,8 @@
 
     python -m studies.heat_bath                                               the dipeptide, all methods, 250 ps each
     python -m studies.heat_bath --methods "LangevinMiddle, 4 fs" "SIER2, 10 fs" --time 1000
-    python -m studies.heat_bath --box systems/tip3p-512.pdb --friction 1
+    python -m studies.heat_bath systems/tip3p-512.pdb --time 100 --pressure 1
+    python -m studies.heat_bath dhfr --methods "SIER2, 9 fs" --time 20
 
 Temperatures are those of velocities at the end of steps, as OpenMM's StateDataReporter shows them, of water and solute
 apart. Hybrid Monte Carlo gives exact averages. Each run is kept in heat-bath.jsonl as soon as it is done and is not
@@ -14,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple
@@ -22,17 +22,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 import pandas as pd
+from openmm import unit
 from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.measure import forcefields
-from openmm_sier.measure.forcefields import Box
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
-from studies import boxes, records
+from studies import boxes, records, speed_boxes
 from studies.command import SYSTEMS, Settings, chosen, claim, command
 from studies.hmc.dihedrals import backbone, dihedral
 from studies.records import Record
@@ -48,6 +48,7 @@ AVERAGED = {
     "water": "T water, K",
     "solute": "T solute, K",
     "potential": "V, kJ/mol",
+    "density": "density, g/cm³",
     **{kind: f"{kind}, kJ/mol" for kind in BONDED},
     "helical": "share of phi, psi < 0",
 }
@@ -57,7 +58,9 @@ COLUMNS = {
     "method": "{method}",
     "hydrogens": "{hydrogens}",
     "ps": "{time:g}",
+    "at": "{at}",
     **{heading: f"{{{key}_text}}" for key, heading in AVERAGED.items()},
+    "forces an independent V": "{cost:.0f}",
     "over LangevinMiddle, 4 fs": "{over:.2f}",
 }
 
@@ -68,41 +71,67 @@ REFERENCE = "LangevinMiddle, 4 fs"
 INTERVAL = 200.0
 
 
+class Bath(NamedTuple):
+    """Temperature in K, friction in 1/ps, and pressure in bar if one is kept."""
+
+    temperature: float
+    friction: float
+    pressure: float | None
+
+
 class Method(NamedTuple):
     """An integrator at a step.
 
     Attributes:
         step: simulated time of one `step(1)`, fs.
+        forces: evaluations in it.
         mass: of hydrogens, dalton; None leaves them as they are.
-        make: (temperature in K, friction in 1/ps, step in ps) -> integrator for a prepared System.
+        make: (bath, step in ps) -> integrator for a prepared System.
     """
 
     step: float
+    forces: int
     mass: float | None
-    make: Callable[[float, float, float], openmm.Integrator]
+    make: Callable[[Bath, float], openmm.Integrator]
 
 
-def _several_steps(temperature: float, friction: float, step: float) -> openmm.Integrator:
-    return openmm.MTSLangevinIntegrator(temperature, friction, step, [(0, 1), (1, 4)])
+def _middle(bath: Bath, step: float) -> openmm.Integrator:
+    return openmm.LangevinMiddleIntegrator(bath.temperature, bath.friction, step)
 
 
-def _trials(temperature: float, friction: float, step: float, steps: int) -> openmm.Integrator:
-    return SIERHMCIntegrator(temperature, step / steps, stepsPerTrial=steps, frictionCoeff=friction)
+def _several_steps(bath: Bath, step: float) -> openmm.Integrator:
+    return openmm.MTSLangevinIntegrator(bath.temperature, bath.friction, step, [(0, 1), (1, 4)])
 
 
-_SIER2 = partial(SIERLangevinIntegrator, scheme="SIER2")
+def _own(bath: Bath, step: float) -> openmm.Integrator:
+    return SIERLangevinIntegrator(bath.temperature, bath.friction, step, scheme="SIER2", pressure=bath.pressure)
+
+
+def _trials(bath: Bath, step: float) -> openmm.Integrator:
+    return SIERHMCIntegrator(
+        bath.temperature,
+        step / STEPS_PER_TRIAL,
+        stepsPerTrial=STEPS_PER_TRIAL,
+        frictionCoeff=bath.friction,
+        pressure=bath.pressure,
+    )
+
+
+#: Of hybrid Monte Carlo, with SIER4G, which has three forces a step.
+STEPS_PER_TRIAL = 5
 
 METHODS = {
-    "LangevinMiddle, 2 fs": Method(2, None, openmm.LangevinMiddleIntegrator),
-    REFERENCE: Method(4, 3.0, openmm.LangevinMiddleIntegrator),
-    "LangevinMiddle, 5 fs": Method(5, 3.0, openmm.LangevinMiddleIntegrator),
-    "MTSLangevin, 8 fs": Method(8, 4.0, _several_steps),
-    "SIER2, 8 fs": Method(8, 4.0, _SIER2),
-    "SIER2, 9 fs": Method(9, 4.0, _SIER2),
-    "SIER2, 10 fs": Method(10, 4.0, _SIER2),
-    "SIER2P3, 18 fs": Method(18, 4.0, partial(SIERLangevinIntegrator, scheme="SIER2P3")),
-    "SIER4G HMC, 8 fs": Method(40, 4.0, partial(_trials, steps=5)),
+    "LangevinMiddle, 2 fs, light": Method(2, 1, None, _middle),
+    "LangevinMiddle, 4 fs, light": Method(4, 1, None, _middle),
+    **{f"LangevinMiddle, {step} fs": Method(step, 1, 3.0, _middle) for step in (4, 5)},
+    "MTSLangevin, 8 fs": Method(8, 1, 4.0, _several_steps),
+    **{f"SIER2, {step} fs, light": Method(step, 1, None, _own) for step in (4, 5, 6)},
+    **{f"SIER2, {step} fs": Method(step, 1, 4.0, _own) for step in (8, 9, 10, 11)},
+    "SIER4G HMC, 8 fs": Method(8 * STEPS_PER_TRIAL, 3 * STEPS_PER_TRIAL, 4.0, _trials),
 }
+
+#: Of OpenMM, which have no pressure of their own.
+STOCK = (openmm.LangevinMiddleIntegrator, openmm.MTSLangevinIntegrator)
 
 
 @dataclass(frozen=True)
@@ -110,13 +139,14 @@ class BathSettings(Settings):
     """Settings of the comparison; the seeds of runs follow `seed`.
 
     Attributes:
-        box: PDB file that names its force field.
+        box: PDB file that names its force field, or dhfr.
         methods: by name, all unless given.
         starts: runs of each.
         time: of each run, ps.
         equilibrate: before it, ps.
         temperature: K.
         friction: 1/ps.
+        pressure: bar; the volume is kept unless given.
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
         processes: that make runs at the same time.
     """
@@ -128,6 +158,7 @@ class BathSettings(Settings):
     equilibrate: float = 5.0
     temperature: float = 297.0
     friction: float = 5.0
+    pressure: float | None = None
     tolerance: float = 1e-4
     processes: int = 1
 
@@ -135,8 +166,9 @@ class BathSettings(Settings):
 class Observer:
     """What is averaged, from the States of a Context."""
 
-    def __init__(self, box: Box, system: openmm.System):
+    def __init__(self, box: Any, system: openmm.System):
         self._masses = tables.masses(system)
+        self._total = self._masses.sum() / (unit.AVOGADRO_CONSTANT_NA._value * 1e-21)
         solute = np.array([atom.residue.name not in ("HOH", "WAT") for atom in box.topology.atoms()])
         pairs = tables.constraints(system).pairs
         held = np.bincount(solute[pairs[:, 0]].astype(int), minlength=2) if len(pairs) else np.zeros(2)
@@ -155,6 +187,7 @@ class Observer:
         twice = self._masses * (speeds**2).sum(axis=1)
         found = {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
         found["potential"] = md(state.getPotentialEnergy())
+        found["density"] = self._total / md(state.getPeriodicBoxVolume())
         for kind, alone in self._contexts.items():
             alone.setPositions(positions)
             found[kind] = md(alone.getState(energy=True).getPotentialEnergy())
@@ -184,8 +217,9 @@ class Task(NamedTuple):
     @property
     def point(self) -> dict[str, Any]:
         """What identifies the run."""
-        box, time = self.settings.box.stem, self.settings.time
-        return {"box": box, "method": self.method, "time": time, "seed": self.seed}
+        box, time, pressure = self.settings.box.stem, self.settings.time, self.settings.pressure
+        at = "constant volume" if pressure is None else f"{pressure:g} bar"
+        return {"box": box, "at": at, "method": self.method, "time": time, "seed": self.seed}
 
 
 def tasks(settings: BathSettings) -> Iterator[Task]:
@@ -199,19 +233,14 @@ def tasks(settings: BathSettings) -> Iterator[Task]:
 def run(task: Task) -> dict[str, Any]:
     """Averages of a run with their errors, and its speed in fs per second of processor time."""
     settings, method = task.settings, METHODS[task.method]
-    box = forcefields.read_box(settings.box, None, "hbonds")
-    boxes.with_tolerance(box.system, settings.tolerance)
-    # OpenMM's integrators gain nothing from the forces that preparing adds, but for that of several steps.
-    if method.make is openmm.LangevinMiddleIntegrator:
-        if method.mass is not None:
-            set_hydrogen_masses(box.system, method.mass)
-    else:
-        prepare_system(box.system, hydrogenMass=method.mass)
-    integrator = method.make(settings.temperature, settings.friction, 1e-3 * method.step)
+    box = _read_box(settings)
+    bath = Bath(settings.temperature, settings.friction, settings.pressure)
+    integrator = method.make(bath, 1e-3 * method.step)
     integrator.setRandomNumberSeed(task.seed)
-    context = make_context(box.system, integrator, "CPU")
-    found = task.point | {"hydrogens": "plain" if method.mass is None else f"{method.mass:g} Da", "broken": ""}
+    _fit(box.system, method, bath, integrator)
+    found = task.point | {"hydrogens": "as they are" if method.mass is None else f"{method.mass:g} Da", "broken": ""}
     try:
+        context = make_context(box.system, integrator, "CPU")
         context.setPositions(box.positions)
         openmm.LocalEnergyMinimizer.minimize(context, 10, 300)
         context.setVelocitiesToTemperature(settings.temperature, task.seed)
@@ -220,8 +249,32 @@ def run(task: Task) -> dict[str, Any]:
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
     for key in samples[0]:
-        found[key], found[f"{key}_error"] = mean_and_error(np.array([sample[key] for sample in samples]))[:2]
+        of_key = mean_and_error(np.array([sample[key] for sample in samples]))
+        found |= {key: of_key.value, f"{key}_error": of_key.error}
+        if key == "potential":
+            found["cost"] = 1e3 * settings.time / method.step * method.forces / of_key.samples
     return found | {"fs_per_second": settings.time * 1e3 / processor}
+
+
+def _read_box(settings: BathSettings) -> Any:
+    """What has topology, positions and system, its sums of PME in balance."""
+    if settings.box.stem == "dhfr":
+        box = boxes.dhfr(speed_boxes.CUTOFF, speed_boxes.SWITCH, settings.tolerance, speed_boxes.HYDROGEN)
+    else:
+        box = forcefields.read_box(settings.box, None, "hbonds")
+    boxes.with_tolerance(box.system, settings.tolerance)
+    return box
+
+
+def _fit(system: openmm.System, method: Method, bath: Bath, integrator: openmm.Integrator) -> None:
+    """Masses of hydrogens, forces in groups for integrators that use them, and a barostat for those that need one."""
+    # LangevinMiddle gains nothing from the forces that preparing adds.
+    if not isinstance(integrator, openmm.LangevinMiddleIntegrator):
+        prepare_system(system, hydrogenMass=method.mass)
+    elif method.mass is not None:
+        set_hydrogen_masses(system, method.mass)
+    if bath.pressure is not None and isinstance(integrator, STOCK):
+        system.addForce(openmm.MonteCarloBarostat(bath.pressure, bath.temperature))
 
 
 def _sampled(
@@ -257,10 +310,11 @@ def study(settings: BathSettings, report: Report = SILENT) -> Record:
 
 
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each box and method: means over its runs, with errors, and the speed over that of the reference."""
+    """A row for each box, pressure and method: means over its runs with errors, and speed over the reference's."""
     rows = []
-    for (box, method), mine in runs.groupby(["box", "method"], sort=False):
-        row = {"box": box, "method": method, "hydrogens": mine.iloc[0]["hydrogens"], "time": mine["time"].sum()}
+    for (box, at, method), mine in runs.groupby(["box", "at", "method"], sort=False):
+        row = {"box": box, "at": at, "method": method, "time": mine["time"].sum()}
+        row |= {"hydrogens": mine.iloc[0]["hydrogens"], "cost": mine["cost"].mean() if "cost" in mine else np.nan}
         for key in AVERAGED:
             known = mine.dropna(subset=[key, f"{key}_error"]) if key in mine else mine[:0]
             estimates = [Estimate(value, error) for value, error in zip(known[key], known[f"{key}_error"], strict=True)]
@@ -268,8 +322,9 @@ def averaged(runs: pd.DataFrame) -> pd.DataFrame:
         speeds = mine["fs_per_second"] if "fs_per_second" in mine else pd.Series(dtype=float)
         rows.append(row | {"speed": speeds.mean(), "broken": next((each for each in mine["broken"] if each), "")})
     frame = pd.DataFrame(rows)
-    reference = frame[frame["method"] == REFERENCE].set_index("box")["speed"]
-    return frame.assign(over=frame["speed"] / frame["box"].map(reference))
+    reference = frame[frame["method"] == REFERENCE].set_index(["box", "at"])["speed"]
+    places = pd.MultiIndex.from_frame(frame[["box", "at"]])
+    return frame.assign(over=frame["speed"] / reference.reindex(places).to_numpy())
 
 
 main = command(BathSettings, study, __doc__, __name__)

@@ -4,12 +4,12 @@
     python -m studies.speed --table studies/data/speed.json
 
 takes boxes of water, a peptide and a protein, with OpenMM's default tolerance. OpenMM's integrators have the System as
-OpenMM makes it, those of this package have it prepared. All take turns; ratios are those within a round, of processor
-time on the CPU platform and of wall time on others. Small boxes of water also go to LAMMPS (lmp) and GROMACS (gmx) at
-their own settings where they are on the PATH; they use no GPU unless they were built to. For water it also gives the
-speed at equal energy error: the steps that have it are found in the box of 512 molecules. Set OPENMM_CPU_THREADS to 1
-for a machine that does other work: ns/day are then those of processor time too. Writes speed.json and speed.md. With
-`--table` it prints those of an earlier measurement.
+OpenMM makes it, those of this package have it prepared; in a heat bath all have heavy hydrogens. All take turns; ratios
+are those within a round, of processor time on the CPU platform and of wall time on others. Small boxes of water also go
+to LAMMPS (lmp) and GROMACS (gmx) at their own settings where they are on the PATH; they use no GPU unless they were
+built to. For water it also gives the speed at equal energy error: the steps that have it are found in the box of 512
+molecules. Set OPENMM_CPU_THREADS to 1 for a machine that does other work: ns/day are then those of processor time too.
+Writes speed.json and speed.md. With `--table` it prints those of an earlier measurement.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ import numpy as np
 import openmm
 import pandas as pd
 
-from openmm_sier import prepare_system
+from openmm_sier import SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.starts import make_context
+from openmm_sier.prepare.masses import set_hydrogen_masses
 from studies import records, speed_boxes
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
@@ -44,6 +45,12 @@ from studies.speed_boxes import SYSTEMS_OF, Start
 
 #: What ratios are taken over: OpenMM's Verlet at its usual step.
 REFERENCE = "OpenMM Verlet, 2 fs"
+
+#: What those of a heat bath are taken over too: OpenMM's usual integrator there, with heavy hydrogens.
+BATH_REFERENCE = "OpenMM LangevinMiddle, 4 fs"
+
+#: Of heat baths, 1/ps.
+FRICTION = 1.0
 
 #: Force evaluations of the shortest turn, a multiple of those in a step of every method, and of the longest.
 EVALUATIONS, MOST_EVALUATIONS = 12, 12000
@@ -105,6 +112,7 @@ class Contestant(NamedTuple):
         step: fs.
         forces: evaluations in a step.
         prepared: whether its System is.
+        hydrogens: their mass in dalton, in water too; None leaves them as the box has them.
         make: (step in ps, temperature in K) -> integrator.
     """
 
@@ -112,6 +120,7 @@ class Contestant(NamedTuple):
     step: float
     forces: int
     prepared: bool
+    hydrogens: float | None
     make: Callable[[float, float], openmm.Integrator]
 
     @property
@@ -123,17 +132,38 @@ def contestants(has_solute: bool) -> list[Contestant]:
     """All of them; with solutes SIER2P3 has the step that bonds allow."""
 
     def own(scheme: Scheme, step: float) -> Contestant:
-        return Contestant(scheme.name, step, scheme.force_evaluations, True, lambda h, _: SIERIntegrator(h, scheme))
+        return Contestant(
+            scheme.name, step, scheme.force_evaluations, True, None, lambda h, _: SIERIntegrator(h, scheme)
+        )
+
+    def bath(scheme: Scheme, step: float) -> Contestant:
+        make = partial(_in_bath, scheme)
+        return Contestant(f"{scheme.name} in a bath", step, scheme.force_evaluations, True, 4.0, make)
 
     def verlet(h: float, _: float) -> openmm.Integrator:
         return openmm.VerletIntegrator(h)
 
     def middle(h: float, temperature: float) -> openmm.Integrator:
-        return openmm.LangevinMiddleIntegrator(temperature, 1.0, h)
+        return openmm.LangevinMiddleIntegrator(temperature, FRICTION, h)
 
-    theirs = [Contestant("OpenMM Verlet", step, 1, False, verlet) for step in (1.0, 2.0)]
-    theirs += [Contestant("OpenMM LangevinMiddle", step, 1, False, middle) for step in (2.0, 4.0)]
-    return [*theirs, own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 6.0)]
+    def several_steps(h: float, temperature: float) -> openmm.Integrator:
+        return openmm.MTSLangevinIntegrator(temperature, FRICTION, h, [(0, 1), (1, 4)])
+
+    found = [Contestant("OpenMM Verlet", step, 1, False, None, verlet) for step in (1.0, 2.0)]
+    found += [own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 4.0)]
+    found += [Contestant("OpenMM LangevinMiddle", step, 1, False, 3.0, middle) for step in (2.0, 4.0, 5.0)]
+    found.append(
+        Contestant("OpenMM MTSLangevin", 8.0, 1, True, 4.0, several_steps) if has_solute else bath(SIER2P3, 18.0)
+    )
+    return [*found, *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
+
+
+def _at_constant_energy(scheme: Scheme, h: float, _: float) -> openmm.Integrator:
+    return SIERIntegrator(h, scheme)
+
+
+def _in_bath(scheme: Scheme, h: float, temperature: float) -> openmm.Integrator:
+    return SIERLangevinIntegrator(temperature, FRICTION, h, scheme)
 
 
 class Turn(NamedTuple):
@@ -146,10 +176,8 @@ class Turn(NamedTuple):
 
 def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
     """A row for each method in one box."""
-    systems = {False: start.system, True: copy.deepcopy(start.system)}
-    prepare_system(systems[True])
     methods = {method.name: method for method in contestants(start.has_solute)}
-    contexts = {name: _context(method, systems[method.prepared], start, settings) for name, method in methods.items()}
+    contexts = {name: _context(method, start, settings) for name, method in methods.items()}
     evaluations = _evaluations(contexts[REFERENCE], settings.turn)
     actions: dict[str, Callable[[], Turn]] = {
         name: partial(_turn, contexts[name], evaluations // method.forces, method.step)
@@ -174,7 +202,7 @@ def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[s
 
 
 def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, Any]]:
-    """Speeds in ns/day, and ratios to `REFERENCE`, from what `turns` found."""
+    """Speeds in ns/day, and ratios to `REFERENCE` and `BATH_REFERENCE`, from what `turns` found."""
     clock = 2 if platform in ON_PROCESSORS else 1
     speed = {name: each[:, 0] / each[:, clock] for name, each in found.items()}
     rows = []
@@ -182,13 +210,20 @@ def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, An
         # 86400 s a day, 1e6 fs a ns.
         wall, wall_error, _ = median_and_error(0.0864 * each[:, 0] / each[:, 1])
         processor = float(np.median(0.0864 * each[:, 0] / np.maximum(each[:, 2], 1e-9)))
-        over, over_error, _ = median_and_error(speed[name] / speed[REFERENCE])
         row = {"name": name, "ns_per_day": wall, "ns_per_day_error": wall_error, "ns_per_day_processor": processor}
-        rows.append(row | {"over": over, "over_error": 0.0 if name == REFERENCE else over_error})
+        for key, reference in (("over", REFERENCE), ("over_middle", BATH_REFERENCE)):
+            ratio, error, _ = median_and_error(speed[name] / speed[reference])
+            row |= {key: ratio, f"{key}_error": 0.0 if name == reference else error}
+        rows.append(row)
     return rows
 
 
-def _context(method: Contestant, system: openmm.System, start: Start, settings: SpeedSettings) -> openmm.Context:
+def _context(method: Contestant, start: Start, settings: SpeedSettings) -> openmm.Context:
+    system = copy.deepcopy(start.system)
+    if method.prepared:
+        prepare_system(system, hydrogenMass=method.hydrogens)
+    elif method.hydrogens is not None:
+        set_hydrogen_masses(system, method.hydrogens)
     integrator = method.make(1e-3 * method.step, settings.temperature)
     context = make_context(system, integrator, settings.platform)
     context.setState(start.state)
@@ -278,17 +313,22 @@ def tables(record: Record) -> list[Table]:
     platform = rows["platform"].iloc[0]
     of_processor = platform in ON_PROCESSORS and record.notes["threads"] == 1
     form = "{ns_per_day_processor:.3g}" if of_processor else "{ns_per_day:.3g}"
-    cells = {
-        (row["name"], row["box"]): records.cell(form + ", {over:.2f} ± {over_error:.2f}", row)
-        for row in rows.to_dict("records")
-    }
-    names, there = rows["name"].unique(), rows["box"].unique()
-    body = [[name, *(cells.get((name, box), "") for box in there)] for name in names]
-    title = f"ns/day{' of processor time' if of_processor else ''}, and over Verlet at 2 fs; {platform} platform"
-    made = [Table(title, ["method", *there], body, 1)]
+    unit = f"ns/day{' of processor time' if of_processor else ''}; {platform} platform"
+    made = [
+        _by_box(f"{unit}, and over Verlet at 2 fs", rows, form + ", {over:.2f} ± {over_error:.2f}"),
+        _by_box("Over LangevinMiddle at 4 fs", rows, "{over_middle:.2f} ± {over_middle_error:.2f}"),
+    ]
     if "equal" in record.tables:
         made.append(records.table("At equal energy error; - where no step has it", record.tables["equal"], EQUAL))
     return made
+
+
+def _by_box(title: str, rows: pd.DataFrame, form: str) -> Table:
+    """A row for each method and a column for each box."""
+    cells = {(row["name"], row["box"]): records.cell(form, row) for row in rows.to_dict("records")}
+    names, there = rows["name"].unique(), rows["box"].unique()
+    body = [[name, *(cells.get((name, box), "") for box in there)] for name in names]
+    return Table(title, ["method", *there], body, 1)
 
 
 def study(settings: SpeedSettings, report: Report = SILENT) -> Record:

@@ -111,8 +111,9 @@ class Simulated:
             Runaway: the equilibration broke down.
         """
         plan, options = self.plan, self.options
-        usual = METHODS[RECOMMENDED].usual_step(plan.ensemble)
-        stand_in = plan if plan.method.scheme else replace(plan, scheme=RECOMMENDED, dt=usual)
+        scheme = RECOMMENDED[plan.ensemble]
+        usual = METHODS[scheme].usual_step(plan.ensemble, plan.hydrogen_mass)
+        stand_in = plan if plan.method.scheme else replace(plan, scheme=scheme, dt=usual)
         begun = make_context(self.box.system, self.integrator(stand_in), options.platform)
         positions, minimize = self.box.positions, options.minimize
         if state is not None:

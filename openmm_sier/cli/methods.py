@@ -8,6 +8,9 @@ from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 
 ENSEMBLES = ("nve", "nvt", "npt", "hmc")
 
+#: Dalton, from which hydrogens bear the usual steps of heavy ones.
+HEAVY = 3.0
+
 #: ps, of OpenMM's own integrators.
 STEP_OF_OPENMM = 0.002
 
@@ -29,10 +32,14 @@ class Method(NamedTuple):
     scheme: Scheme | None = None
     leapfrog: bool = False
 
-    def usual_step(self, ensemble: str) -> float:
-        """The usual step for rigid water in an ensemble, fs."""
-        of_scheme = self.scheme and (self.scheme.constant_energy_step if ensemble == "nve" else self.scheme.bath_step)
-        return 1000 * (of_scheme or STEP_OF_OPENMM)
+    def usual_step(self, ensemble: str, hydrogen_mass: float | None = None) -> float:
+        """The usual step for rigid water in an ensemble, fs, with hydrogens of a mass in dalton if one was chosen."""
+        if self.scheme is None:
+            return 1000 * STEP_OF_OPENMM
+        of_bath = self.scheme.bath_step
+        if hydrogen_mass is not None and hydrogen_mass >= HEAVY:
+            of_bath = self.scheme.heavy_bath_step or of_bath
+        return 1000 * ((self.scheme.constant_energy_step if ensemble == "nve" else of_bath) or STEP_OF_OPENMM)
 
 
 #: Methods by the names that `--scheme` takes.

@@ -14,12 +14,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from openmm_sier.cli.methods import ENSEMBLES, METHODS, Method
+from openmm_sier.cli.methods import ENSEMBLES, HEAVY, METHODS, Method
 from openmm_sier.cli.values import SWITCH, TIME, Kind, WrongValueError, choice, file, number, several, step, whole, word
 from openmm_sier.measure.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
 
-#: The default scheme, by the name that `--scheme` takes.
-RECOMMENDED = "sier4g"
+#: The default scheme of each ensemble, by the name that `--scheme` takes.
+RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier4g"}
 
 #: Most steps of a run: doubles count them exactly, with room.
 MOST_STEPS = 10**15
@@ -88,13 +88,14 @@ def _option(kind: Kind, help: str, default: Any = None, otherwise: str = "", **m
 
 
 def _usual_steps() -> str:
-    """The default of `--dt` for each method, where two are given at constant energy and with a bath or trials."""
+    """The default of `--dt` for each method: at constant energy, with a bath or trials, and with heavy hydrogens."""
 
     def told(method: Method) -> str:
-        return " or ".join(dict.fromkeys(f"{method.usual_step(ensemble):g}" for ensemble in ("nve", "nvt")))
+        steps = method.usual_step("nve"), method.usual_step("nvt"), method.usual_step("nvt", HEAVY)
+        return " or ".join(dict.fromkeys(f"{dt:g}" for dt in steps))
 
     each = ", ".join(f"{told(method)} for {name}" for name, method in METHODS.items())
-    return f"{each}; of two the first at constant energy"
+    return f"{each}; the first at constant energy, the last with heavy hydrogens and a bath or trials"
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,7 @@ class Options:
         choice(*METHODS),
         "scheme of this package, or for comparison one of OpenMM's own integrators: verlet, with an AndersenThermostat "
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
-        RECOMMENDED,
+        otherwise="sier4g; sier2 with nvt and npt",
     )
     dt: float = _option(step(0.05, 1e3), "step", otherwise=_usual_steps())
     ensemble: str = _option(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from openmm_sier.cli.methods import METHODS, Method
-from openmm_sier.cli.options import CONTINUED, NOTED, OF_THE_SYSTEM, OPTIONS, Options, check_table
+from openmm_sier.cli.options import CONTINUED, NOTED, OF_THE_SYSTEM, OPTIONS, RECOMMENDED, Options, check_table
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.inputs import IGNORED, topology_kind
 
@@ -108,10 +108,10 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     values = {"temperature": DEFAULT_TEMPERATURE, **defaults, **given}
     for name in ignored_options(values.get("topology"), given):
         values[name] = None
-    method = METHODS[values["scheme"]]
+    method = METHODS[values.setdefault("scheme", RECOMMENDED[values.get("ensemble", "nve")])]
     ensemble = values.setdefault("ensemble", method.ensembles[0])
     _check_given(options, ensemble)
-    values.setdefault("dt", method.usual_step(ensemble))
+    values.setdefault("dt", method.usual_step(ensemble, values.get("hydrogen_mass")))
     values.setdefault("friction", 0.0 if ensemble == "hmc" else 1.0)
     if ensemble == "npt":
         values.setdefault("pressure", 1.0)

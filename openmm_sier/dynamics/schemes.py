@@ -34,6 +34,7 @@ class Scheme:
         constant_energy_step: the usual step for rigid water at constant energy, ps, at which the energy holds over runs
             of any length (docs/accuracy.md); None where nobody has looked.
         bath_step: the usual step in a heat bath or by hybrid Monte Carlo, ps, where the energy need not hold.
+        heavy_bath_step: the same with hydrogens of 4 dalton, those of solutes of 3, see `prepare_system`.
 
     Raises:
         ValueError: there are no stages, the fractions of a flow do not sum to 1, or a plain operator has a shift.
@@ -44,6 +45,7 @@ class Scheme:
     source: str = ""
     constant_energy_step: float | None = field(default=None, compare=False)
     bath_step: float | None = field(default=None, compare=False)
+    heavy_bath_step: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
@@ -195,7 +197,7 @@ def alternating(
         half: fractions from the outermost stage to the last one before the middle. The middle stage, which follows,
             makes the fractions of its operator sum to 1.
         source: publication of the scheme.
-        usual_steps: `constant_energy_step` and `bath_step` of `Scheme`, ps.
+        usual_steps: `constant_energy_step`, `bath_step` and `heavy_bath_step` of `Scheme`, ps.
     """
     operators = [(first, second)[i % 2] for i in range(len(half) + 1)]
     wings = [Stage(operator, fraction) for operator, fraction in zip(operators, half, strict=False)]
@@ -210,7 +212,8 @@ SIER2 = alternating(
     (0.5,),
     "van Zon and Schofield (2007), Eq. 7 (Verlet)",
     constant_energy_step=0.002,
-    bath_step=0.002,
+    bath_step=0.004,
+    heavy_bath_step=0.009,
 )
 
 _H1, _H2, _H3 = 0.1720865590295143, 0.5915620307551568, -0.1616217622107222
@@ -249,6 +252,7 @@ SIER4G = Scheme(
     "Chin, Phys. Lett. A 226, 344 (1997), algorithm A",
     constant_energy_step=0.004,
     bath_step=0.006,
+    heavy_bath_step=0.009,
 )
 
 #: Of the family drift, kick, drift, gradient kick, drift, kick, drift of fourth order: the share of a kick, which fixes

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from openmm_sier import SIER4G, SIERIntegrator
+from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.commands import SMALL, complaint, datasets, log, run
@@ -78,4 +78,12 @@ def test_default_scheme_is_that_of_the_integrators(box):
 def test_usual_steps_are_those_of_the_scheme(box):
     run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--ensemble", "nvt")
     plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
-    assert plan["dt"] == pytest.approx(1000 * SIER4G.bath_step) != pytest.approx(1000 * SIER4G.constant_energy_step)
+    assert CATALOGUE[plan["scheme"]] == SIERLangevinIntegrator(300, 1, 0.001).scheme.without_bath() == SIER2
+    assert plan["dt"] == pytest.approx(1000 * SIER2.bath_step)
+
+
+def test_usual_steps_with_heavy_hydrogens(box):
+    options = ("--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--ensemble", "nvt")
+    run("run", box, *options, "--hydrogen-mass", "4")
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
+    assert plan["dt"] == pytest.approx(1000 * SIER2.heavy_bath_step)

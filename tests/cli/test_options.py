@@ -10,7 +10,7 @@ import pytest
 
 from openmm_sier.cli.arguments import build_parser
 from openmm_sier.cli.main import MISUSED, main
-from openmm_sier.cli.methods import METHODS
+from openmm_sier.cli.methods import ENSEMBLES, METHODS
 from openmm_sier.cli.options import NOTED, OPTIONS, RECOMMENDED, Options
 from openmm_sier.cli.plan import FILES, OUTPUTS, new_plan
 from openmm_sier.dynamics.schemes import CATALOGUE
@@ -46,7 +46,8 @@ def copied(short_run, tmp_path):
 
 def test_the_declaration_agrees_with_what_it_is_about():
     assert set(METHODS) == {*CATALOGUE, "verlet", "langevinmiddle"}
-    assert CATALOGUE[RECOMMENDED].name == "SIER4G"
+    assert set(RECOMMENDED) == set(ENSEMBLES)
+    assert set(RECOMMENDED.values()) <= set(CATALOGUE)
     # Every scheme that users can name has its usual steps.
     assert all(scheme.constant_energy_step and scheme.bath_step for scheme in CATALOGUE.values())
     assert pytest.approx(5 / 6) == forcefields.SWITCH / forcefields.CUTOFF

@@ -10,7 +10,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import RigidBodies, SIER4GIntegrator, prepare_system
-from openmm_sier.prepare.masses import LIGHTEST_CENTRE
+from openmm_sier.prepare.masses import HEAVIEST_IN_CHAINS
 from openmm_sier.system.tables import masses
 from tests.support.peptides import capped_alanine_box
 from tests.support.waters import cluster_system, platform
@@ -48,12 +48,11 @@ def test_hydrogens_of_water_and_solutes(alanine, constraints, before):
     for centre, found in centres_of(topology).items():
         # Sums of a few doubles of 15 dalton.
         assert new[[centre, *found]].sum() == pytest.approx(old[[centre, *found]].sum(), rel=1e-14)
-        share = min(4, (old[[centre, *found]].sum() - LIGHTEST_CENTRE) / len(found))
-        lightened = before == 4.0 and share < 4
-        assert new[found] == pytest.approx(4.0 if lightened else share, rel=1e-14)
+        share = 4.0 if len(found) == 2 and old[centre] > 15 else HEAVIEST_IN_CHAINS
+        assert new[found] == pytest.approx(share, rel=1e-14)
     others = sorted(set(range(len(new))) - set(hydrogens_of(topology)) - set(centres_of(topology)))
     np.testing.assert_array_equal(new[others], old[others])
-    assert f"{len(hydrogens_of(topology))} hydrogens have 4 dalton, 9 of them less" in said
+    assert f"{len(hydrogens_of(topology))} hydrogens have 4 dalton, 12 of them up to 3" in said
 
 
 @pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p"])

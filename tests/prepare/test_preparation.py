@@ -395,7 +395,7 @@ def test_fast_forces_that_come_too_late_are_refused(peptide):
 # --- the notice ---
 
 
-@pytest.mark.parametrize("make", [INTEGRATORS["constant energy"], INTEGRATORS["Langevin"]])
+@pytest.mark.parametrize("make", [INTEGRATORS["constant energy"], INTEGRATORS["hybrid Monte Carlo"]])
 def test_integrators_of_fourth_order_tell_of_pme(make):
     _, positions, system = periodic_system("tip3p", 64)
     with pytest.warns(UserWarning, match=r"SIER4G: .*1.2 to 1\.6 %.*prepare_system\(system\)") as told:

@@ -38,11 +38,12 @@ def longest(system, scheme=SIER4G):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("model", ["tip3p", "spce", "tip4pew", "tip5p"])
 def test_steps_in_use_are_taken(model, engine):
-    """The usual step, in a bath 9 fs, and Verlet's 3 fs without a word; 4 and 12 fs are spoken of."""
+    """The usual step, in a bath 9 fs, of SIER2 6 fs, and Verlet's 3 fs without a word; 4 and 12 fs are spoken of."""
     _, _, system = cluster_system(3, model)
     for integrator in (
         SIER4GIntegrator(SIER4G.constant_energy_step, engine=engine),
-        SIERLangevinIntegrator(297, 1, 0.009, engine=engine),
+        SIERLangevinIntegrator(297, 1, 0.009, SIER4G, engine=engine),
+        SIERLangevinIntegrator(297, 1, 0.006, engine=engine),
         SIER2Integrator(0.003, engine=engine),
     ):
         silently(system, integrator)
@@ -64,7 +65,7 @@ def test_a_step_at_which_the_energy_walks(engine):
         integrator.setStepSize(0.007)
         integrator.step(1)
     assert context.getStepCount() == 1
-    silently(system, SIERLangevinIntegrator(297, 1, 0.006, engine=engine))
+    silently(system, SIERLangevinIntegrator(297, 1, 0.006, SIER4G, engine=engine))
     silently(system, SIERHMCIntegrator(297, 0.006, engine=engine))
     silently(system, SIERIntegrator(0.006, SIER2V2, engine=engine))
     if engine == "exact":  # the native one takes no AndersenThermostat
