@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple
@@ -27,6 +28,7 @@ from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
@@ -61,6 +63,7 @@ COLUMNS = {
     "at": "{at}",
     **{heading: f"{{{key}_text}}" for key, heading in AVERAGED.items()},
     "forces an independent V": "{cost:.0f}",
+    "accepted": "{accepted:.2f}",
     "over LangevinMiddle, 4 fs": "{over:.2f}",
 }
 
@@ -107,18 +110,15 @@ def _own(bath: Bath, step: float) -> openmm.Integrator:
     return SIERLangevinIntegrator(bath.temperature, bath.friction, step, scheme="SIER2", pressure=bath.pressure)
 
 
-def _trials(bath: Bath, step: float) -> openmm.Integrator:
-    return SIERHMCIntegrator(
-        bath.temperature,
-        step / STEPS_PER_TRIAL,
-        stepsPerTrial=STEPS_PER_TRIAL,
-        frictionCoeff=bath.friction,
-        pressure=bath.pressure,
-    )
+def _trials(bath: Bath, time: float, steps: int) -> openmm.Integrator:
+    options = bath.temperature, time / steps, SIER4G, steps, bath.friction, bath.pressure
+    return SIERHMCIntegrator(*options)
 
 
-#: Of hybrid Monte Carlo, with SIER4G, which has three forces a step.
-STEPS_PER_TRIAL = 5
+def _exact(step: float, steps: int) -> Method:
+    """Hybrid Monte Carlo with steps in fs, and so many of them in a trial."""
+    return Method(step * steps, SIER4G.force_evaluations * steps, 4.0, partial(_trials, steps=steps))
+
 
 METHODS = {
     "LangevinMiddle, 2 fs, light": Method(2, 1, None, _middle),
@@ -127,7 +127,8 @@ METHODS = {
     "MTSLangevin, 8 fs": Method(8, 1, 4.0, _several_steps),
     **{f"SIER2, {step} fs, light": Method(step, 1, None, _own) for step in (4, 5, 6)},
     **{f"SIER2, {step} fs": Method(step, 1, 4.0, _own) for step in (8, 9, 10, 11)},
-    "SIER4G HMC, 8 fs": Method(8 * STEPS_PER_TRIAL, 3 * STEPS_PER_TRIAL, 4.0, _trials),
+    "SIER4G HMC, 8 fs": _exact(8, 5),
+    "SIER4G HMC, 9 fs": _exact(9, 4),
 }
 
 #: Of OpenMM, which have no pressure of their own.
@@ -245,6 +246,8 @@ def run(task: Task) -> dict[str, Any]:
         openmm.LocalEnergyMinimizer.minimize(context, 10, 300)
         context.setVelocitiesToTemperature(settings.temperature, task.seed)
         integrator.step(max(1, round(1e3 * settings.equilibrate / method.step)))
+        if isinstance(integrator, SIERHMCIntegrator):
+            integrator.resetStatistics()
         samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
@@ -253,6 +256,8 @@ def run(task: Task) -> dict[str, Any]:
         found |= {key: of_key.value, f"{key}_error": of_key.error}
         if key == "potential":
             found["cost"] = 1e3 * settings.time / method.step * method.forces / of_key.samples
+    if isinstance(integrator, SIERHMCIntegrator):
+        found |= {"trials": integrator.trials, "accepted": integrator.acceptanceRate}
     return found | {"fs_per_second": settings.time * 1e3 / processor}
 
 
@@ -314,7 +319,8 @@ def averaged(runs: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for (box, at, method), mine in runs.groupby(["box", "at", "method"], sort=False):
         row = {"box": box, "at": at, "method": method, "time": mine["time"].sum()}
-        row |= {"hydrogens": mine.iloc[0]["hydrogens"], "cost": mine["cost"].mean() if "cost" in mine else np.nan}
+        row["hydrogens"] = mine.iloc[0]["hydrogens"]
+        row |= {key: mine[key].mean() if key in mine else np.nan for key in ("cost", "trials", "accepted")}
         for key in AVERAGED:
             known = mine.dropna(subset=[key, f"{key}_error"]) if key in mine else mine[:0]
             estimates = [Estimate(value, error) for value, error in zip(known[key], known[f"{key}_error"], strict=True)]
