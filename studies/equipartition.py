@@ -240,7 +240,10 @@ def figure(record: Record, path: Path) -> None:
             axes.plot(h, law, color=style.GREY, lw=1, ls=":", label="SIER2, predicted", zorder=0)
         axes.axhline(0, color=style.GREY, lw=1)
         axes.set(xlabel="simulated time per force evaluation (fs)", ylabel=r"$T_\mathrm{rot} - T_\mathrm{trans}$ (K)")
-        axes.set_title(f"Equipartition in liquid water, {record.settings['ensemble'].upper()}")
+        axes.set_title(
+            f"Rotations are too cold at second order\n(liquid water, {record.settings['ensemble'].upper()})",
+            fontweight="bold",
+        )
         axes.legend()
 
 

@@ -60,7 +60,7 @@ QUESTIONS = [
     ("openmmtools refuses a heat bath", "heat bath at a different temperature", "howto/enhanced-sampling"),
     ("velocity autocorrelation", "velocity correlations", "howto/constant-energy"),
     ("dipole autocorrelation", "dipole correlation", "howto/constant-energy"),
-    ("openmm 3955: accuracy of PME at the default tolerance", "PME default tolerance", "patched"),
+    ("openmm 3955: accuracy of PME at the default tolerance", "PME default tolerance", "measurements/accuracy"),
     ("many runs from one plan", "ensemble plan", "command"),
 ]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
-GUIDES = ["README.md", "docs/getting-started.md", "docs/determinism.md", "docs/native.md", "docs/patched.md"]
+GUIDES = ["README.md", "docs/getting-started.md", "docs/determinism.md", "docs/native.md"]
 PAGES = [*GUIDES, *sorted(str(p.relative_to(ROOT)) for p in ROOT.glob("docs/howto/*.md"))]
 
 #: Steps that are made instead of more. With hybrid Monte Carlo each is a trial of several.
