@@ -223,7 +223,8 @@ def _title(limits: pd.DataFrame) -> str:
     names = SIER4G.name, REVERSIBLE["verlet"].name
     if not set(names) <= set(largest.index):
         return "Hybrid Monte Carlo by the size of the box"
-    return f"SIER4G has half of its trials accepted in boxes {largest[names[0]] / largest[names[1]]:.0f} times as large"
+    times = largest[names[0]] / largest[names[1]]
+    return f"Half of the trials are accepted in boxes {times:.0f} times as large with SIER4G as with Verlet"
 
 
 main = command(AcceptanceSettings, study, __doc__, __name__)

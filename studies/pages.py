@@ -56,21 +56,28 @@ def table(rows: pd.DataFrame, columns: Mapping[str, str], across: str = "", titl
         rows: of `chosen`.
         columns: for each heading what stands in its cells, see `records.table`.
         across: a column of which each value becomes a column of the table. The last of `columns` is then what stands
-            there, and the others tell the lines of the table; its heading is added to the values unless it is "-".
+            there, and the others tell the lines of the table; its heading, such as a unit, is added to the values
+            unless it is "-".
         title: above it.
     """
     if not across:
         return without_unknown(records.table(title, rows, columns))
     *leading, (heading, form) = columns.items()
-    suffix = "" if heading == "-" else f", {heading}"
     values = list(dict.fromkeys(rows[across]))
     lines: dict[tuple[str, ...], dict[Any, str]] = {}
     for row in rows.to_dict("records"):
         line = tuple(records.cell(each, row) for _, each in leading)
         lines.setdefault(line, {})[row[across]] = records.cell(form, row)
-    names = [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
+    names = [_heading(value, heading) for value in values]
     body = [[*line, *(cells.get(value, "-") for value in values)] for line, cells in lines.items()]
-    return without_unknown(Table(title, [*(name for name, _ in leading), *(f"{name}{suffix}" for name in names)], body))
+    return without_unknown(Table(title, [*(name for name, _ in leading), *names], body))
+
+
+def _heading(value: Any, unit: str) -> str:
+    """The heading of a column for a value: a number has its unit after a space, a name after a comma."""
+    number = isinstance(value, (int, float))
+    name = f"{value:.6g}" if number else str(value)
+    return name if unit == "-" else f"{name}{' ' if number else ', '}{unit}"
 
 
 def without_unknown(made: Table) -> Table:

@@ -73,12 +73,12 @@ COLUMNS = {
     "ps": "{time:g}",
     "PME": "{tolerance:g}/{share:g}",
     "scheme": "{method}",
-    "step/fs": "{step:g}",
+    "step/fs": "{step:.3g}",
     "fs per force": "{fs_per_force:.3g}",
     "starts": "{starts}",
     "rms(H)/rms(V)/%": "{percent:.3g} ± {percent_error:.1g}",
     "walk/%": "{walk:.2g} ± {walk_error:.1g}",
-    "drift of the box/kJ/mol/ps": "{drift:+.4f} ± {its_error:.4f}",
+    "drift of the box/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
 }
 
 
@@ -91,8 +91,8 @@ GAINS = {
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
     "SIER4G/%": "{percent:.3f} ± {percent_error:.1g}",
     "gain": "{gain:.1f}",
-    "drift, Verlet/kJ/mol/ps": "{drift_verlet:+.4f} ± {its_error_verlet:.4f}",
-    "drift, SIER4G/kJ/mol/ps": "{drift:+.4f} ± {its_error:.4f}",
+    "drift, Verlet/kJ/mol/ps": "{drift_verlet:+.5f} ± {its_error_verlet:.5f}",
+    "drift, SIER4G/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
 }
 
 VERLET = CONSTANT_ENERGY["verlet"].name

@@ -19,6 +19,7 @@ the order. `{drawn}` is a figure of
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,13 @@ def source_node(file: str) -> nodes.paragraph:
     for i, command in enumerate(COMMANDS[file]):
         parts += [nodes.Text(", then " if i else ""), nodes.literal(text=command)]
     return nodes.paragraph("", "", *parts, classes=["source"])
+
+
+@cache
+def draw(name: str, path: Path) -> None:
+    """Draw a figure, once for all pages of a build that show it."""
+    path.parent.mkdir(exist_ok=True)
+    figures.FIGURES[name].figure(records.read(DATA / figures.FIGURES[name].data), path)
 
 
 class FromRecords(SphinxDirective):
@@ -109,8 +117,7 @@ class Drawn(FromRecords):
         figure = figures.FIGURES[name]
         self.depends_on(figure.data)
         path = Path(self.env.srcdir, DRAWN, f"{name}.png")
-        path.parent.mkdir(exist_ok=True)
-        figure.figure(records.read(DATA / figure.data), path)
+        draw(name, path)
         image = nodes.image(uri=f"/{DRAWN}/{path.name}", alt=" ".join(self.content))
         return [nodes.paragraph("", "", image), source_node(figure.data)]
 
