@@ -208,8 +208,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Temperatures of all motion, of translation, of rotation and of flexible molecules, numbers in K.
 
         A named tuple (total, translation, rotation, flexible), by the rule of `computeSystemTemperature`; NaN where
-        there are no degrees of freedom. With a bath in the middle of the step, as that of SIER2 is, the exact engine
-        gives those just after the bath, which have no error of the step; the native engine those at the end of it.
+        there are no degrees of freedom. With a bath in the middle of the step, as that of SIER2 is, they are those just
+        after the bath, which have no error of the step.
         """
         return self.binding.engine.temperatures()
 

@@ -222,7 +222,8 @@ def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
     assert deviations["whole"][1] < deviations["end"][1] / 5
 
 
-def test_temperatures_are_those_just_after_the_bath():
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_temperatures_are_those_just_after_the_bath(engine):
     """At the end of a step of 10 fs a bond of 24 fs is too hot, if slow forces pull at it; reporters do not show that.
 
     Of its linear map, kick (-0.05 k), leapfrog steps of 3.33 fs (k) with the bath in the middle one, the momentum at
@@ -242,7 +243,7 @@ def test_temperatures_are_those_just_after_the_bath():
     system.addForce(slow)
     positions = np.repeat(positions, 2, axis=0)
     positions[1::2, 0] += 0.15
-    integrator = SIERLangevinIntegrator(300, 20, 0.010, SIER2, fastForceGroups={FAST})
+    integrator = SIERLangevinIntegrator(300, 20, 0.010, SIER2, fastForceGroups={FAST}, engine=engine)
     integrator.setRandomNumberSeed(5)
     context = context_at(system, integrator, (positions, 0 * positions))
     integrator.step(50)

@@ -25,8 +25,9 @@ from openmm_sier.engines.variables import PREFIX
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
 
-#: Per-atom variables of the program. They hold positions or a displacement to be undone, velocities to return to, and
-#: the heat that the bath, and removers of the motion of the centre of mass, gave to each degree of freedom.
+#: Per-atom variables of the program. They hold positions or a displacement to be undone, velocities to return to (after
+#: a step with a bath in its middle those just after the bath), and the heat that the bath, and removers of the motion
+#: of the centre of mass, gave to each degree of freedom.
 KEPT, V0, WORK = (PREFIX + name for name in ("kept", "v0", "work"))
 VECTORS = (KEPT, V0, WORK)
 
@@ -320,4 +321,5 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
 def _bath(velocity: str) -> Line:
     """A bath of the constrained velocities: constraining projects the noise too."""
     drawn = Statement("v", velocity)
-    return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))
+    after = Statement(CONSTRAIN_V), GAINED, Statement(V0, "v")
+    return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, *after))
