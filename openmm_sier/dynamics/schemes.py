@@ -32,7 +32,7 @@ class Scheme:
         stages: each a `Stage`, or a tuple (operator name, fraction of the step) that becomes one.
         source: publication of the scheme.
         constant_energy_step: the usual step for rigid water at constant energy, ps, at which the energy holds over runs
-            of any length (docs/accuracy.md); None where nobody has looked.
+            of any length (docs/measurements/whole-runs.md); None where nobody has looked.
         bath_step: the usual step in a heat bath or by hybrid Monte Carlo, ps, where the energy need not hold.
         heavy_bath_step: the same with hydrogens of 4 dalton, those of solutes of 3, see `prepare_system`.
 
@@ -299,7 +299,7 @@ SIER2P3 = alternating(
 )
 
 #: The schemes that users can name. Which one conserves the energy of liquid water best depends on the simulated time
-#: per force evaluation (docs/accuracy.md). It is SIER4P up to 1.5 fs, SIER4G or SIER4P at 2 fs, SIER2V2, SIER2P3 or
-#: SIER4P at 3 fs, and SIER2P3 beyond. SIER4V is the best of fourth order without a gradient, SIER2 has the cheapest
-#: step, and SIER4 is the paper's.
+#: per force evaluation (docs/measurements/accuracy.md). It is SIER4P up to 1.5 fs, SIER4G or SIER4P at 2 fs, SIER2V2,
+#: SIER2P3 or SIER4P at 3 fs, and SIER2P3 beyond. SIER4V is the best of fourth order without a gradient, SIER2 has the
+#: cheapest step, and SIER4 is the paper's.
 CATALOGUE = {scheme.name.lower(): scheme for scheme in (SIER2, SIER2V2, SIER2P3, SIER4, SIER4V, SIER4G, SIER4P)}

@@ -38,7 +38,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     Two engines can execute the scheme. The exact engine is a Python layer over the Context and rotates bodies exactly.
     The native engine is the integrator's own program, which OpenMM executes on any platform. It rotates bodies by
     RATTLE steps and moves molecules with constraints of any kind. XML carries the program, so that it also runs where
-    this package is not imported: see docs/native.md.
+    this package is not imported: see docs/guide/engines.md.
 
     Source: van Zon and Schofield (2007).
     """

@@ -1,7 +1,7 @@
 """Phi and psi of alanine dipeptide by hybrid Monte Carlo, beside OpenMM's LangevinMiddle at steps of 0.5 fs.
 
 The molecule has no water, and a torsion that holds each angle in one basin, so that seconds suffice. The figures of the
-solvated molecule are in docs/hmc.md.
+solvated molecule are in docs/measurements/sampling.md.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from studies import STUDIES, figures
 from studies.__main__ import summary
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "studies.md").read_text()
+PAGE = (ROOT / "docs" / "measurements" / "studies.md").read_text()
 
 
 @pytest.mark.parametrize("name", STUDIES)

@@ -31,7 +31,7 @@ def test_tables_of_the_documentation_are_those_of_the_record(record, tmp_path):
     assert (DATA / "processed.md").read_text() == (tmp_path / "processed.md").read_text()
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/trust.md", "paper/paper.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/measurements/trust.md", "paper/paper.md"])
 def test_pages_claim_the_gains_of_the_record(record, page):
     """The gains that a page claims are the least and the largest of the large boxes, over 100 ps, rounded down."""
     gains = record.tables["gains"]
