@@ -1,6 +1,6 @@
 """What README and the documentation claim, each beside the record or the tests that show it.
 
-    python -m studies.claims        writes docs/measurements/trust.md, and prints the sentences and the table of README
+    python -m studies.claims        writes docs/measurements/trust.md, and the figures into README and the paper's draft
 
 A claim is a sentence with fields for its figures. Figures come from a record in studies/data, and each has a bound: a
 record that no longer keeps it fails the tests, and so does a sentence of README that is not this one.
@@ -8,6 +8,7 @@ record that no longer keeps it fails the tests, and so does a sentence of README
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -21,6 +22,11 @@ from studies.records import Record
 ROOT = SYSTEMS.parent
 DATA = ROOT / "studies" / "data"
 PAGE = ROOT / "docs" / "measurements" / "trust.md"
+
+README, DRAFT = ROOT / "README.md", ROOT / "paper" / "paper.md"
+
+#: README's table of speeds.
+TABLE = re.compile(r"\| \| water, 512 .*?(?=\n(?!\|))", re.DOTALL)
 
 #: Least and most that a figure may be.
 Bound = tuple[float, float]
@@ -40,6 +46,7 @@ class Claim:
         figures: of the record, by the names of the fields.
         bounds: of figures, by name.
         in_readme: whether README has the sentence, word for word.
+        in_paper: whether the draft of the paper has it.
     """
 
     text: str
@@ -48,6 +55,7 @@ class Claim:
     figures: Callable[[Record], Mapping[str, float]]
     bounds: Mapping[str, Bound]
     in_readme: bool = False
+    in_paper: bool = False
 
     def found(self) -> Mapping[str, float]:
         """The figures of the record."""
@@ -121,6 +129,15 @@ def _preparation(record: Record) -> Mapping[str, float]:
         "verlet": means["yes", "OpenMM Verlet"],
         "gain": means["no", "SIER4G"] / means["yes", "SIER4G"],
     }
+
+
+def _axes(record: Record) -> Mapping[str, float]:
+    """Splittings of the rotation about axes, over exact rotation, at 1.8 and 2.2 fs with PME."""
+    rows = record.tables["points"]
+    rows = rows[(rows["kind"] == "PME") & rows["force_step_fs"].isin([1.8, 2.2])]
+    means = rows.groupby("method")["percent"].mean()
+    crossing = _one(record.tables["crossings"], kind="PME")["force_step_fs"]
+    return {"ratio": means["MRDL"] / means["SIER2"], "crossing": crossing}
 
 
 def _equipartition(record: Record) -> Mapping[str, float]:
@@ -218,6 +235,7 @@ CLAIMS = (
         _large_boxes,
         {"least": (10, ANY), "count": (5, ANY)},
         in_readme=True,
+        in_paper=True,
     ),
     Claim(
         "In TIP5P it is {gain:.1f} times smaller.",
@@ -226,6 +244,7 @@ CLAIMS = (
         _gain(liquid="TIP5P"),
         {"gain": (3, ANY)},
         in_readme=True,
+        in_paper=True,
     ),
     Claim(
         "Over 1 ns of 64 molecules of TIP3P it is {gain:.0f} times smaller.",
@@ -234,6 +253,7 @@ CLAIMS = (
         _gain(time=1000.0),
         {"gain": (8, ANY)},
         in_readme=True,
+        in_paper=True,
     ),
     Claim(
         "At 6 fs the energy of SIER4G walks at random, and the gain over 50 ps is only {gain:.1f}.",
@@ -241,6 +261,7 @@ CLAIMS = (
         WHOLE_RUN,
         _gain(step=6.0),
         {"gain": (1, 3)},
+        in_paper=True,
     ),
     Claim(
         "Within 1 ps SIER2P3 at 12 fs has {least:.1f} to {most:.1f} times the energy error of Verlet at 2 fs, for half"
@@ -249,6 +270,17 @@ CLAIMS = (
         "python -m studies.schemes systems/BOX.pdb --schemes verlet sier2p3 --dt 2 4",
         _long_steps,
         {"most": (0, 1.5)},
+        in_paper=True,
+    ),
+    Claim(
+        "In liquid water with a scheme of second order, a splitting of the rotation about principal axes (MRDL, and in "
+        "quaternions NO_SQUISH) has {ratio:.2f} times the energy error of exact rotation at 2 fs, and the paper's "
+        "SIER4 has less up to {crossing:.1f} fs per force.",
+        "paper-water.json",
+        "python -m studies.paper",
+        _axes,
+        {"ratio": (0.9, 1.1), "crossing": (1.8, 2.3)},
+        in_paper=True,
     ),
     Claim(
         "At OpenMM's default tolerance SIER4G at 6 fs has an energy error of {before:.2f} % within 1 ps, and "
@@ -275,6 +307,7 @@ CLAIMS = (
         _speeds,
         {"least": (1.9, ANY), "peptide": (1.7, ANY), "dhfr": (1.7, ANY)},
         in_readme=True,
+        in_paper=True,
     ),
     Claim(
         "At {step:g} fs the energies of bonds, angles and torsions of the peptide differ from exact ones by at most "
@@ -283,6 +316,7 @@ CLAIMS = (
         HEAT_BATH,
         _bath("peptide", "constant volume", 9, "potential", "bonds", "angles", "torsions"),
         {"off": (0, 3), "potential_share": (0, 0.2), "water_off": (-1, 1)},
+        in_paper=True,
     ),
     Claim(
         "At {step:g} fs and 1 bar the potential energy of TIP3P differs from the exact one by {potential_share:.2f} %,"
@@ -291,6 +325,7 @@ CLAIMS = (
         f"{HEAT_BATH} systems/tip3p-512.pdb --time 100 --pressure 1",
         _bath("tip3p-512", "1 bar", 10, "potential", "density"),
         {"off": (0, 3), "potential_share": (0, 0.3), "density_share": (0, 0.6), "water_off": (-1, 1)},
+        in_paper=True,
     ),
     Claim(
         "LangevinMiddle at 4 fs gives three models of water the energy that it has at 1 fs within {energy:.1f} %, so "
@@ -307,6 +342,7 @@ CLAIMS = (
         "python -m studies.hmc.exactness",
         _exactness,
         {"off": (0, 3), "count": (16, 16)},
+        in_paper=True,
     ),
     Claim(
         "DHFR in water, 23558 atoms, has {accepted:.0f} of {trials:.0f} trials accepted with SIER4G at 6 fs, and "
@@ -324,6 +360,7 @@ CLAIMS = (
         _trials_of_dhfr,
         {"accepted": (0.85, 1), "trials": (100, ANY)},
         in_readme=True,
+        in_paper=True,
     ),
     Claim(
         "In a mixture with N-methylacetamide the configurational temperature of water's rotation is {bias:.1f} ± "
@@ -447,10 +484,19 @@ def page() -> str:
     )
 
 
+def refreshed(text: str) -> str:
+    """A text in which sentences of claims have the figures of the records, and README's table is the present one."""
+    for claim in CLAIMS:
+        words = [re.sub(r"\\\{.*?\\\}", r"\\S+?", re.escape(word)) for word in claim.text.split()]
+        text = re.sub(r"\s+".join(words), lambda _, claim=claim: claim.sentence(), text)  # type: ignore[misc]
+    return TABLE.sub(lambda _: table_of_speeds(), text)
+
+
 def main() -> None:
-    """Write the page, and print what README is to have."""
+    """Write the page, and the figures into README and the draft."""
+    for path in (README, DRAFT):
+        path.write_text(refreshed(path.read_text()))
     PAGE.write_text(page())
-    print(*(one.sentence() for one in CLAIMS if one.in_readme), table_of_speeds(), sep="\n\n")
 
 
 if __name__ == "__main__":

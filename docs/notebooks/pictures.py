@@ -10,8 +10,8 @@ from openmm.app import Simulation
 
 from openmm_sier.measure.observables import energy_error
 
-#: Of each run, and between two energies.
-STEPS, EVERY = 500, 5
+#: Between two energies.
+EVERY = 5
 
 #: Colour and radius in nm by element; None are virtual sites.
 LOOK = {"H": ("#f4f4f4", 0.08), "O": ("#d1495b", 0.12), "C": ("#4d4d4d", 0.14), "N": ("#30638e", 0.13)}
@@ -21,10 +21,10 @@ OTHERS = ("#8e6c8a", 0.16)
 SMALLER, FAINTER = 0.6, 0.25
 
 
-def panel(simulation: Simulation, title: str) -> None:
+def panel(simulation: Simulation, title: str, steps: int = 500) -> None:
     """Run, and draw the last frame beside the energy of the run, whose error stands in the title."""
     times, potentials, totals = [], [], []
-    for _ in range(STEPS // EVERY):
+    for _ in range(steps // EVERY):
         simulation.step(EVERY)
         state = simulation.context.getState(energy=True)
         times.append(state.getTime().value_in_unit(unit.picosecond))

@@ -26,6 +26,11 @@ def test_readme_has_the_sentence(claim):
     assert words(claim.sentence()) in words((ROOT / "README.md").read_text())
 
 
+@pytest.mark.parametrize("claim", [one for one in claims.CLAIMS if one.in_paper], ids=lambda claim: claim.text[:40])
+def test_the_paper_has_the_sentence(claim):
+    assert words(claim.sentence()) in words((ROOT / "paper" / "paper.md").read_text())
+
+
 def test_readme_has_the_table_of_speeds():
     assert claims.table_of_speeds() in (ROOT / "README.md").read_text()
 
