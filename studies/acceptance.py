@@ -219,7 +219,7 @@ def figure(record: Record, path: Path) -> None:
 
 def _title(limits: pd.DataFrame) -> str:
     """How much larger boxes may be with SIER4G than with Verlet, at their first steps that were measured."""
-    largest = limits.drop_duplicates("method").set_index("method")["largest"]
+    largest = limits.drop_duplicates("method").set_index("method")["largest"] if len(limits) else pd.Series()
     names = SIER4G.name, REVERSIBLE["verlet"].name
     if not set(names) <= set(largest.index):
         return "Hybrid Monte Carlo by the size of the box"

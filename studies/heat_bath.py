@@ -5,10 +5,10 @@
     python -m studies.heat_bath systems/tip3p-512.pdb --time 100 --pressure 1
     python -m studies.heat_bath dhfr --methods "SIER2, 9 fs" --time 20
 
-Temperatures are those of velocities at the end of steps, as OpenMM's StateDataReporter shows them, of water and solute
-apart. Hybrid Monte Carlo gives exact averages. Each run is kept in heat-bath.jsonl as soon as it is done and is not
-repeated; runs with other seeds add to the same averages. Runs take turns on `--processes` processes of one thread each.
-Writes heat-bath.json and heat-bath.md.
+Temperatures are those that OpenMM's StateDataReporter shows, of water and solute apart: of velocities at the end of
+steps, and with SIER2 of those just after the bath. Hybrid Monte Carlo gives exact averages. Each run is kept in
+heat-bath.jsonl as soon as it is done and is not repeated; runs with other seeds add to the same averages. Runs take
+turns on `--processes` processes of one thread each. Writes heat-bath.json and heat-bath.md.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import pandas as pd
 from openmm import unit
 from tyro.conf import Positional
 
-from openmm_sier import SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier import SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.measure import forcefields
@@ -183,10 +183,8 @@ class Observer:
     def __call__(self, context: openmm.Context) -> dict[str, float]:
         """The values at the end of a step."""
         state = context.getState(positions=True, velocities=True, energy=True)
-        speeds = md(state.getVelocities(asNumpy=True))
         positions = md(state.getPositions(asNumpy=True))
-        twice = self._masses * (speeds**2).sum(axis=1)
-        found = {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
+        found = self._temperatures(context.getIntegrator(), md(state.getVelocities(asNumpy=True)))
         found["potential"] = md(state.getPotentialEnergy())
         found["density"] = self._total / md(state.getPeriodicBoxVolume())
         for kind, alone in self._contexts.items():
@@ -195,6 +193,15 @@ class Observer:
         if self._dihedrals:
             found["helical"] = float(all(dihedral(positions, atoms) < 0 for atoms in self._dihedrals))
         return found
+
+    def _temperatures(self, integrator: openmm.Integrator, speeds: np.ndarray) -> dict[str, float]:
+        if isinstance(integrator, SIERIntegrator):
+            known = integrator.computeTemperatures()
+            # Rigid water of three massive sites has as many degrees of freedom of translation as of rotation.
+            found = {"water": (known.translation + known.rotation) / 2, "solute": known.flexible}
+            return {name: found[name] for name in self._parts}
+        twice = self._masses * (speeds**2).sum(axis=1)
+        return {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
 
 
 def _alone(system: openmm.System, kind: str) -> openmm.Context:

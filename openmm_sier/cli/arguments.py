@@ -150,4 +150,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     Raises:
         SystemExit: arguments are wrong, which has been said in one line; or `--help` or `--version` has been printed.
     """
-    return build_parser().parse_args(arguments)
+    parser = build_parser()
+    found = parser.parse_args(arguments)
+    if found.command == "run" and found.box is None and found.restart is None:
+        parser.error("run needs BOX, the coordinates, or --restart")
+    return found

@@ -1,6 +1,6 @@
 """The command `openmm-sier ensemble`: a plan in TOML, and its members on a pool of processes or on dask's workers.
 
-`docs/command.md` says what a plan is. Files that runs read are looked for beside it, then among the project's own.
+`docs/guide/command.md` says what a plan is. Files that runs read are looked for beside it, then among the project's.
 """
 
 from __future__ import annotations

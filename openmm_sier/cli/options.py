@@ -293,7 +293,8 @@ def add_options(parser: argparse.ArgumentParser, options: Collection[Option], wi
         options: to add.
         with_defaults: whether options that are not given have their defaults; otherwise they are None.
     """
-    excluding = {option.name for option in options} >= set(EXCLUSIVE)
+    names = {option.name for option in options}
+    excluding = names >= set(EXCLUSIVE)
     one_of_them = parser.add_mutually_exclusive_group() if excluding else parser
     for option in options:
         group = one_of_them if option.name in EXCLUSIVE else parser
@@ -310,6 +311,8 @@ def add_options(parser: argparse.ArgumentParser, options: Collection[Option], wi
                 "metavar": option.kind.metavar,
                 "nargs": (option.kind.count or "+") if each else None,
             }
+            if option.name == "box" and "restart" in names:
+                shared["nargs"] = "?"  # a checkpoint names the coordinates of its run
         group.add_argument(option.name if option.positional else option.flag, **shared)
 
 

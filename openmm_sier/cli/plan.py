@@ -215,7 +215,7 @@ def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, objec
                 f"so by {OPTIONS[name].flag} {path}"
             )
     steps = _steps(options.time, 1000 * plan.step_time) if options.time is not None else options.steps or plan.steps
-    return replace(plan, steps=steps, box=options.box, topology=options.topology or plan.topology)
+    return replace(plan, steps=steps, box=options.box or plan.box, topology=options.topology or plan.topology)
 
 
 def _same(given: Any, noted: Any) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from signal import Signals
 from typing import Any
@@ -28,6 +29,9 @@ from openmm_sier.observe import conservation, stock
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
+
+#: K, below which liquids are not simulated and somebody may have meant degrees Celsius.
+COLD = 100.0
 
 #: Relative difference allowed between the energy of a checkpoint's positions and the energy noted in it. Platforms
 #: differ by single precision.
@@ -58,13 +62,15 @@ def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
             locks.hold([options.restart])
         state, notes = checkpoints.read_checkpoint(options.restart)
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
-        options = keep_platform(options, checkpoint, notes)
+        options = replace(keep_platform(options, checkpoint, notes), box=plan.box)
     else:
         notes, (state, origin) = None, read_start(options.start)
         plan = new_plan(options, origin)
         checkpoint = plan.out.with_suffix(".chk")
-    simulated = Simulated.read(options, plan)
     files = OutputFiles(plan, checkpoint)
+    if 0 < plan.temperature < COLD:
+        note(f"{plan.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
+    simulated = Simulated.read(options, plan)
     files.check([*simulated.box.sources.values(), *([options.start] if options.start else [])])
     locks.hold(files.everything)
     if not (notes or options.overwrite):

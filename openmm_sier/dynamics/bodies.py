@@ -259,10 +259,12 @@ class RigidBodies:
         if not torn.any():
             return
         worst = int(np.where(torn, misfit, 0.0).argmax())
+        extended = np.repeat([bool(s.moments.any()) for s in self.species], [len(s.atoms) for s in self.species])
+        unit = "Are the positions in nanometres? Those in angstroms need their unit. " if torn[extended].all() else ""
         raise RigidityError(
             f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm from "
-            f"its place, at most {tolerances[worst]:.4g} nm can be mended ({np.count_nonzero(torn)} bodies fail). Is "
-            "the molecule whole (not cut by the periodic boundary)? If constraints hold it, "
+            f"its place, at most {tolerances[worst]:.4g} nm can be mended ({np.count_nonzero(torn)} bodies fail). "
+            f"{unit}Is the molecule whole (not cut by the periodic boundary)? If constraints hold it, "
             "context.applyConstraints(1e-6) may mend it. If it was named as a rigid body, no constraint holds it, and "
             "its atoms must not be moved one by one: minimize the energy in a Context with this integrator, or start "
             "from the positions that it was made of"

@@ -27,7 +27,7 @@ TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL = (
 
 #: A trajectory that comes back to its start within this distance, in nm, counts as reversible. An irreversible one,
 #: such as that of a scheme that is not a palindrome, misses by a multiple of this at usual steps. Rounding and forces
-#: in single precision cause a miss of 1e-12 to 1e-6, see docs/hmc.md.
+#: in single precision cause a miss of 1e-12 to 1e-6, see docs/guide/hmc.md.
 REVERSIBLE = 1e-4
 
 

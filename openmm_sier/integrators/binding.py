@@ -131,12 +131,13 @@ class Binding:
         """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context.
 
         Raises:
-            openmm.OpenMMException: the System has Drude particles.
+            openmm.OpenMMException: the System has Drude particles, or the integrator was given more computations.
         """
         # OpenMM refuses an integrator that has a Context already, and it must stay that Context's own.
         if self._context() is not None:
             return
         checks.refuse_drude_particles(system)
+        installation.refuse_additions(self._integrator, self.program)
         given = self.settings
         groups = find_fast_groups(system, given.bodies, says=True) if given.finds_fast_groups else given.fast_groups
         if groups != given.fast_groups:

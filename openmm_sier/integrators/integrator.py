@@ -38,7 +38,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     Two engines can execute the scheme. The exact engine is a Python layer over the Context and rotates bodies exactly.
     The native engine is the integrator's own program, which OpenMM executes on any platform. It rotates bodies by
     RATTLE steps and moves molecules with constraints of any kind. XML carries the program, so that it also runs where
-    this package is not imported: see docs/native.md.
+    this package is not imported: see docs/guide/engines.md.
 
     Source: van Zon and Schofield (2007).
     """
@@ -208,7 +208,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Temperatures of all motion, of translation, of rotation and of flexible molecules, numbers in K.
 
         A named tuple (total, translation, rotation, flexible), by the rule of `computeSystemTemperature`; NaN where
-        there are no degrees of freedom.
+        there are no degrees of freedom. With a bath in the middle of the step, as that of SIER2 is, they are those just
+        after the bath, which have no error of the step.
         """
         return self.binding.engine.temperatures()
 

@@ -11,7 +11,7 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.system.arguments import Bodies
 
 
-class IntegratorOfOneScheme(SIERIntegrator):
+class IntegratorWithScheme(SIERIntegrator):
     """A `SIERIntegrator` whose class fixes its scheme.
 
     The usual steps in water are `SCHEME.constant_energy_step` and, for hybrid Monte Carlo, `SCHEME.bath_step`, in ps.
@@ -35,7 +35,7 @@ class IntegratorOfOneScheme(SIERIntegrator):
         super().__init__(stepSize, self.SCHEME, bodies, exact, engine, substeps, fastForceGroups)
 
 
-class SIER2Integrator(IntegratorOfOneScheme):
+class SIER2Integrator(IntegratorWithScheme):
     """Second order, one force evaluation a step: the counterpart of Verlet for rigid molecules.
 
     It is stable for steps up to 2/w for a mode of angular frequency w.
@@ -46,7 +46,7 @@ class SIER2Integrator(IntegratorOfOneScheme):
     SCHEME = SIER2
 
 
-class SIER4Integrator(IntegratorOfOneScheme):
+class SIER4Integrator(IntegratorWithScheme):
     """Fourth order, four force evaluations a step: the paper's scheme.
 
     It is stable for steps up to 3.0/w for a mode of angular frequency w.
@@ -57,7 +57,7 @@ class SIER4Integrator(IntegratorOfOneScheme):
     SCHEME = SIER4
 
 
-class SIER4GIntegrator(IntegratorOfOneScheme):
+class SIER4GIntegrator(IntegratorWithScheme):
     """Fourth order with a force gradient, three force evaluations a step: the choice for most work.
 
     It is stable for steps up to 3.46/w for a mode of angular frequency w, the longest per force evaluation of the
@@ -69,7 +69,7 @@ class SIER4GIntegrator(IntegratorOfOneScheme):
     SCHEME = SIER4G
 
 
-class SIER4PIntegrator(IntegratorOfOneScheme):
+class SIER4PIntegrator(IntegratorWithScheme):
     """Fourth order with a force gradient, four force evaluations a step: the most accurate below 2 fs per force.
 
     It is stable for steps up to 3.1/w for a mode of angular frequency w.

@@ -133,7 +133,7 @@ def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openm
 
 
 def _energy_limits(system: openmm.System) -> tuple[str, ...]:
-    """A sentence for each limit that another way to create the System would remove: docs/measurements/accuracy.md."""
+    """A sentence for each limit that another way to create the System would remove."""
     found = [
         f"{force.getName()} ends with a jump of the energy at {cutoff:.3g} nm, "
         "which in water at 0.9 nm leaves SIER4G an energy error of 0.2 to 0.3 % within 1 ps in place of 0.1 %: create "

@@ -75,9 +75,9 @@ SAMPLED = 100
 #: ps. The period that the estimate above gives for the fastest librations of water, for which usual steps are known.
 WATER = 0.03154
 
-#: By the study of whole runs (`python -m studies.whole_run`, docs/measurements/whole-runs.md) the energy error of a
-#: scheme of fourth order is some 0.02 to 0.03 % at its usual step of constant energy. For longer steps h it grows as
-#: exp(-1.25 T/h), where T is the period of the fastest librations: 0.6 % at 6 fs with SIER4G.
+#: By the study of whole runs (`python -m studies.whole_run`) the energy error of a scheme of fourth order is some 0.02
+#: to 0.03 % at its usual step of constant energy. For longer steps h it grows as exp(-1.25 T/h), where T is the period
+#: of the fastest librations: 0.6 % at 6 fs with SIER4G.
 AT_USUAL_STEP, RESONANCE_DECAY = 2.5e-4, 1.25
 
 #: Steps up to this multiple of the usual one draw no notice; the error is then up to twice that at the usual step.

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from openmm_sier.cli.main import MISUSED
 from tests.support.commands import SMALL, complaint, rewrite_notes, run
 
 pytestmark = pytest.mark.slow
@@ -39,6 +40,12 @@ def test_a_restart_stays_on_reference_and_is_the_same_to_the_last_bit(box, begun
     assert differences(capsys) == []
     for ending in (".dcd", ".csv"):
         assert part.with_suffix(ending).read_bytes() == (begun / f"whole{ending}").read_bytes()
+
+
+def test_a_restart_finds_the_coordinates_by_its_checkpoint(begun, part, capsys):
+    run("run", "--restart", part, "--steps", 20)
+    assert part.with_suffix(".dcd").read_bytes() == (begun / "whole.dcd").read_bytes()
+    assert "run needs BOX, the coordinates, or --restart" in complaint(capsys, "run", "--steps", "2", code=MISUSED)
 
 
 def test_another_platform_is_said_in_one_line_and_noted(box, part, capsys):

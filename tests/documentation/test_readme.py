@@ -47,7 +47,7 @@ def error_of(integrator: openmm.Integrator, prepared: bool) -> float:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*prepare_system")
 def test_the_two_lines_bring_the_gain():
-    """Four starts of 1 ps scatter by a fifth about 1.26, 0.112 and 0.97 % (defaults.json); the bounds allow two."""
+    """Four starts of 1 ps scatter by a fifth about 1.26, 0.112 and 0.97 %; the bounds allow two."""
     assert error_of(SIER4GIntegrator(6 * unit.femtoseconds), prepared=False) > 0.75
     gained = error_of(SIER4GIntegrator(6 * unit.femtoseconds), prepared=True)
     assert gained < 0.19

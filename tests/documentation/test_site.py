@@ -34,34 +34,38 @@ return [...document.querySelectorAll('article *')].filter(e => e.getBoundingClie
 
 #: Questions from the trackers of OpenMM and of packages around it, what one would type, and the page that answers.
 QUESTIONS = [
-    ("openmm 749: Question about integration accuracy: tip3p density", "tip3p density step", "howto/density"),
-    ("openmm 2204: Best integrators to NVE run", "best integrators NVE", "howto/constant-energy"),
-    ("openmm 927: Constraint Tolerance Guidelines", "constraint tolerance", "native"),
-    ("openmm 3689: Inconsistent temperature with Verlet", "temperature drops NVT NVE", "howto/constant-energy"),
-    ("openmm 1604: rigid body simulation", "rigid body simulation", "howto/rigid-molecules"),
-    ("openmm 4509: How can I perform rigidbody simulation?", "rigid clusters gas phase", "howto/rigid-molecules"),
-    ("openmm 3993: rigid body and Nose-Hoover: weird distribution", "rigid thermostat", "howto/rigid-molecules"),
-    ("openff-evaluator 587: temperature below the bath's", "average temperature below bath", "howto/density"),
-    ("openmmtools 22: GHMC is slow", "GHMC slower", "howto/exact-averages"),
-    ("timemachine 787: HMC's acceptance of a solvated protein", "acceptance solvated protein", "howto/exact-averages"),
-    ("openmm 2202: Best practices for checkpointing", "determinism checkpoint", "determinism"),
-    ("openmm 2634: Reported temperature for MD with constraints", "degrees of freedom", "howto/density"),
-    ("alchemical free energies", "alchemical free energies", "howto/enhanced-sampling"),
-    ("replica exchange with solute scaling", "REST2", "howto/enhanced-sampling"),
-    ("implicit solvent", "implicit solvent", "howto/solutes"),
-    ("a molecule in vacuum", "vacuum", "howto/solutes"),
-    ("hydrogen mass repartitioning", "hydrogen mass repartitioning", "howto/solutes"),
-    ("metadynamics", "metadynamics", "howto/enhanced-sampling"),
-    ("simulated tempering", "simulated tempering", "howto/enhanced-sampling"),
-    ("the same by the name of OpenMM's class", "SimulatedTempering", "howto/enhanced-sampling"),
-    ("replica exchange", "replica exchange", "howto/enhanced-sampling"),
-    ("a rigid protein", "rigid protein", "howto/large-bodies"),
-    ("crowding", "crowd of proteins", "howto/large-bodies"),
-    ("openmmtools refuses a heat bath", "heat bath at a different temperature", "howto/enhanced-sampling"),
-    ("velocity autocorrelation", "velocity correlations", "howto/constant-energy"),
-    ("dipole autocorrelation", "dipole correlation", "howto/constant-energy"),
+    ("openmm 749: Question about integration accuracy: tip3p density", "tip3p density step", "guide/howto/density"),
+    ("openmm 2204: Best integrators to NVE run", "best integrators NVE", "guide/howto/constant-energy"),
+    ("openmm 927: Constraint Tolerance Guidelines", "constraint tolerance", "guide/engines"),
+    ("openmm 3689: Inconsistent temperature with Verlet", "temperature drops NVT NVE", "guide/howto/constant-energy"),
+    ("openmm 1604: rigid body simulation", "rigid body simulation", "guide/howto/rigid-molecules"),
+    ("openmm 4509: How can I perform rigidbody simulation?", "rigid clusters gas phase", "guide/howto/rigid-molecules"),
+    ("openmm 3993: rigid body and Nose-Hoover: weird distribution", "rigid thermostat", "guide/howto/rigid-molecules"),
+    ("openff-evaluator 587: temperature below the bath's", "average temperature below bath", "guide/howto/density"),
+    ("openmmtools 22: GHMC is slow", "GHMC slower", "guide/howto/exact-averages"),
+    (
+        "timemachine 787: HMC's acceptance of a solvated protein",
+        "acceptance solvated protein",
+        "guide/howto/exact-averages",
+    ),
+    ("openmm 2202: Best practices for checkpointing", "determinism checkpoint", "guide/restarts"),
+    ("openmm 2634: Reported temperature for MD with constraints", "degrees of freedom", "guide/howto/density"),
+    ("alchemical free energies", "alchemical free energies", "guide/howto/enhanced-sampling"),
+    ("replica exchange with solute scaling", "REST2", "guide/howto/enhanced-sampling"),
+    ("implicit solvent", "implicit solvent", "guide/howto/solutes"),
+    ("a molecule in vacuum", "vacuum", "guide/howto/solutes"),
+    ("hydrogen mass repartitioning", "heavy hydrogens", "guide/howto/heat-bath"),
+    ("metadynamics", "metadynamics", "guide/howto/enhanced-sampling"),
+    ("simulated tempering", "simulated tempering", "guide/howto/enhanced-sampling"),
+    ("the same by the name of OpenMM's class", "SimulatedTempering", "guide/howto/enhanced-sampling"),
+    ("replica exchange", "replica exchange", "guide/howto/enhanced-sampling"),
+    ("a rigid protein", "rigid protein", "guide/howto/large-bodies"),
+    ("crowding", "crowd of proteins", "guide/howto/large-bodies"),
+    ("openmmtools refuses a heat bath", "heat bath at a different temperature", "guide/howto/enhanced-sampling"),
+    ("velocity autocorrelation", "velocity correlations", "guide/howto/constant-energy"),
+    ("dipole autocorrelation", "dipole correlation", "guide/howto/constant-energy"),
     ("openmm 3955: accuracy of PME at the default tolerance", "PME default tolerance", "measurements/accuracy"),
-    ("many runs from one plan", "ensemble plan", "command"),
+    ("many runs from one plan", "ensemble plan", "guide/command"),
 ]
 
 
@@ -69,7 +73,7 @@ QUESTIONS = [
 def pages(site):
     """Paths of all pages within the site."""
     found = sorted(path.relative_to(site).as_posix() for path in site.rglob("*.html"))
-    assert {"index.html", "search.html", "howto/index.html", "api/index.html"} <= set(found)
+    assert {"index.html", "search.html", "guide/howto/index.html", "api/index.html"} <= set(found)
     return found
 
 

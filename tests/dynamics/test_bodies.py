@@ -279,6 +279,13 @@ def test_a_misfit_names_the_worst_residue(rng, bodies):
     assert "periodic boundary" in message
 
 
+def test_positions_in_another_unit_are_suspected(rng):
+    bodies = scattered(["water", "methane", "ring"])
+    x, _ = atoms_of(bodies, random_state(rng, bodies))
+    with pytest.raises(RigidityError, match=r"Are the positions in nanometres\? Those in angstroms need their unit"):
+        bodies.fit(10 * x)
+
+
 def test_the_tolerance_is_what_it_says(rng):
     """Both atoms of a symmetric pair are as far from their places as the bond is too long, halved."""
     pair = RigidBodies([Species.from_coordinates([[0, 1]], [1.0, 1.0], [[0, 0, 0], [0.1, 0, 0]])], 2)

@@ -144,7 +144,7 @@ def test_runs_conserves_and_restarts(case, bath):
     def integrator():
         if not bath:
             return SIER4GIntegrator(h, fastForceGroups={FAST})
-        langevin = SIERLangevinIntegrator(300, 10, h, fastForceGroups={FAST})
+        langevin = SIERLangevinIntegrator(300, 10, h, SIER4G, fastForceGroups={FAST})
         langevin.setRandomNumberSeed(5)
         return langevin
 

@@ -61,6 +61,14 @@ def test_private_names_of_a_class_are_used_in_its_own_module():
     assert found.endswith(" _engine")
 
 
+def test_computations_of_others_are_refused():
+    _, _, system = cluster_system(2)
+    integrator = SIERLangevinIntegrator(300, 5, 0.002)
+    integrator.addComputePerDof("v", "0.5*v")
+    with pytest.raises(openmm.OpenMMException, match=r"computations of its own and \d+ now: .* cannot add to it"):
+        openmm.Context(system, integrator)
+
+
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_an_integrator_that_is_offered_to_a_second_context_stays_that_of_the_first(engine):
     """The native engine's heat was lost then."""

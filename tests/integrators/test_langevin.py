@@ -19,6 +19,7 @@ from openmm_sier import (
     SIERThermostatIntegrator,
     prepare_system,
 )
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck, Thermostat
 from openmm_sier.ensembles import Langevin
 from tests.support.flexible import chains
@@ -219,6 +220,44 @@ def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
     assert np.log2(deviations["end"][0] / deviations["end"][1]) == pytest.approx(1, abs=0.5)
     assert np.log2(deviations["whole"][0] / deviations["whole"][1]) == pytest.approx(2, abs=0.6)
     assert deviations["whole"][1] < deviations["end"][1] / 5
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_temperatures_are_those_just_after_the_bath(engine):
+    """At the end of a step of 10 fs a bond of 24 fs is too hot, if slow forces pull at it; reporters do not show that.
+
+    Of its linear map, kick (-0.05 k), leapfrog steps of 3.33 fs (k) with the bath in the middle one, the momentum at
+    the end has the variance 1.21 kT and that after the bath kT (solved with `scipy.linalg.solve_discrete_lyapunov`).
+    A stretch is one of six degrees of freedom.
+    """
+    count, mass, period, rng = 100, 12.0, 0.024, np.random.default_rng(3)
+    stiffness = (2 * np.pi / period) ** 2 * mass / 2
+    system, positions = openmm.System(), rng.uniform(0, 10, (count, 3))
+    fast, slow = openmm.HarmonicBondForce(), openmm.HarmonicBondForce()
+    fast.setForceGroup(FAST)
+    for _ in range(count):
+        pair = system.addParticle(mass), system.addParticle(mass)
+        fast.addBond(*pair, 0.15, stiffness)
+        slow.addBond(*pair, 0.15, -0.05 * stiffness)
+    system.addForce(fast)
+    system.addForce(slow)
+    positions = np.repeat(positions, 2, axis=0)
+    positions[1::2, 0] += 0.15
+    integrator = SIERLangevinIntegrator(300, 20, 0.010, SIER2, fastForceGroups={FAST}, engine=engine)
+    integrator.setRandomNumberSeed(5)
+    context = context_at(system, integrator, (positions, 0 * positions))
+    integrator.step(50)
+    after_bath, at_end = [], []
+    for _ in range(1000):
+        integrator.step(1)
+        after_bath.append(integrator.computeTemperatures().flexible)
+        at_end.append(2 * energies(context)[1] / (6 * count * GAS_CONSTANT))
+    # 600 degrees of freedom relax at 20/ps: 1000 steps are some 100 independent samples, and the error 1.7 K.
+    assert np.mean(after_bath) == pytest.approx(300, abs=7)
+    assert np.mean(at_end) - np.mean(after_bath) == pytest.approx(0.21 / 6 * 300, abs=3)
+    # Whatever the user sets counts.
+    context.setVelocities(np.zeros((2 * count, 3)))
+    assert integrator.computeTemperatures().flexible == 0
 
 
 @pytest.mark.parametrize("force", [openmm.MonteCarloBarostat(1, 350, 25), openmm.AndersenThermostat(350, 1)])

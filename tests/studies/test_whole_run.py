@@ -23,7 +23,7 @@ def record():
     return records.read(DATA / "whole-run.json")
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/trust.md", "paper/paper.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/measurements/trust.md", "paper/paper.md"])
 def test_pages_claim_the_gains_of_the_record(record, page):
     """The gains that a page claims are the least and the largest of the large boxes, over 100 ps, rounded down."""
     gains = record.tables["gains"]

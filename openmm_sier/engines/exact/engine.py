@@ -26,6 +26,7 @@ from openmm_sier.engines.exact.moving_bodies import MovingBodies
 from openmm_sier.engines.phase_point import Movers
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.temperature import Temperatures, temperatures
 from openmm_sier.engines.variables import PART
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
@@ -63,6 +64,8 @@ class ExactEngine(Engine):
         self._only_barostats_act = all(isinstance(force, checks.BAROSTATS) for force in acting)
         self._sweeps = [force.getFrequency() for force in forces if isinstance(force, openmm.CMMotionRemover)]
         self._state: BodyState | None = None
+        #: The end of the last step, and what the bath within it made.
+        self._last: tuple[BodyState, BodyState] | None = None
         self.clock = Clock(0.0, 0)
         self._moving = MovingBodies(context, known_or_planned(system, bodies), flow)
         self._agreement = Agreement(context, self._moving)
@@ -147,6 +150,8 @@ class ExactEngine(Engine):
             ) from error
         # In one assignment, so that an error finds the clock and the bodies in agreement.
         self._state, self.clock = state, Clock(time + self._flow.step, steps + 1)
+        thermal = self._moving.motion.after_bath if self._flow.scheme.bath_divides_drift else None
+        self._last = None if thermal is None else (state, thermal)
 
     def _update_all(self) -> BodyState:
         self._publish()
@@ -219,6 +224,17 @@ class ExactEngine(Engine):
     def state(self) -> BodyState:
         self._state, self.clock = self._agreement.adopt(Snapshot(self._context), self._state, self._flow)
         return self._state
+
+    def temperatures(self) -> Temperatures:
+        """Temperatures in K, see `engines.temperature`.
+
+        They are those just after the bath if it was in the middle of the last step. There momenta have the distribution
+        of the bath, whatever the step; later, kicks and inner steps make those of fast bonds too hot or too cold.
+        """
+        state = self.state()
+        if self._last is not None and self._last[0] is state:
+            state = self._last[1]
+        return temperatures(self.bodies, state, self.conserves_momentum())
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         if constraints_hold(self._context.getSystem(), self.bodies):

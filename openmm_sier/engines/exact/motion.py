@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constrained import (
     constrained_bath,
     constrained_operators,
@@ -45,6 +45,7 @@ class Motion:
     Attributes:
         fast: the fast forces, a function of the positions of flexible points; None where there are none.
         solute: what computes them.
+        after_bath: what the last bath made; None before the first.
     """
 
     def __init__(
@@ -73,6 +74,7 @@ class Motion:
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
         self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
+        self.after_bath: BodyState | None = None
 
     def bath(self, bath: Thermostat) -> Operator:
         """A bath as an operator."""
@@ -84,12 +86,21 @@ class Motion:
         if self._made[0] != flow:
             found = dict(self._outer)
             if flow.bath is not None:
-                found[BATH] = self.bath(flow.bath)
+                found[BATH] = self._remembered(self.bath(flow.bath))
             longest = inner_step(flow)
             if self.fast is not None and longest:
                 found |= self._nested_drifts(self.fast, flow.scheme, longest)
             self._made = flow, found
         return self._made[1]
+
+    def _remembered(self, bath: Operator) -> Operator:
+        """A bath that leaves what it made as `after_bath`."""
+
+        def apply(state: BodyState, h: float) -> BodyState:
+            self.after_bath = bath(state, h)
+            return self.after_bath
+
+        return apply
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -19,12 +20,12 @@ from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
-from openmm_sier.engines.native.program import WORK, Program, longest_inner_step
+from openmm_sier.engines.native.program import V0, WORK, Program, longest_inner_step
 from openmm_sier.engines.phase_point import Movers
 from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.step_check import StepCheck
-from openmm_sier.engines.temperature import Temperatures, temperature, thermal_energies
+from openmm_sier.engines.temperature import Temperatures, temperature, temperatures, thermal_energies
 from openmm_sier.engines.variables import DRAWS, HEAT, Record
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
@@ -306,10 +307,22 @@ class NativeEngine(Engine):
         return BodyState(q, p, A, L, self.heat())
 
     def temperatures(self) -> Temperatures:
-        """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known."""
+        """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known.
+
+        Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
+        """
+        conserved, now, thermal = self.conserves_momentum(), Snapshot(self._context), None
+        if not self._is_fresh and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
+            thermal = np.array(self._integrator.getPerDofVariableByName(V0))
         if not isinstance(self._found, RigidityError):
-            return super().temperatures()
-        kinetic = sum(thermal_energies(self.movers.bodies, self.point, self.conserves_momentum()))
+            bodies, state = self.bodies, self.state()
+            if thermal is not None:
+                p, _ = bodies.momenta(thermal, state.A)
+                state = replace(state, p=np.where(bodies.flexible, p, state.p))
+            return temperatures(bodies, state, conserved)
+        bodies, velocities = self.movers.bodies, now.velocities if thermal is None else thermal
+        state = replace(self.point, p=bodies.masses * velocities[self._atoms].T)
+        kinetic = sum(thermal_energies(bodies, state, conserved))
         return Temperatures(temperature(kinetic, self.degrees_of_freedom()), math.nan, math.nan)
 
     def degrees_of_freedom(self) -> float:

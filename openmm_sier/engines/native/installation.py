@@ -79,6 +79,21 @@ def rewrite(integrator: openmm.CustomIntegrator, program: Program) -> None:
     integrator.this = plain(ElementTree.tostring(root, encoding="unicode")).this
 
 
+def refuse_additions(integrator: openmm.CustomIntegrator, program: Program) -> None:
+    """Refuse an integrator that has other computations than its program.
+
+    Raises:
+        openmm.OpenMMException: somebody added some.
+    """
+    donor = openmm.CustomIntegrator(1.0)
+    install(program, donor)
+    if (count := integrator.getNumComputations()) != (own := donor.getNumComputations()):
+        raise openmm.OpenMMException(
+            f"This integrator has {own} computations of its own and {count} now: a step of it is its scheme, and "
+            "addComputePerDof and the like cannot add to it. Use an openmm.CustomIntegrator for steps of your own"
+        )
+
+
 def set_variables(integrator: openmm.CustomIntegrator, bath: Thermostat | None, is_guarded: bool) -> None:
     """Set the program's variables to the values that they must have, whatever was loaded.
 

@@ -3,8 +3,8 @@
 The program runs where the forces run, and XML carries it to interpreters without this package. `write` makes it from a
 `Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
 
-OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it.
-A step of the scheme is therefore divided into several steps of OpenMM, here called
+OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it
+(studies/reports.md). A step of the scheme is therefore divided into several steps of OpenMM, here called
 native steps, each of which computes forces at the positions that it starts from and nowhere else. All are h/n long,
 so that OpenMM's clock is right after every n of them.
 """
@@ -25,8 +25,9 @@ from openmm_sier.engines.variables import PREFIX
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
 
-#: Per-atom variables of the program. They hold positions or a displacement to be undone, velocities to return to, and
-#: the heat that the bath, and removers of the motion of the centre of mass, gave to each degree of freedom.
+#: Per-atom variables of the program. They hold positions or a displacement to be undone, velocities to return to (after
+#: a step with a bath in its middle those just after the bath), and the heat that the bath, and removers of the motion
+#: of the centre of mass, gave to each degree of freedom.
 KEPT, V0, WORK = (PREFIX + name for name in ("kept", "v0", "work"))
 VECTORS = (KEPT, V0, WORK)
 
@@ -149,7 +150,7 @@ class Program:
 
 
 def usual_substeps(scheme: Scheme, nested: bool) -> int:
-    """The least number of substeps whose errors are below those of the scheme at usual steps, see docs/native.md.
+    """The least number of substeps whose errors are below those of the scheme at usual steps.
 
     SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three RATTLE steps
     suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
@@ -180,8 +181,8 @@ def write(
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
     move from the kicks into the drift, which becomes `substeps` steps of `Scheme.within_drifts`: its kicks use the fast
     forces, and each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs
-    follows springs of 1100/cm as well as twenty steps of velocity Verlet (docs/native.md). With a bath in the middle of
-    the drift, the drift is an odd number of leapfrog steps with the bath in the middle of one.
+    follows springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle of the drift, the
+    drift is an odd number of leapfrog steps with the bath in the middle of one.
 
     Velocities are constrained where they are read, at the end of the step and before a bath, and not after every stage:
     what they have along the constraints changes no position that is constrained next, since the constraint forces take
@@ -320,4 +321,5 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
 def _bath(velocity: str) -> Line:
     """A bath of the constrained velocities: constraining projects the noise too."""
     drawn = Statement("v", velocity)
-    return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))
+    after = Statement(CONSTRAIN_V), GAINED, Statement(V0, "v")
+    return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, *after))
