@@ -29,6 +29,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 from studies import figures, pages, records
+from studies.command import chosen
 from studies.report import Table
 from studies.sources import COMMANDS, DATA
 
@@ -47,7 +48,7 @@ def table_node(made: Table, literal: int = 0) -> nodes.table:
             part += nodes.row("", *(nodes.entry("", nodes.paragraph("", "", cell)) for cell in cells))
         group += part
     title = [nodes.title(text=made.title)] if made.title else []
-    return nodes.table("", *title, group)
+    return nodes.table("", *title, group, classes=["colwidths-auto"])
 
 
 def source_node(file: str) -> nodes.paragraph:
@@ -75,8 +76,8 @@ class FromRecords(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         try:
             return self.made()
-        except (ValueError, KeyError, AttributeError, OSError, ImportError, IndexError, SyntaxError) as error:
-            raise self.error(f"{' '.join(self.arguments)}: {type(error).__name__}: {error}") from error
+        except Exception as error:  # pandas has many for a wrong query
+            raise self.error(f"{' '.join(self.arguments)}: {error}") from error
 
     def made(self) -> list[nodes.Node]:
         raise NotImplementedError
@@ -114,7 +115,7 @@ class Drawn(FromRecords):
 
     def made(self) -> list[nodes.Node]:
         name = self.arguments[0]
-        figure = figures.FIGURES[name]
+        (figure,) = chosen((name,), figures.FIGURES, "figure")
         self.depends_on(figure.data)
         path = Path(self.env.srcdir, DRAWN, f"{name}.png")
         draw(name, path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from io import StringIO
 from pathlib import Path
 
 import pandas as pd
@@ -94,3 +95,60 @@ def test_no_table_of_a_page_is_typed(page):
 
 def test_pages_are_found():
     assert {"index", "accuracy", "speed", "whole-runs"} <= {page.stem for page in PAGES}
+
+
+PAGE = """# Page
+
+```{record} a.json
+:where: h == 2
+scheme: {method}
+%: {percent:.2f}
+```
+
+It has {value}`a.json others | h == 2 | {percent:.2f}` %.
+
+```{studies}
+```
+"""
+
+WRONG = """
+```{record} a.json none
+scheme: {method}
+```
+
+{value}`a.json | h == 7 | {percent}`
+
+```{drawn} none
+A figure.
+```
+"""
+
+
+@pytest.mark.slow
+def test_a_page_is_made_from_records(data, tmp_path, monkeypatch):
+    """A small site: what it shows, and that the place of each fault is told."""
+    application = pytest.importorskip("sphinx.application", reason="install the extra docs")
+    pytest.importorskip("myst_parser", reason="install the extra docs")
+    monkeypatch.setitem(sources.COMMANDS, "a.json", ("python -m studies.a",))
+    monkeypatch.syspath_prepend(ROOT / "docs" / "_extensions")
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "conf.py").write_text("extensions = ['myst_parser', 'records']\n")
+    told = StringIO()
+    for text in (PAGE, PAGE + WRONG):
+        (tmp_path / "site" / "index.md").write_text(text)
+        folders = [str(tmp_path / name) for name in ("site", "site", "out", "trees")]
+        application.Sphinx(*folders, "html", status=None, warning=told, freshenv=True).build()
+        made = (tmp_path / "out" / "index.html").read_text()
+        assert "<td><p>SIER4G</p></td>\n<td><p>0.08</p></td>" in made
+        made = re.sub("<[^>]+>", "", made)
+        assert "It has 0.83 %." in made
+        assert "python -m studies.a" in made
+        assert "python -m studies.whole_run" in made
+        assert bool(told.getvalue()) == (text != PAGE)
+    first = len(PAGE.splitlines())
+    for line, message in (
+        (2, "a.json has no table 'none'"),
+        (6, "a.json has no rows where h == 7"),
+        (8, "unknown figure 'none'; known are acceptance"),
+    ):
+        assert re.search(rf"index.md:{first + line}: ERROR: .*{message}", told.getvalue())
