@@ -9,6 +9,8 @@ them anew.
 from __future__ import annotations
 
 import re
+import sys
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -21,14 +23,18 @@ author = "The openmm_sier developers"
 project_copyright = author
 version = release = __version__
 
+# The studies, which are not installed, and the extensions of this site.
+sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent / "_extensions")]
+
 extensions = [
     "myst_nb",
+    "records",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "_extensions", "**.ipynb_checkpoints"]
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3

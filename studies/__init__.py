@@ -5,7 +5,7 @@ from __future__ import annotations
 #: Modules that are studies, with what they take on two cores where that was measured.
 STUDIES = {
     "studies.paper": "2 min with --quick, else 70 min",
-    "studies.whole_run": "3 h of two cores for all runs of docs/measurements/accuracy.md",
+    "studies.whole_run": "3 h of two cores for all runs of the page of whole runs",
     "studies.heat_bath": "3 h of one core for 250 ps of each method",
     "studies.processed": "5 min of one core",
     "studies.schemes": "3 to 10 min of one core a liquid",
@@ -21,10 +21,10 @@ STUDIES = {
     "studies.crowding": "15 min of one core of a busy machine",
     "studies.hmc.exactness": "7 min of one core",
     "studies.hmc.liquid": "",
-    "studies.hmc.solvated": "10 min of one core for all trials of docs/measurements/sampling.md",
-    "studies.hmc.samples": "30 min of one core for all runs of docs/measurements/sampling.md",
+    "studies.hmc.solvated": "10 min of one core for all trials of the page of sampling",
+    "studies.hmc.samples": "30 min of one core for all runs of the page of sampling",
     "studies.hmc.members": "the runs of its plan 40 min of one core",
-    "studies.hmc.mixture": "9 min of one core for all runs of docs/measurements/sampling.md",
+    "studies.hmc.mixture": "9 min of one core for all runs of the page of sampling",
     "studies.native.accuracy": "",
     "studies.native.ensembles": "",
     "studies.native.cost": "",

@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.dynamics.metropolis import spread_at
+from openmm_sier.dynamics.schemes import SIER4G
 from studies import acceptance_trials as trials
 from studies import boxes, records, style
 from studies.acceptance_trials import AcceptanceSettings
@@ -191,7 +192,7 @@ def figure(record: Record, path: Path) -> None:
     """Acceptance and spread of the energy error against the number of molecules, one line per method and step."""
     rows = record.tables["rows"]
     steps, limits = sorted(rows["fs_per_force"].unique()), record.tables["limits"].to_dict("records")
-    with style.figure(path, 2) as (made, (accepted, spread)):
+    with style.figure(path, 2, _title(record.tables["limits"])) as (made, (accepted, spread)):
         for i, limit in enumerate(limits):
             method, dt = limit["method"], limit["fs_per_force"]
             mine = rows[(rows["method"] == method) & (rows["fs_per_force"] == dt)]
@@ -214,6 +215,16 @@ def figure(record: Record, path: Path) -> None:
             axes.set_xlabel("molecules of water")
             style.plain_ticks(axes.xaxis, [8**n for n in range(2, 8)])
         style.shared_legend(made, accepted)
+
+
+def _title(limits: pd.DataFrame) -> str:
+    """How much larger boxes may be with SIER4G than with Verlet, at their first steps that were measured."""
+    largest = limits.drop_duplicates("method").set_index("method")["largest"]
+    names = SIER4G.name, REVERSIBLE["verlet"].name
+    if not set(names) <= set(largest.index):
+        return "Hybrid Monte Carlo by the size of the box"
+    times = largest[names[0]] / largest[names[1]]
+    return f"Half of the trials are accepted in boxes {times:.0f} times as large with SIER4G as with Verlet"
 
 
 main = command(AcceptanceSettings, study, __doc__, __name__)

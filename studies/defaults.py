@@ -27,7 +27,7 @@ from studies import boxes, records
 from studies.command import BoxSettings, chosen, claim, command
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
-from studies.report import SILENT, Report
+from studies.report import SILENT, Report, Table
 from studies.sampling import Liquid, equilibrated_liquid, follow
 
 #: What makes a cell of the table.
@@ -114,8 +114,14 @@ def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
     claim(settings.out / "settings.json", shared)
     path = settings.out / "defaults.jsonl"
     run_missing(settings, path, report)
-    runs = pd.DataFrame(records.kept_runs(path))
-    wide = table(runs)
+    record = Record(settings.recorded(), {"rows": pd.DataFrame(records.kept_runs(path))}, {})
+    report.table(tables(record)[0])
+    return record.write(settings.out / "defaults.json")
+
+
+def tables(record: Record) -> list[Table]:
+    """The table, for the report and the documentation."""
+    wide = table(record.tables["rows"])
     columns = {
         "ewaldErrorTolerance": "{tolerance:g}",
         "cut-off/nm": "{cutoff:g}",
@@ -123,9 +129,8 @@ def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
         "balanced": "{balanced}",
         **{name: f"{{{name}}}" for name in wide.columns if name not in CELL},
     }
-    title = f"rms(H)/rms(V)/%, {settings.dt:g} fs per force evaluation: mean and range over starts"
-    report.table(records.table(title, wide, columns, left=4))
-    return Record(settings.recorded(), {"rows": runs}, {}).write(settings.out / "defaults.json")
+    title = f"rms(H)/rms(V)/%, {record.settings['dt']:g} fs per force evaluation: mean and range over starts"
+    return [records.table(title, wide, columns, left=4)]
 
 
 main = command(DefaultsSettings, study, __doc__, __name__)

@@ -240,7 +240,9 @@ def figure(record: Record, path: Path) -> None:
             axes.plot(h, law, color=style.GREY, lw=1, ls=":", label="SIER2, predicted", zorder=0)
         axes.axhline(0, color=style.GREY, lw=1)
         axes.set(xlabel="simulated time per force evaluation (fs)", ylabel=r"$T_\mathrm{rot} - T_\mathrm{trans}$ (K)")
-        axes.set_title(f"Equipartition in liquid water, {record.settings['ensemble'].upper()}")
+        ensemble = record.settings["ensemble"].upper()
+        title = f"Rotations are too cold at second order, not at fourth\n(liquid water, {ensemble})"
+        axes.set_title(title, fontweight="bold")
         axes.legend()
 
 

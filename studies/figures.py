@@ -1,9 +1,9 @@
-"""The figures of the documentation, drawn again from the numbers in the repository.
+"""The figures of the documentation, drawn from the numbers in `studies/data`.
 
-    python -m studies.figures [--names acceptance equipartition]
+    python -m studies.figures [--names energy speed]
 
-After a change of the style this draws all figures whose numbers are in `studies/data` anew. A study that is run again
-writes its JSON file, which replaces the one there.
+The site draws them when it is built. README shows files, which this command draws into `docs`, and these figures alone
+if no names are given.
 """
 
 from __future__ import annotations
@@ -11,37 +11,96 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from studies import acceptance, crowding, equipartition, liquid_figure, mesh, records, step_study, whole_run
+import pandas as pd
+
+from openmm_sier.dynamics.schemes import SIER2
+from studies import acceptance, crowding, equipartition, liquid_figure, records, step_study, style, whole_run
 from studies.bench import accuracy
 from studies.command import Settings, chosen, command
 from studies.paper import water
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.sources import DATA
 
-DATA = Path(__file__).parent / "data"
 DOCS = Path(__file__).parents[1] / "docs"
+
+#: Figures that README shows.
+KEPT = ("energy",)
+
+#: The box of which `bath` tells, and what is in the name of a method whose averages are exact.
+BATH_BOX, EXACT = "peptide", " HMC"
+
+
+def bath(record: Record, path: Path) -> None:
+    """Errors of averages against speed, by integrator and step, in a heat bath: temperature of water, and energy."""
+    rows = record.tables["rows"]
+    rows = rows[rows["box"] == BATH_BOX].dropna(subset=["over"])
+    asked = record.settings["temperature"]
+    rows = rows.assign(warm=rows["water"] - asked, warm_error=rows["water_error"])
+    exact = rows[rows["method"].str.contains(EXACT)]
+    with style.figure(path, 2 if len(exact) else 1, bath_title(rows)) as (made, (temperature, *others)):
+        _against_speed(temperature, rows, "warm")
+        temperature.set(ylabel=f"temperature of water, less {asked:g} K")
+        for energies in others:
+            mean = exact["potential"].mean()
+            _against_speed(
+                energies, rows.assign(off=rows["potential"] - mean, off_error=rows["potential_error"]), "off"
+            )
+            energies.set(ylabel="V, less that of hybrid Monte Carlo (kJ/mol)")
+        style.shared_legend(made, temperature)
+
+
+def bath_title(rows: pd.DataFrame) -> str:
+    """What was found at the usual step of SIER2 with heavy hydrogens, or at the nearest that was tried."""
+    ours = rows[rows["method"].str.startswith(f"{SIER2.name},") & ~rows["method"].str.endswith("light")]
+    if ours.empty:
+        return "Speed in a heat bath, and errors of averages"
+    steps = ours["method"].str.extract(r"([\d.]+) fs")[0].astype(float)
+    best = ours.loc[(steps - 1e3 * (SIER2.heavy_bath_step or 0)).abs().idxmin()]
+    warm = f"{best['warm']:+.1f} ± {best['warm_error']:.1f} K"
+    return f"{best['method']}: {best['over']:.1f} times the speed of LangevinMiddle at 4 fs, water off by {warm}"
+
+
+def _against_speed(axes: Any, rows: pd.DataFrame, key: str) -> None:
+    """A point with two errors for each method and step, which is written beside it."""
+    families = rows.assign(method=rows["method"].str.partition(",")[0])
+    style.curves(
+        axes,
+        families.assign(**{f"{key}_error": 2 * rows[f"{key}_error"]}),
+        "over",
+        key,
+        ls="none",
+        lw=1.5,
+        markersize=9,
+    )
+    for row in rows.to_dict("records"):
+        step = row["method"].partition(", ")[2]
+        axes.annotate(step, (row["over"], row[key]), (7, 4), textcoords="offset points", fontsize=10)
+    axes.axhline(0, color=style.GREY, lw=1)
+    axes.set(xlabel="speed over LangevinMiddle's at 4 fs")
+    axes.margins(x=0.15)
 
 
 class Drawn(NamedTuple):
-    """A figure of the documentation: what draws it, from which file of `DATA`, and the command that made the file."""
+    """A figure of the documentation: what draws it, and from which file of `DATA`."""
 
     figure: Callable[[Record, Path], None]
     data: str
-    command: str
 
 
 FIGURES = {
-    "acceptance": Drawn(acceptance.figure, "acceptance.json", "python -m studies.acceptance"),
-    "cost": Drawn(accuracy.figure, "cost.json", "python -m studies.bench --parts accuracy"),
-    "crowding": Drawn(crowding.figure, "crowding.json", "python -m studies.crowding"),
-    "equipartition": Drawn(equipartition.figure, "equipartition.json", "python -m studies.equipartition"),
-    "mesh": Drawn(mesh.figure, "mesh.json", "python -m studies.mesh"),
-    "paper-water": Drawn(water.figure, "paper-water.json", "python -m studies.paper water"),
-    "properties": Drawn(liquid_figure.figure, "properties.json", "python -m studies.liquid_figure motion/*"),
-    "whole-run": Drawn(whole_run.figure, "whole-run.json", "python -m studies.whole_run"),
-    "step-study": Drawn(step_study.figure, "step-study.json", "python -m studies.step_study step-study/* --skip 5"),
+    "acceptance": Drawn(acceptance.figure, "acceptance.json"),
+    "bath": Drawn(bath, "heat-bath.json"),
+    "crowding": Drawn(crowding.figure, "crowding.json"),
+    "energy": Drawn(whole_run.energies, "whole-run.json"),
+    "equipartition": Drawn(equipartition.figure, "equipartition.json"),
+    "paper-water": Drawn(water.figure, "paper-water.json"),
+    "properties": Drawn(liquid_figure.figure, "properties.json"),
+    "speed": Drawn(accuracy.figure, "cost.json"),
+    "step-study": Drawn(step_study.figure, "step-study.json"),
+    "walk": Drawn(whole_run.figure, "whole-run.json"),
 }
 
 
@@ -50,7 +109,7 @@ class FigureSettings(Settings):
     """What is drawn.
 
     Attributes:
-        names: of figures; all unless given.
+        names: of figures; those that README shows unless given.
     """
 
     names: tuple[str, ...] = ()
@@ -64,11 +123,11 @@ def study(settings: FigureSettings, report: Report = SILENT) -> None:
         ValueError: there is no such figure.
     """
     chosen(settings.names, FIGURES, "figure")
-    for name in settings.names or FIGURES:
+    for name in settings.names or KEPT:
         drawn = FIGURES[name]
         path = settings.out / f"{name}.png"
         drawn.figure(records.read(DATA / drawn.data), path)
-        report.note(f"{path}, from studies/data/{drawn.data}, which `{drawn.command}` made")
+        report.note(f"{path}, from studies/data/{drawn.data}")
 
 
 main = command(FigureSettings, study, __doc__, __name__)

@@ -26,8 +26,7 @@ from studies import records, style
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
-
-DATA = Path(__file__).parent / "data" / "properties.json"
+from studies.sources import DATA
 
 #: Digits of the numbers that are kept: more than any error bar needs.
 DIGITS = 5
@@ -50,7 +49,7 @@ class LiquidFigureSettings(Settings):
 
 def study(settings: LiquidFigureSettings, report: Report = SILENT) -> Record:
     """Write properties.json and properties.png."""
-    record = _measured(settings) if settings.runs else records.read(DATA)
+    record = _measured(settings) if settings.runs else records.read(DATA / "properties.json")
     record.write(settings.out / "properties.json")
     figure(record, settings.out / "properties.png")
     report.note(f"wrote {settings.out / 'properties.png'}")

@@ -7,7 +7,7 @@ The cut-off stays. In the box itself all pairs of an Ewald parameter and a mesh 
 have the same reference, and for each mesh the parameter that was best at its spacing. Force evaluations of all meshes,
 of OpenMM's choices by ewaldErrorTolerance and of `balance_pme` take turns. The table has, for each of these choices,
 the fastest mesh whose forces are at least as exact. Set OPENMM_CPU_THREADS to 1 for a machine that does other work.
-Writes mesh.json, mesh.md and mesh.png.
+Writes mesh.json and mesh.png.
 """
 
 from __future__ import annotations
@@ -263,7 +263,7 @@ def _row(molecules: int, forces: Forces, its_error: float, seconds: np.ndarray) 
 
 
 def study(settings: MeshSettings, report: Report = SILENT) -> Record:
-    """Scan and time, and write mesh.json, mesh.md and mesh.png.
+    """Scan and time, and write mesh.json and mesh.png.
 
     Raises:
         ValueError: the box is not cubic, or a number of molecules no cube times that of the box.
@@ -279,13 +279,10 @@ def study(settings: MeshSettings, report: Report = SILENT) -> Record:
         meshes += rows
         choices += compared
     found = {"scan": scanned, "meshes": pd.DataFrame(meshes), "choices": pd.DataFrame(choices)}
-    table = records.table(
-        f"PME by tolerance, and the fastest mesh as exact, {settings.cutoff:g} nm", found["choices"], COLUMNS
-    )
-    report.table(table)
+    title = f"PME by tolerance, and the fastest mesh as exact, {settings.cutoff:g} nm"
+    report.table(records.table(title, found["choices"], COLUMNS))
     record = Record(settings.recorded(), found, {"threads": threads.count()})
     record.write(settings.out / "mesh.json")
-    (settings.out / "mesh.md").write_text(records.markdown(table))
     figure(record, settings.out / "mesh.png")
     return record
 

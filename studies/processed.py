@@ -14,7 +14,6 @@ Comput. 18, 223 (1997).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ from studies import records
 from studies.command import command
 from studies.methods import of_scheme
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.sampling import follow
 from studies.whole_run import Task, WholeRunSettings, start
 
@@ -78,7 +77,7 @@ def run(task: Task) -> dict[str, Any]:
 
 
 def study(settings: ProcessedSettings, report: Report = SILENT) -> Record:
-    """Make all runs, and write processed.json and its table."""
+    """Make all runs, and write processed.json."""
     rows = []
     for seed in range(settings.seed, settings.seed + settings.starts):
         for liquid in settings.liquids:
@@ -88,19 +87,8 @@ def study(settings: ProcessedSettings, report: Report = SILENT) -> Record:
                     records.cell("{liquid}, {step:g} fs, seed {seed}: {percent:.3f}, {processed:.3f} %", rows[-1])
                 )
     record = Record(settings.recorded(), {"rows": pd.DataFrame(rows)}, {})
-    report.table(table(record))
-    record.write(settings.out / "processed.json")
-    write_table(record, settings.out)
-    return record
-
-
-def table(record: Record) -> Table:
-    return records.table("Takahashi and Imada's scheme over whole runs", record.tables["rows"], COLUMNS)
-
-
-def write_table(record: Record, directory: Path) -> None:
-    """The table for a page of the documentation."""
-    (directory / "processed.md").write_text(records.markdown(table(record)))
+    report.table(records.table("Takahashi and Imada's scheme over whole runs", record.tables["rows"], COLUMNS))
+    return record.write(settings.out / "processed.json")
 
 
 main = command(ProcessedSettings, study, __doc__, __name__)

@@ -159,16 +159,23 @@ def table(title: str, frame: pd.DataFrame, columns: Mapping[str, str], left: int
         title: above the table.
         frame: of which each row becomes one.
         columns: for each heading what stands in its cells, such as "{rotation:.1f} ± {rotation_error:.1f}"; a cell of
-            which a number is not known is "-".
+            which a number is not known, or that the table does not have, is "-".
         left: number of leading columns that are aligned to the left, the others being numbers.
     """
     rows = [[cell(form, row) for form in columns.values()] for row in frame.to_dict("records")]
     return Table(title, list(columns), rows, left)
 
 
+class _Known(dict[str, Any]):
+    """A row in which whatever it does not have is not a number."""
+
+    def __missing__(self, name: str) -> float:
+        return math.nan
+
+
 def cell(form: str, row: Mapping[str, Any]) -> str:
     """What stands in one cell, see `table`."""
-    text = form.format_map(row).replace(" ± nan", "").replace("±nan", "")
+    text = form.format_map(_Known(row)).replace(" ± nan", "").replace("±nan", "")
     return "-" if "nan" in text else text
 
 

@@ -5,7 +5,7 @@
 compares energy error and drift of every scheme and of OpenMM's Verlet against the simulated time per force evaluation,
 from several starts. Each run is kept in schemes.jsonl as soon as it is done, and is not repeated: a command that was
 stopped goes on where it was, and commands with other boxes, schemes or steps and one `--out` add to the same table.
-Writes schemes.json, schemes.md and schemes.png from all runs there.
+Writes schemes.json and schemes.png from all runs there.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def over_liquids(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def study(settings: SchemesSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing in the directory `out`, and write schemes.json, schemes.md and schemes.png."""
+    """Make the runs that are missing in the directory `out`, and write schemes.json and schemes.png."""
     shared = {name: settings.recorded()[name] for name in ("temperature", "time", "equilibrate", "tolerance")}
     methods_of(settings.schemes)
     claim(settings.out / "schemes-settings.json", shared)
@@ -205,8 +205,7 @@ def study(settings: SchemesSettings, report: Report = SILENT) -> Record:
     run_missing(settings, path, report)
     runs = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan})
     rows = points(runs)
-    table = records.table(f"Conservation of energy, {settings.time:g} ps each", rows, COLUMNS, left=2)
-    report.table(table)
+    report.table(records.table(f"Conservation of energy, {settings.time:g} ps each", rows, COLUMNS, left=2))
     if rows["liquid"].nunique() > 1:
         report.table(records.table("Mean over liquids that have all", over_liquids(rows), MEANS))
     for (liquid, dt), mine in rows.dropna(subset=["percent"]).groupby(["liquid", "fs_per_force"], sort=False):
@@ -214,7 +213,6 @@ def study(settings: SchemesSettings, report: Report = SILENT) -> Record:
         report.note(f"least energy error of {liquid} at {dt:g} fs per force: {best['method']}, {best['percent']:.3f} %")
     record = Record(shared, {"rows": rows, "runs": runs}, {})
     record.write(settings.out / "schemes.json")
-    (settings.out / "schemes.md").write_text(records.markdown(table))
     figure(record, settings.out / "schemes.png")
     return record
 

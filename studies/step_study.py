@@ -4,10 +4,10 @@
     python -m studies.step_study step-study/* --skip 5 --out step-study-figure
     python -m studies.step_study
 
-Density, energy, diffusion and temperatures by box, method and step, with standard errors, and how far energy and
-diffusion are from those at the shortest step. Runs that differ in their seeds alone count as one; unfinished runs are
-left out. Writes step-study.json, step-study.md and step-study.png. Without runs the numbers are those in
-`studies/data`.
+Density, energy, diffusion and temperatures by box, method and step, with standard errors, and how far density and
+energy are from the exact averages of hybrid Monte Carlo, and diffusion from that at the shortest step. Runs that differ
+in their seeds alone count as one; unfinished runs are left out. Writes step-study.json and step-study.png. Without runs
+the numbers are those in `studies/data`.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from studies import records, style
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report, Table
+from studies.sources import DATA
 
 #: Properties by their keys in rows, with their names in the table and labels in the figure.
 PROPERTIES = {
@@ -51,21 +52,20 @@ COLUMNS = {
     "ps": "{time:.4g}",
 } | {heading: f"{{{key}_text}}" for key, heading in MEASURED.items()}
 
-#: Properties of which the tables of deviations tell.
-COMPARED = {"energy": "Potential energy, kJ/mol", "diffusion": "Self-diffusion, 10⁻⁹ m²/s"}
+#: What the figure says.
+TITLE = "Verlet with AndersenThermostat leaves the exact averages;\nthe others stay near them (grey: two errors)"
+
+#: What ends the name of a method whose averages have no error of the step.
+EXACT = " HMC"
 
 #: Left out of the reference: its bath heats the liquid at any step (`studies.checks.andersen_oscillators`).
 HEATED = "OpenMM Verlet"
 
 #: fs by which the points of different methods are shifted apart.
-APART = 0.03
+APART = 0.06
 
 #: Settings that must be the same in all runs, so that points differ in box, method and step alone.
 SHARED = ("temperature", "pressure")
-
-
-#: The numbers of the documentation.
-KEPT = Path(__file__).parent / "data" / "step-study.json"
 
 
 @dataclass(frozen=True)
@@ -84,17 +84,15 @@ class StepSettings(Settings):
 
 
 def study(settings: StepSettings, report: Report = SILENT) -> Record:
-    """Read runs, and write the table and the figure.
+    """Read runs, and write the record and the figure.
 
     Raises:
         RunError: temperatures or pressures differ, or no run is finished.
         RecordError, OSError: as their messages say.
     """
-    record = _measured(settings, report) if settings.runs else records.read(KEPT)
-    tables = [table(record), *(deviations(record, key) for key in COMPARED)]
-    for made in tables:
+    record = _measured(settings, report) if settings.runs else records.read(DATA / "step-study.json")
+    for made in tables(record):
         report.table(made)
-    (settings.out / "step-study.md").write_text("\n".join(records.markdown(made) for made in tables))
     record.write(settings.out / "step-study.json")
     figure(record, settings.out / "step-study.png")
     return record
@@ -176,62 +174,91 @@ def in_order(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.sort_values(list(places), key=lambda column: column.map(places[column.name]), ignore_index=True)
 
 
-def table(record: Record) -> Table:
-    """The rows as text."""
-    return records.table(record.notes["title"], records.with_text(record.tables["rows"], *MEASURED), COLUMNS, left=2)
+def tables(record: Record) -> list[Table]:
+    """The rows as text, and the tables of deviations, in the order of `PROPERTIES`."""
+    rows = records.with_text(record.tables["rows"], *MEASURED)
+    found = deviations(record.tables["rows"])
+    return [
+        records.table(record.notes["title"], rows, COLUMNS, left=2),
+        *(_deviations(found[found["property"] == key], PROPERTIES[key][0]) for key in PROPERTIES),
+    ]
 
 
-def deviations(record: Record, key: str) -> Table:
-    """How far a property is from its mean over the rows of the shortest step at which it is known, by box.
+def deviations(rows: pd.DataFrame) -> pd.DataFrame:
+    """How far properties are from the exact averages, by box.
 
-    Those rows are chosen by their step, not by their results; the weights are inverse squares of the errors. Errors of
-    differences have that of the mean in them.
+    Hybrid Monte Carlo has no error of the step, so that the mean over its rows is exact. It has no dynamics: the
+    diffusion is compared with the mean over the rows of the shortest step at which it is known, without those whose
+    bath heats the liquid. Rows of a reference are chosen by their method and step, not by their results, and weighted
+    by the inverse squares of their errors. What has no reference is left out.
+
+    Returns:
+        For each property, box, method and step the `reference` and its error, and the `difference` from it with that of
+        the row alone; rows of which the reference is made have their own difference too.
     """
-    rows = record.tables["rows"].dropna(subset=[key])
-    error = f"{key}_error"
-    found: dict[tuple[str, str], dict[str, str]] = {}
-    for box, own in rows.groupby("box", sort=False):
-        cold = own[own["method"] != HEATED]
-        shortest = cold["fs_per_force"].min()
-        reference = cold[cold["fs_per_force"] == shortest]
-        weights = reference[error] ** -2
-        mean, doubt = np.average(reference[key], weights=weights), weights.sum() ** -0.5
-        found.setdefault(("mean at the shortest step", f"{shortest:g}"), {})[box] = str(Estimate(mean, doubt))
-        for _, row in own[own["fs_per_force"] > shortest].iterrows():
-            difference = Estimate(row[key] - mean, math.hypot(row[error], doubt))
-            found.setdefault((row["method"], f"{row['fs_per_force']:g}"), {})[box] = str(difference)
-    boxes = list(rows["box"].unique())
-    lines = [[*point, *(texts.get(box, "-") for box in boxes)] for point, texts in found.items()]
+    found = []
+    for key in PROPERTIES:
+        for _, own in rows.dropna(subset=[key]).groupby("box", sort=False):
+            of = _reference(own[np.isfinite(own[f"{key}_error"])])
+            if of.empty:
+                continue
+            weights = of[f"{key}_error"] ** -2
+            mean, doubt = np.average(of[key], weights=weights), weights.sum() ** -0.5
+            told = own[["box", "method", "fs_per_force"]].assign(property=key, reference=mean, reference_error=doubt)
+            found.append(told.assign(difference=own[key] - mean, difference_error=own[f"{key}_error"]))
+    return pd.concat(found, ignore_index=True)
+
+
+def _reference(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows of one box and property of which the reference is the mean."""
+    exact = rows[rows["method"].str.endswith(EXACT)]
+    cold = rows[rows["method"] != HEATED]
+    return exact if len(exact) else cold[cold["fs_per_force"] == cold["fs_per_force"].min()]
+
+
+def _deviations(found: pd.DataFrame, name: str) -> Table:
+    """A line for each method and step, with a column for each box; errors have that of the reference in them."""
+    lines: dict[tuple[str, str], dict[str, str]] = {}
+    for row in found.to_dict("records"):
+        lines.setdefault(("reference", ""), {})[row["box"]] = str(Estimate(row["reference"], row["reference_error"]))
+        error = math.hypot(row["difference_error"], row["reference_error"])
+        point = row["method"], f"{row['fs_per_force']:g}"
+        lines.setdefault(point, {})[row["box"]] = str(Estimate(row["difference"], error))
+    boxes = list(found["box"].unique())
+    cells = [[*point, *(texts.get(box, "-") for box in boxes)] for point, texts in lines.items()]
     return Table(
-        f"{COMPARED[key]}, less its mean at the shortest step",
-        ["method", "fs per force", *(style.MODELS.get(box, box) for box in boxes)],
-        lines,
+        f"{name}, less the reference", ["method", "fs per force", *(style.MODELS.get(box, box) for box in boxes)], cells
     )
 
 
 def figure(record: Record, path: Path) -> None:
-    """A row of panels for each box: properties against simulated time per force evaluation, with standard errors."""
+    """A row of panels for each property and one for each box: differences from the exact averages, by step.
+
+    The band is two errors of the reference, and so are the bars.
+    """
     from matplotlib.figure import Figure
 
-    rows = record.tables["rows"]
-    boxes = list(rows["box"].unique())
+    found = deviations(record.tables["rows"])
+    found = found[~found["method"].str.endswith(EXACT)].assign(difference_error=2 * found["difference_error"])
+    boxes = list(found["box"].unique())
     with context():
-        made = Figure(figsize=(4.2 * len(PROPERTIES), 0.7 + 3.3 * len(boxes)), layout="constrained")
-        made.suptitle(record.notes["title"], x=0.01, ha="left", fontsize=14, fontweight="bold")
-        grid = made.subplots(len(boxes), len(PROPERTIES), squeeze=False, sharex=True)
-        for box, line in zip(boxes, grid, strict=True):
-            line[0].set_title(style.MODELS.get(box, box))
-            for key, axes in zip(PROPERTIES, line, strict=True):
-                style.curves(axes, rows[rows["box"] == box], "fs_per_force", key, apart=APART)
-                axes.set(
-                    xlim=(0, None),
-                    ylabel=PROPERTIES[key][1],
-                    title=style.MODELS.get(box, box) if key == "density" else "",
-                )
+        made = Figure(figsize=(3.1 * len(boxes) + 1, 0.9 + 2.4 * len(PROPERTIES)), layout="constrained")
+        made.suptitle(TITLE, x=0.01, ha="left", fontsize=16, fontweight="bold")
+        grid = made.subplots(len(PROPERTIES), len(boxes), squeeze=False, sharex=True, sharey="row")
+        for key, line in zip(PROPERTIES, grid, strict=True):
+            line[0].set_ylabel(f"Δ {PROPERTIES[key][1]}")
+            for box, axes in zip(boxes, line, strict=True):
+                mine = found[(found["box"] == box) & (found["property"] == key)]
+                for doubt in mine["reference_error"][:1]:
+                    axes.axhspan(-2 * doubt, 2 * doubt, color="0.85", zorder=0)
+                axes.axhline(0, color=style.GREY, lw=1)
+                style.curves(axes, mine, "fs_per_force", "difference", apart=APART, lw=1, capsize=0)
+        for box, axes in zip(boxes, grid[0], strict=True):
+            axes.set_title(style.MODELS.get(box, box))
         for axes in grid[-1]:
-            axes.set_xlabel("simulated time per force evaluation (fs)")
+            axes.set_xlabel("fs per force")
         handles, labels = grid[0][0].get_legend_handles_labels()
-        made.legend(handles, labels, loc="outside upper right", ncols=max(1, len(labels)), fontsize=10)
+        made.legend(handles, labels, loc="outside lower center", ncols=max(1, len(labels)), fontsize=12)
         made.savefig(path)
 
 

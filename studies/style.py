@@ -32,6 +32,7 @@ METHODS = {
     "OpenMM Verlet": ("#4d4d4d", "s"),
     "Verlet, RATTLE": ("#7f7f7f", "s"),
     "OpenMM LangevinMiddle": ("#b5651d", "X"),
+    "OpenMM MTSLangevin": ("#8a4b08", "P"),
     "LAMMPS rigid/nve/small": ("#8c6d31", "d"),
     "GROMACS md-vv, mixed": ("#9c9ede", ">"),
     "GROMACS md-vv, double": ("#5254a3", "p"),
@@ -53,13 +54,38 @@ OWN = ("SIER", "MRDL", "SEJ4")
 def of_method(name: str) -> dict[str, Any]:
     """Keyword arguments of `Axes.plot` for a method; one that is not in the table is black.
 
-    Hybrid Monte Carlo has the colour of its scheme.
+    Hybrid Monte Carlo has the colour of its scheme. What stands after a comma, such as a step, does not matter, and
+    "OpenMM" before the name of an integrator may be missing.
     """
+    name = name.partition(",")[0] if name not in METHODS else name
+    name = f"OpenMM {name}" if f"OpenMM {name}" in METHODS else name
     if name.endswith(" HMC"):
-        return of_method(name.removesuffix(" HMC")) | {"marker": "*", "ms": 9, "ls": ":"}
+        return of_method(name.removesuffix(" HMC")) | {"marker": "*", "markersize": 9, "ls": ":"}
     colour, marker = METHODS.get(name.removesuffix(" Langevin"), UNKNOWN)
     style: dict[str, Any] = {"color": colour, "marker": marker, "ls": "-"}
     return style if name.startswith(OWN) else style | {"ls": "--", "mfc": "white"}
+
+
+@contextmanager
+def one_message(path: Path, title: str, height: float = 4.9) -> Iterator[Axes]:
+    """A figure of one panel with type that can be read at half its size, and a title that says what was found.
+
+    Args:
+        path: PNG file to write.
+        title: the finding; a line break divides it.
+        height: inches, of a width of 9.
+    """
+    from matplotlib.figure import Figure
+
+    with context():
+        made = Figure(figsize=(9, height), layout="constrained")
+        made.suptitle(title, x=0.01, ha="left", fontsize=16, fontweight="bold")
+        axes = made.subplots()
+        axes.tick_params(labelsize=13)
+        axes.xaxis.label.set_fontsize(14)
+        axes.yaxis.label.set_fontsize(14)
+        yield axes
+        made.savefig(path)
 
 
 @contextmanager

@@ -8,8 +8,7 @@ The energy error is rms(H)/rms(V) about the mean of the whole run. The walk is t
 over rms(V). Verlet is compared with SIER4G at the same simulated time per force. Each run is kept in whole-run.jsonl as
 soon as it is done, and is not repeated: a command that was stopped goes on where it was, and commands with other
 liquids, methods, steps, sizes or lengths and one `--out` add to the same tables. Runs take turns on `--processes`
-processes of one thread each. Writes whole-run.json, its tables as whole-run.md and whole-run-gains.md, and
-whole-run.png from all runs there.
+processes of one thread each. Writes whole-run.json and whole-run.png from all runs there.
 """
 
 from __future__ import annotations
@@ -74,12 +73,12 @@ COLUMNS = {
     "ps": "{time:g}",
     "PME": "{tolerance:g}/{share:g}",
     "scheme": "{method}",
-    "step/fs": "{step:g}",
+    "step/fs": "{step:.3g}",
     "fs per force": "{fs_per_force:.3g}",
     "starts": "{starts}",
     "rms(H)/rms(V)/%": "{percent:.3g} ± {percent_error:.1g}",
     "walk/%": "{walk:.2g} ± {walk_error:.1g}",
-    "drift of the box/kJ/mol/ps": "{drift:+.4f} ± {its_error:.4f}",
+    "drift of the box/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
 }
 
 
@@ -92,8 +91,8 @@ GAINS = {
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
     "SIER4G/%": "{percent:.3f} ± {percent_error:.1g}",
     "gain": "{gain:.1f}",
-    "drift, Verlet/kJ/mol/ps": "{drift_verlet:+.4f} ± {its_error_verlet:.4f}",
-    "drift, SIER4G/kJ/mol/ps": "{drift:+.4f} ± {its_error:.4f}",
+    "drift, Verlet/kJ/mol/ps": "{drift_verlet:+.5f} ± {its_error_verlet:.5f}",
+    "drift, SIER4G/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
 }
 
 VERLET = CONSTANT_ENERGY["verlet"].name
@@ -261,7 +260,7 @@ def walk_slope(means: np.ndarray) -> float:
 
 
 def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing in the directory `out`, and write whole-run.json, whole-run.md and the figure."""
+    """Make the runs that are missing in the directory `out`, and write whole-run.json and the figure of the walk."""
     shared = {name: settings.recorded()[name] for name in ("temperature", "equilibrate", "platform")}
     claim(settings.out / "whole-run-settings.json", shared)
     path = settings.out / "whole-run.jsonl"
@@ -272,7 +271,6 @@ def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
     for table in tables(record):
         report.table(table)
     record.write(settings.out / "whole-run.json")
-    write_tables(record, settings.out)
     figure(record, settings.out / "whole-run.png")
     return record
 
@@ -283,12 +281,6 @@ def tables(record: Record) -> list[Table]:
         records.table("Conservation of energy over whole runs", record.tables["rows"], COLUMNS, left=1),
         records.table("Gain over Verlet with as many forces", record.tables["gains"], GAINS, left=1),
     ]
-
-
-def write_tables(record: Record, directory: Path) -> None:
-    """The tables for a page of the documentation."""
-    for name, table in zip(("whole-run.md", "whole-run-gains.md"), tables(record), strict=True):
-        (directory / name).write_text(records.markdown(table))
 
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
@@ -324,38 +316,45 @@ def first_box(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def figure(record: Record, path: Path) -> None:
-    """The walk against the step, with its law; and the energy of Verlet and SIER4G over the longest run."""
-    with style.figure(path, 2) as (_, (walks, energies)):
+    """The walk against the step, with its law."""
+    with style.figure(path, 1) as (made, (axes,)):
         rows = first_box(record.tables["rows"])
-        style.curves(walks, rows.assign(walk_error=rows["walk_error"].fillna(0)), "step", "walk")
+        style.curves(axes, rows.assign(walk_error=rows["walk_error"].fillna(0)), "step", "walk")
         found = record.notes["law"]
         for name, scale in found.get("at_infinity", {}).items():
             mine = rows[(rows["method"] == name) & rows["walk"].between(*FITTED)]["step"]
             steps = np.linspace(mine.min() - 0.7, mine.max() + 0.5)
             curve = scale * np.exp(-found["decay"] * 1000 * found["period"] / steps)
-            walks.plot(steps, curve, color=style.of_method(name)["color"], lw=3, alpha=0.25)
-        walks.set(yscale="log", xlabel="step (fs)", ylabel="scatter of 1 ps means of H (% of rms(V))")
-        walks.set_title("Fourth order: a shorter step, far less walk")
-        walks.legend(fontsize="small")
-        _energies(energies, record)
+            axes.plot(steps, curve, color=style.of_method(name)["color"], lw=4, alpha=0.25)
+        axes.set(yscale="log", xlabel="step (fs)", ylabel="walk of the energy (% of rms(V))")
+        axes.set_title("Fourth order: a quarter off the step\ntakes away most of the walk", fontweight="bold")
+        axes.yaxis.set_major_formatter("{x:g}")
+        style.shared_legend(made, axes)
 
 
-def _energies(axes: Any, record: Record) -> None:
-    """Means over 1 ps of H, over rms(V), of the longest runs that Verlet and SIER4G made with as many forces."""
+def energies(record: Record, path: Path) -> None:
+    """The energy of Verlet and SIER4G against time, over the longest run that both made with as many forces."""
     pairs, runs = record.tables["gains"].dropna(subset="gain"), record.tables["runs"]
-    if pairs.empty:
-        return
     pair = pairs.sort_values("time", kind="stable").iloc[-1]
-    for step, method in ((pair["step_verlet"], VERLET), (pair["step"], SIER4G.name)):
-        wanted = pair[POINT].to_dict() | {"method": method, "step": step}
-        run = runs[(runs[POINT] == pd.Series(wanted)).all(axis=1) & (runs["broken"] == "")].iloc[0]
-        means = np.array(run["means"])
-        look = style.of_method(method) | {"marker": "", "lw": 1}
-        label = f"{method}, {step:.3g} fs: {run['percent']:.2g} %"
-        axes.plot(np.arange(len(means)), 100 * (means - means.mean()) / run["rms_V"], label=label, **look)
-    axes.set(xlabel="time (ps)", ylabel="H, means over 1 ps (% of rms(V))")
-    axes.set_title(f"As many forces, {pair['liquid']}, {pair['molecules']} molecules")
-    axes.legend(fontsize="small")
+    time = f"{pair['time'] / 1000:g} ns" if pair["time"] >= 1000 else f"{pair['time']:g} ps"
+    title = f"Over {time} SIER4G holds the energy {pair['gain']:.0f} times as well as Verlet,\nwith as many forces"
+    with style.one_message(path, title) as axes:
+        for step, method in ((pair["step_verlet"], VERLET), (pair["step"], SIER4G.name)):
+            wanted = pair[POINT].to_dict() | {"method": method, "step": step}
+            run = runs[(runs[POINT] == pd.Series(wanted)).all(axis=1) & (runs["broken"] == "")].iloc[0]
+            means = 100 * (np.array(run["means"]) - np.mean(run["means"])) / run["rms_V"]
+            # What the means over 1 ps leave out: oscillations within each.
+            inner = math.sqrt(max(0.0, run["percent"] ** 2 - means.var()))
+            at, colour = np.arange(len(means)) + 0.5, style.of_method(method)["color"]
+            axes.fill_between(at, means - inner, means + inner, color=colour, alpha=0.3, lw=0)
+            label = f"{method}, {step:.3g} fs: energy error {run['percent']:#.2g} %"
+            axes.plot(at, means, color=colour, lw=1.2, label=label)
+        axes.set(xlabel="time (ps)", ylabel="energy, from its mean\n(% of rms(V))", xlim=(0, len(means)))
+        axes.set_ylim(-1.0, 0.75)
+        lines = axes.legend(loc="lower left", fontsize=13, title_fontsize=12, alignment="left")
+        lines.set_title(f"{pair['liquid']}, {pair['molecules']} molecules; lines: means over 1 ps, bands: ± rms within")
+        for line in lines.get_lines():
+            line.set_linewidth(4)
 
 
 main = command(WholeRunSettings, study, __doc__, __name__)

@@ -51,4 +51,4 @@ def test_members_become_a_table_and_a_figure(box, tmp_path):
     means = {name: values.mean() for name, values in log("b/run.csv").items()}
     assert rows["rotation"][1] == pytest.approx(means["Rotational Temperature (K)"])
     assert rows["density"][1] == pytest.approx(means["Density (g/mL)"])
-    assert {path.name for path in tmp_path.iterdir()} >= {"step-study.json", "step-study.md", "step-study.png"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"step-study.json", "step-study.png"}

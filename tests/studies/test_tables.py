@@ -197,7 +197,7 @@ READ = pd.DataFrame(
 @pytest.mark.slow
 def test_the_table_is_by_box_method_and_step(tmp_path):
     record = Record({}, {"rows": step_study.in_order(READ)}, {"title": "Water"})
-    lines = records.markdown(step_study.table(record)).splitlines()
+    lines = records.markdown(step_study.tables(record)[0]).splitlines()
     assert len(lines) == 2 + len(READ)
     assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
     found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | 2.50 ± 0.10"
@@ -223,18 +223,24 @@ def test_errors_are_shared_by_rows_of_one_box_and_method():
     assert found["energy_error"].isna().all()
 
 
-def test_deviations_are_from_the_shortest_step_and_share_its_error():
+def test_deviations_are_from_hybrid_monte_carlo_or_from_the_shortest_step():
     rows = [
-        point("SIER2", 1.0, energy=(-46.0, 0.3)),
-        point("SIER4G", 1.0, 3, energy=(-45.0, 0.3)),
+        point("SIER2", 1.0, energy=(-46.0, 0.3), diffusion=(2.2, 0.3)),
+        point("SIER4G", 1.0, 3, diffusion=(2.4, 0.3)),
         # Left out of the reference, since its bath heats the liquid.
-        point("OpenMM Verlet", 1.0, energy=(-40.0, 0.3)),
-        point("SIER4G", 2.0, 3, energy=(-45.3, 0.4)),
+        point("OpenMM Verlet", 1.0, energy=(-40.0, 0.3), diffusion=(9.0, 0.3)),
+        point("SIER4G", 2.0, 3, energy=(-45.3, 0.4), diffusion=(2.5, 0.4)),
+        point("SIER4G HMC", 2.0, 3, energy=(-45.0, 0.3)),
+        point("SIER4G HMC", 3.0, 3, energy=(-46.0, 0.3)),
     ]
-    made = step_study.deviations(Record({}, {"rows": pd.DataFrame(rows)}, {}), "energy")
-    assert made.columns == ["method", "fs per force", "SPC/E"]
-    # The mean of two rows with errors of 0.3 has 0.3 / sqrt(2), and the difference sqrt(0.4^2 + 0.3^2 / 2).
-    assert made.rows == [["mean at the shortest step", "1", "-45.50 ± 0.21"], ["SIER4G", "2", "0.20 ± 0.45"]]
+    energy, diffusion = step_study.tables(Record({}, {"rows": pd.DataFrame(rows)}, {"title": ""}))[2:]
+    assert energy.columns == ["method", "fs per force", "SPC/E"]
+    # The mean of two rows with errors of 0.3 has 0.3/sqrt(2) = 0.21. Differences have sqrt(0.3^2 + 0.21^2) = 0.37 and
+    # sqrt(0.4^2 + 0.21^2) = 0.45.
+    assert energy.rows[:2] == [["reference", "", "-45.50 ± 0.21"], ["SIER2", "1", "-0.50 ± 0.37"]]
+    assert ["SIER4G", "2", "0.20 ± 0.45"] in energy.rows
+    assert diffusion.rows[0] == ["reference", "", "2.30 ± 0.21"]
+    assert ["SIER4G", "2", "0.20 ± 0.45"] in diffusion.rows
 
 
 def power_law(factor, power):

@@ -1,0 +1,84 @@
+"""Where the numbers of the documentation are, and the commands that made them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+DATA = Path(__file__).parent / "data"
+
+#: For each file of `DATA` the commands that made it, one after the other.
+COMMANDS = {
+    "acceptance.json": ("python -m studies.acceptance",),
+    "acceptance-long-steps.json": (
+        "python -m studies.acceptance systems/tip3p-512.pdb --sizes 512 --schemes verlet sier2v2 sier2p3 sier4g "
+        "--dt 3 4 5 --trials 40",
+    ),
+    "cost.json": ("OPENMM_CPU_THREADS=1 python -m studies.bench --parts accuracy --platform CPU",),
+    "crowding.json": ("OPENMM_CPU_THREADS=1 python -m studies.crowding --platform CPU",),
+    "defaults.json": ("python -m studies.defaults",),
+    "dipeptide-samples.json": (
+        "openmm-sier ensemble systems/dipeptide-samples.toml --out samples",
+        "python -m studies.hmc.members samples/*",
+    ),
+    "equipartition.json": ("python -m studies.equipartition",),
+    "equipartition-long-steps.json": (
+        "python -m studies.equipartition --ensemble nvt --friction 20 --time 24 --equilibrate 3 --methods sier2p3 "
+        "--dt 3 4 5",
+    ),
+    "exactness.json": ("python -m studies.hmc.exactness",),
+    "heat-bath.json": ("python -m studies.heat_bath",),
+    "long-steps.json": (
+        "openmm-sier ensemble systems/long-steps.toml --out long-steps",
+        "python -m studies.step_study long-steps/* --skip 5",
+    ),
+    "mesh.json": ("OPENMM_CPU_THREADS=1 python -m studies.mesh --platform CPU",),
+    "mesh-110592.json": (
+        "OPENMM_CPU_THREADS=1 python -m studies.mesh --platform CPU --molecules 110592 --tolerances 5e-4 1e-4 "
+        "--meshes 6 --spacing 0.068 0.15 --rounds 3",
+    ),
+    "mixture.json": (
+        "python -m studies.hmc.mixture --method hmc --step 2 --time 60",
+        "python -m studies.hmc.mixture --method langevin --step 4 --time 120",
+        "python -m studies.hmc.mixture --table mixture/hmc-*.json mixture/langevin-*.json",
+    ),
+    "native-accuracy.json": ("python -m studies.native.accuracy systems/tip3p-512.pdb",),
+    "native-accuracy-peptide.json": (
+        "python -m studies.native.accuracy systems/peptide.pdb --schemes sier2 sier4g sier4p --time 0.2",
+    ),
+    "native-cost.json": ("OPENMM_CPU_THREADS=1 python -m studies.native.cost systems/tip3p-512.pdb",),
+    "native-platforms.json": (
+        "python -m studies.native.accuracy systems/BOX.pdb --on Reference OpenCL:double OpenCL:mixed --time 0.06",
+    ),
+    "native-program.json": ("python -m studies.native.program",),
+    "paper-dipole.json": ("python -m studies.paper dipole",),
+    "paper-free-rotation.json": ("python -m studies.paper free-rotation --quick",),
+    "paper-water.json": ("python -m studies.paper water",),
+    "processed.json": ("python -m studies.processed --time 50 --starts 1",),
+    "properties.json": (
+        "openmm-sier ensemble systems/motion.toml --out motion",
+        "python -m studies.liquid_figure motion/*",
+    ),
+    "samples.json": (
+        "python -m studies.hmc.samples --length 120 --time 80 --out samples",
+        "python -m studies.hmc.samples --table samples/*.json",
+    ),
+    "samples-held.json": (
+        "python -m studies.hmc.samples --held --time 60 --out held",
+        "python -m studies.hmc.samples --table held/*.json",
+    ),
+    "schemes.json": (
+        "python -m studies.schemes systems/tip3p-512.pdb --starts 2",
+        "python -m studies.schemes systems/BOX.pdb --schemes sier2p3 --dt 4",
+    ),
+    "schemes-scan.json": ("python -m studies.schemes --dt 4 --schemes drift:0.1125,0.292453,0.3875",),
+    "solvated.json": (
+        "python -m studies.hmc.solvated dhfr --trials 100 --out solvated",
+        "python -m studies.hmc.solvated --table solvated/*.json",
+    ),
+    "speed.json": ("OPENMM_CPU_THREADS=1 python -m studies.speed --platform CPU",),
+    "step-study.json": (
+        "openmm-sier ensemble systems/step-study.toml --out step-study",
+        "python -m studies.step_study step-study/* --skip 5",
+    ),
+    "whole-run.json": ("python -m studies.whole_run",),
+}
