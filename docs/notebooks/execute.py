@@ -23,6 +23,8 @@ def execute(path: Path) -> tuple[float, float]:
     NotebookClient(notebook, timeout=LONGEST, resources={"metadata": {"path": HERE}}).execute()
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
+        if cell.cell_type == "code":
+            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
     notebook.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
         "language_info": {"name": "python"},
