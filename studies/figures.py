@@ -37,6 +37,8 @@ def bath(record: Record, path: Path) -> None:
     """Errors of averages against speed, by integrator and step, in a heat bath: temperature of water, and energy."""
     rows = record.tables["rows"]
     rows = rows[rows["box"] == BATH_BOX].dropna(subset=["over"])
+    if "at" in rows:  # at constant volume or pressure: energies of one of them can be compared
+        rows = rows[rows["at"] == rows["at"].iloc[0]]
     asked = record.settings["temperature"]
     rows = rows.assign(warm=rows["water"] - asked, warm_error=rows["water_error"])
     exact = rows[rows["method"].str.contains(EXACT)]

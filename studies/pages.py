@@ -49,7 +49,7 @@ def chosen(name: str, where: str = "", sort: str = "") -> pd.DataFrame:
     return records.with_text(rows.reset_index(drop=True), *measured)
 
 
-def table(rows: pd.DataFrame, columns: Mapping[str, str], across: str = "", title: str = "") -> Table:
+def table(rows: pd.DataFrame, columns: Mapping[str, str], across: str = "") -> Table:
     """A table of rows, without columns in which nothing is known.
 
     Args:
@@ -58,10 +58,9 @@ def table(rows: pd.DataFrame, columns: Mapping[str, str], across: str = "", titl
         across: a column of which each value becomes a column of the table. The last of `columns` is then what stands
             there, and the others tell the lines of the table; its heading, such as a unit, is added to the values
             unless it is "-".
-        title: above it.
     """
     if not across:
-        return without_unknown(records.table(title, rows, columns))
+        return without_unknown(records.table("", rows, columns))
     *leading, (heading, form) = columns.items()
     values = list(dict.fromkeys(rows[across]))
     lines: dict[tuple[str, ...], dict[Any, str]] = {}
@@ -70,7 +69,7 @@ def table(rows: pd.DataFrame, columns: Mapping[str, str], across: str = "", titl
         lines.setdefault(line, {})[row[across]] = records.cell(form, row)
     names = [_heading(value, heading) for value in values]
     body = [[*line, *(cells.get(value, "-") for value in values)] for line, cells in lines.items()]
-    return without_unknown(Table(title, [*(name for name, _ in leading), *names], body))
+    return without_unknown(Table("", [*(name for name, _ in leading), *names], body))
 
 
 def _heading(value: Any, unit: str) -> str:

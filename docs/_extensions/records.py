@@ -11,9 +11,9 @@ is a table of some rows of a file, with the command that made the file under it:
 heading and what stands in its cells. `:columns: whole_run.GAINS` takes the columns of a study in place of them, but for
 those that `:without:` has, between strokes; `:made-by: paper.dipole.tables 0` takes a table that a study makes of the
 whole record. `:across:` spreads the last column over the values of another one, and `:sort:` names columns that give
-the order. `{drawn}` is a figure of
-`studies.figures`, whose text is what it shows; `{studies}` lists the studies. In a sentence
-{value}`whole-run.json gains | liquid == "OPC" and time == 100 | {gain:.0f}` is a number. `studies.pages` does the work.
+the order. `{drawn}` is a figure of `studies.figures`, whose text is what it shows; `{studies}` lists the studies. In a
+sentence {value}`whole-run.json gains | liquid == "OPC" and time == 100 | {gain:.0f}` is a number. `studies.pages` does
+the work.
 """
 
 from __future__ import annotations
@@ -47,8 +47,7 @@ def table_node(made: Table, literal: int = 0) -> nodes.table:
                 cells[:literal] = [nodes.literal(text=cell) for cell in row[:literal]]
             part += nodes.row("", *(nodes.entry("", nodes.paragraph("", "", cell)) for cell in cells))
         group += part
-    title = [nodes.title(text=made.title)] if made.title else []
-    return nodes.table("", *title, group, classes=["colwidths-auto"])
+    return nodes.table("", group, classes=["colwidths-auto"])
 
 
 def source_node(file: str) -> nodes.paragraph:
@@ -90,9 +89,7 @@ class FromRecords(SphinxDirective):
 class RecordTable(FromRecords):
     """A table."""
 
-    option_spec = dict.fromkeys(
-        ("where", "sort", "columns", "without", "made-by", "across", "title"), directives.unchanged
-    )
+    option_spec = dict.fromkeys(("where", "sort", "columns", "without", "made-by", "across"), directives.unchanged)
 
     def made(self) -> list[nodes.Node]:
         file, option = self.arguments[0], self.options.get
@@ -105,7 +102,7 @@ class RecordTable(FromRecords):
             if name := option("columns"):
                 columns = pages.columns_of(name, [each.strip() for each in option("without", "").split("|")])
             made = pages.table(rows, columns, option("across", ""))
-        return [table_node(made._replace(title=option("title", ""))), source_node(file)]
+        return [table_node(made), source_node(file)]
 
 
 class Drawn(FromRecords):
