@@ -37,7 +37,8 @@ INTRODUCTION = """\
 
 Every claim of README and of this site, and what shows it: a record of measurements, or tests. The figures below are \
 read from the records, and a test asserts each bound, so that a record that no longer keeps its claim fails the tests. \
-What README and the draft of the paper claim are sentences of this list, word for word. `python -m studies.claims` writes this page.
+What README and the draft of the paper claim are sentences of this list, word for word. `python -m studies.claims` \
+writes this page.
 
 Errors are one standard error. [How to read the numbers](index.md#how-to-read-the-numbers) says what is meant by \
 the energy error.
