@@ -41,4 +41,5 @@ STUDIES = {
     "studies.checks.reversal": "seconds",
     "studies.checks.pressure_tensors": "half a minute",
     "studies.figures": "seconds",
+    "studies.claims": "seconds",
 }

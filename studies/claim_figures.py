@@ -1,0 +1,176 @@
+"""The figures of claims, from the records that show them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pandas as pd
+
+from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from studies.records import Record
+from studies.trust import one
+
+#: Its step is for boxes in which all molecules are rigid.
+WATER_ALONE = "SIER2 in a bath, 10 fs"
+
+#: Of SIER4G at constant energy, and of SIER2 in a bath with heavy hydrogens, fs.
+USUAL, IN_A_BATH = 1e3 * (SIER4G.constant_energy_step or 0), 1e3 * (SIER2.heavy_bath_step or 0)
+
+
+def gains_of_large_boxes(record: Record) -> Mapping[str, float]:
+    gains = record.tables["gains"]
+    large = gains[(gains["time"] == 100) & (gains["step"] == USUAL) & (gains["molecules"] != 64)]["gain"]
+    # Rounded down, which claims no more than there is.
+    return {"least": int(large.min()), "most": int(large.max()), "count": len(large)}
+
+
+def gain(**wanted: object) -> Callable[[Record], Mapping[str, float]]:
+    return lambda record: {"gain": one(record.tables["gains"], method="SIER4G", **wanted)["gain"]}
+
+
+def drifts(record: Record) -> Mapping[str, float]:
+    gains = record.tables["gains"]
+    usual = gains[gains["step"] == USUAL]
+    return {"off": (usual["drift"].abs() / usual["its_error"]).max(skipna=False)}
+
+
+def errors_at_long_steps(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    ratios = [
+        one(rows, liquid=liquid, method="SIER2P3", step=12.0)["percent"]
+        / one(rows, liquid=liquid, method="OpenMM Verlet", step=2.0)["percent"]
+        for liquid in rows["liquid"].unique()
+    ]
+    return {"least": min(ratios), "most": max(ratios)}
+
+
+def preparation(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    switched = rows[(rows["tolerance"] == 5e-4) & (rows["cutoff"] == 0.9) & (rows["switch"] == "yes")]
+    means = switched.groupby(["balanced", "method"])["percent"].mean()
+    return {
+        "before": means["no", "SIER4G"],
+        "after": means["yes", "SIER4G"],
+        "verlet": means["yes", "OpenMM Verlet"],
+        "gain": means["no", "SIER4G"] / means["yes", "SIER4G"],
+    }
+
+
+def splittings_about_axes(record: Record) -> Mapping[str, float]:
+    """Splittings of the rotation about axes, over exact rotation, at 1.8 and 2.2 fs with PME."""
+    rows = record.tables["points"]
+    rows = rows[(rows["kind"] == "PME") & rows["force_step_fs"].isin([1.8, 2.2])]
+    means = rows.groupby("method")["percent"].mean()
+    crossing = one(record.tables["crossings"], kind="PME")["force_step_fs"]
+    return {"ratio": means["MRDL"] / means["SIER2"], "crossing": crossing}
+
+
+def equipartition(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    verlet, own = one(rows, method="OpenMM Verlet", step=2.0), one(rows, method="SIER4G", step=6.0)
+    return {
+        "verlet": verlet["difference"],
+        "verlet_error": verlet["difference_error"],
+        "own": own["difference"],
+        "own_error": own["difference_error"],
+        "off": abs(own["difference"]) / own["difference_error"],
+    }
+
+
+def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
+    rows = record.tables["speeds"]
+    water = rows[(rows["name"] == WATER_ALONE) & rows["box"].str.startswith("water")]["over_middle"]
+    own = f"SIER2 in a bath, {IN_A_BATH:g} fs"
+    solute = {box: one(rows, name=own, box=box)["over_middle"] for box in ("peptide", "dhfr")}
+    return {"least": water.min(), "most": water.max(), **solute}
+
+
+def averages_in_a_bath(box: str, at: str, step: float, *averaged: str) -> Callable[[Record], Mapping[str, float]]:
+    """Averages of SIER2 beside exact ones: the largest difference in errors, and temperatures."""
+
+    def found(record: Record) -> Mapping[str, float]:
+        rows = record.tables["rows"]
+        own = one(rows, box=box, at=at, method=f"SIER2, {step:g} fs")
+        exact = one(rows, box=box, at=at, method="SIER4G HMC, 8 fs")
+        off = {
+            name: abs(own[name] - exact[name]) / (own[f"{name}_error"] ** 2 + exact[f"{name}_error"] ** 2) ** 0.5
+            for name in averaged
+        }
+        shares = {f"{name}_share": 100 * abs(own[name] / exact[name] - 1) for name in averaged}
+        hot = {"water_off": own["water"] - record.settings["temperature"]}
+        return {"off": pd.Series(off).max(skipna=False), **shares, **hot, "step": step}
+
+    return found
+
+
+def temperatures_in_a_bath(record: Record) -> Mapping[str, float]:
+    found: dict[str, float] = {}
+    for name, method in (("own", f"SIER2, {IN_A_BATH:g} fs"), ("middle", "LangevinMiddle, 4 fs")):
+        row = one(record.tables["rows"], box="peptide", at="constant volume", method=method)
+        found |= {name: row["water"] - record.settings["temperature"], f"{name}_error": row["water_error"]}
+    return found
+
+
+def light_hydrogens(record: Record) -> Mapping[str, float]:
+    speed = {
+        method: one(record.tables["rows"], box="tip3p-512", at="1 bar", method=f"{method}, 4 fs, light")["speed"]
+        for method in ("SIER2", "LangevinMiddle")
+    }
+    return {"share": 100 * speed["SIER2"] / speed["LangevinMiddle"]}
+
+
+def trials_of_dhfr(record: Record) -> Mapping[str, float]:
+    row = one(record.tables["rows"], box="dhfr", method="SIER4G HMC, 9 fs")
+    return {"accepted": 100 * row["accepted"], "trials": row["trials"]}
+
+
+def energies_of_langevin_middle(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    middle = rows[rows["method"] == "OpenMM LangevinMiddle"].set_index(["box", "step"])
+    energies = [middle.loc[(box, 4.0), "energy"] / middle.loc[(box, 1.0), "energy"] - 1 for box in rows["box"].unique()]
+    return {"energy": 100 * max(map(abs, energies))}
+
+
+def known_averages(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    return {"count": len(rows), "off": rows["off"].abs().max(skipna=False)}
+
+
+def acceptance_of_dhfr(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    row = one(rows, box="dhfr", moving="all", masses="3", scheme="sier4g", per_force=2.0)
+    verlet = one(rows, box="dhfr", moving="all", masses="3", scheme="verlet", per_force=2.0)
+    return {
+        "accepted": row["accepted"],
+        "trials": row["trials"],
+        "rate": row["accepted"] / row["trials"],
+        "verlet": verlet["accepted"],
+        "verlet_trials": verlet["trials"],
+    }
+
+
+def mixture(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"].set_index("label")
+    exact = rows.loc["HMC, SIER4G, 2 fs, hydrogens of 1"]
+    middle = rows.loc["LangevinMiddle, 4 fs, hydrogens of 1"]
+    return {
+        "exact": abs(exact["conf_rotation"] - 298.15) / exact["conf_rotation_error"],
+        "bias": middle["conf_rotation"] - 298.15,
+        "bias_error": middle["conf_rotation_error"],
+    }
+
+
+def free_rotation(record: Record) -> Mapping[str, float]:
+    rows = record.tables["curves"]
+    rows = rows[(rows["step_fs"] == 8) & (rows["time"] == 10)]
+    return {"own": one(rows, method="SIER2")["delta"], "mrdl": one(rows, method="MRDL")["delta"]}
+
+
+def errors_by_opencl(record: Record) -> Mapping[str, float]:
+    return {"most": record.tables["rows"][["opencl_double", "opencl_mixed"]].max(axis=None, skipna=False)}
+
+
+def cost_of_native_steps(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    ratios = rows[rows["what"] == "native / exact"]["ratio"]
+    return {"least": ratios.min(), "most": ratios.max(skipna=False)}

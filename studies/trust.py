@@ -1,0 +1,176 @@
+"""Claims: what each says, its bounds, the page that lists them, and their sentences in other texts.
+
+The list is in `studies.claims`, whose command writes what is made of it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from string import Formatter
+
+import pandas as pd
+
+from studies import records
+from studies.command import SYSTEMS
+from studies.records import Record
+from studies.report import Table
+from studies.sources import COMMANDS, DATA
+
+ROOT = SYSTEMS.parent
+
+#: Least and most that a figure may be.
+Bound = tuple[float, float]
+
+#: No bound on this side.
+ANY = float("inf")
+
+#: A figure in a text that is to be replaced.
+FIGURE = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?"
+
+#: A table of Markdown without a heading over its first column, as that of speeds.
+TABLE = re.compile(r"^\| +\|.*\n\|[-| ]+\n(?:\|.*\n)*", re.MULTILINE)
+
+INTRODUCTION = """\
+# How far it can be trusted
+
+Every claim of README and of this site, and what shows it: a record of measurements, or tests. The figures below are \
+read from the records, and a test asserts each bound, so that a record that no longer keeps its claim fails the tests. \
+What README and the draft of the paper claim are sentences of this list, word for word. `python -m studies.claims` \
+writes this page.
+
+Errors are one standard error. [How to read the numbers](index.md#how-to-read-the-numbers) says what is meant by \
+the energy error.
+"""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim that a record shows.
+
+    Attributes:
+        text: the sentence, with fields such as {least:.0f}.
+        record: file in studies/data.
+        figures: of the record, by the names of the fields.
+        bounds: of figures, by name.
+        command: that makes what the claim is about, if that is less than the record (`studies.sources`).
+        in_readme: whether README has the sentence, word for word.
+        in_paper: whether the draft of the paper has it.
+    """
+
+    text: str
+    record: str
+    figures: Callable[[Record], Mapping[str, float]]
+    bounds: Mapping[str, Bound]
+    command: str = ""
+    in_readme: bool = False
+    in_paper: bool = False
+
+    def found(self) -> Mapping[str, float]:
+        """The figures of the record.
+
+        Raises:
+            LookupError: it lacks a row or a column that the claim is about.
+        """
+        try:
+            return self.figures(records.read(DATA / self.record))
+        except LookupError as error:
+            raise LookupError(f"{self.record} does not show {self.text!r}: {error}") from error
+
+    def sentence(self) -> str:
+        """The text with its figures."""
+        return self.text.format_map(self.found())
+
+    def broken(self) -> list[str]:
+        """Bounds that the record does not keep, in words."""
+        figures = self.found()
+        return [
+            f"{in_words(name, bound)}, got {figures[name]:g}"
+            for name, bound in self.bounds.items()
+            if not bound[0] <= figures[name] <= bound[1]
+        ]
+
+    def written(self, text: str) -> str:
+        """A text in which this sentence, found there with any figures, has those of the record.
+
+        Raises:
+            ValueError: it has no such sentence.
+        """
+        pattern = "".join(
+            r"\s+".join(map(re.escape, re.split(r"\s+", words))) + (FIGURE if name else "")
+            for words, name, _, _ in Formatter().parse(self.text)
+        )
+        sentence = self.sentence()
+        text, count = re.subn(pattern, lambda _: sentence, text)
+        if not count:
+            raise ValueError(f"there should be this sentence, with any figures: {self.text}")
+        return text
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A claim that tests show.
+
+    Attributes:
+        text: the sentence.
+        tests: files or folders, or files with the name of a test after "::".
+        more: a study that shows it too.
+    """
+
+    text: str
+    tests: tuple[str, ...]
+    more: str = ""
+
+
+def in_words(name: str, bound: Bound) -> str:
+    """A bound as the page has it."""
+    (least, most), name = bound, name.replace("_", " ")
+    if least == most:
+        return f"{name} = {least:g}"
+    if most == ANY:
+        return f"{name} ≥ {least:g}"
+    return f"{name} ≤ {most:g}" if least == -ANY else f"{least:g} ≤ {name} ≤ {most:g}"
+
+
+def page(topics: Mapping[str, Sequence[Claim]], tested: Iterable[Tested], limits: Iterable[str]) -> str:
+    """The page of the documentation: claims that records show by topic, then those of tests, then what is not known."""
+    parts = [INTRODUCTION]
+    for topic, claims in topics.items():
+        parts.append(f"## {topic}\n")
+        for claim in claims:
+            bounds = "; ".join(in_words(name, bound) for name, bound in claim.bounds.items())
+            commands = [claim.command] if claim.command else COMMANDS[claim.record]
+            shown = ", then ".join(f"`{command}`" for command in commands)
+            parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. `studies/data/{claim.record}`: {shown}\n")
+    parts.append("## Shown by tests\n")
+    for each in tested:
+        commands = [f"`pytest {' '.join(each.tests)}`", *([f"`{each.more}`"] if each.more else [])]
+        parts.append(f"- {each.text}\\\n  {', '.join(commands)}\n")
+    return "\n".join([*parts, "## Limits, and what is not known\n", *(f"- {each}" for each in limits), ""])
+
+
+def with_table(text: str, made: Table) -> str:
+    """A text in which the first table without a heading over its first column is this one.
+
+    Raises:
+        ValueError: it has no such table.
+    """
+    text, count = TABLE.subn(lambda _: records.markdown(made), text, count=1)
+    if not count:
+        raise ValueError("there should be a table whose first heading is empty")
+    return text
+
+
+def one(frame: pd.DataFrame, **wanted: object) -> pd.Series:
+    """The only row that has these values.
+
+    Raises:
+        LookupError: there is none, or there are several.
+    """
+    rows = frame
+    for name, value in wanted.items():
+        rows = rows[rows[name] == value]
+    if len(rows) != 1:
+        raise LookupError(f"{len(rows)} rows have {wanted}")
+    return rows.iloc[0]
