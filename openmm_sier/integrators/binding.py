@@ -131,11 +131,17 @@ class Binding:
         """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context.
 
         Raises:
-            openmm.OpenMMException: the System has Drude particles, or the integrator was given more computations.
+            openmm.OpenMMException: the System has Drude particles, the integrator was given more computations, or its
+                Context is gone.
         """
         # OpenMM refuses an integrator that has a Context already, and it must stay that Context's own.
         if self._context() is not None:
             return
+        if isinstance(self._context, weakref.ref):
+            raise openmm.OpenMMException(
+                "This integrator belonged to a Context that no longer exists, or that was refused, and OpenMM deletes "
+                "integrators with their Contexts: make a new one"
+            )
         checks.refuse_drude_particles(system)
         installation.refuse_additions(self._integrator, self.program)
         given = self.settings

@@ -27,7 +27,7 @@ HEAVIEST_IN_CHAINS = 3.0
 #: Dalton, below which no atom is made lighter for its hydrogens.
 LIGHTEST_CENTRE = 6.0
 
-#: Dalton, below which no hydrogen is made lighter for that.
+#: Dalton. Hydrogens that would get less are left as they are, as in HD.
 LIGHTEST_HYDROGEN = 1.0
 
 
@@ -38,6 +38,8 @@ def checked_mass(mass: Any) -> float:
         ValueError: it is not above 0 and up to `HEAVIEST_HYDROGEN`.
         TypeError: it is no mass.
     """
+    if isinstance(mass, bool):
+        raise TypeError(f"hydrogenMass must be a quantity or a number in dalton, got {mass}")
     found = quantity_to_float("hydrogenMass", mass, unit.dalton, "dalton")
     if not 0 < found <= HEAVIEST_HYDROGEN:
         raise ValueError(f"hydrogenMass must be above 0 and up to {HEAVIEST_HYDROGEN:g} dalton, got {found:g}")
@@ -61,16 +63,21 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
     masses, partners, lighter, count = tables.masses(system), _partners(system), 0, 0
     for centre, found in hydrogens(system).items():
         total = masses[centre] + masses[found].sum()
+        spared = (total - LIGHTEST_CENTRE) / len(found)
         most = mass if partners[centre].keys() <= set(found) else min(mass, HEAVIEST_IN_CHAINS)
-        share = max(min(most, (total - LIGHTEST_CENTRE) / len(found)), min(mass, LIGHTEST_HYDROGEN))
+        if spared < LIGHTEST_HYDROGEN < mass:
+            continue
+        share = min(most, max(spared, LIGHTEST_HYDROGEN))
         count += len(found)
         lighter += len(found) * (share < mass)
         masses[found] = share
         masses[centre] = total - share * len(found)
         for atom in (centre, *found):
             system.setParticleMass(int(atom), float(masses[atom]))
-    less = f", {lighter} of them up to {HEAVIEST_IN_CHAINS:g}, as their atoms are bonded to others" if lighter else ""
-    return f"{count} hydrogens have {mass:g} dalton{less}: averages stay, motion becomes slower."
+    if not count:
+        return "there are no hydrogens whose mass could be changed."
+    less = f", {lighter} of them less for the sake of the atoms that they are bonded to" if lighter else ""
+    return f"{count} hydrogens have {mass:g} dalton{less}: averages stay, motion changes."
 
 
 def hydrogens(system: openmm.System) -> dict[int, list[int]]:

@@ -61,6 +61,17 @@ def test_private_names_of_a_class_are_used_in_its_own_module():
     assert found.endswith(" _engine")
 
 
+def test_an_integrator_whose_context_was_refused_says_so():
+    _, _positions, system = cluster_system(2)
+    integrator = SIERLangevinIntegrator(300, 5, 5)
+    with pytest.raises(openmm.OpenMMException, match="femtoseconds"):
+        openmm.Context(system, integrator)
+    with pytest.raises(
+        openmm.OpenMMException, match="belonged to a Context that no longer exists, or that was refused"
+    ):
+        openmm.Context(system, integrator)
+
+
 def test_computations_of_others_are_refused():
     _, _, system = cluster_system(2)
     integrator = SIERLangevinIntegrator(300, 5, 0.002)

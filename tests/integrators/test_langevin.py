@@ -255,6 +255,9 @@ def test_temperatures_are_those_just_after_the_bath(engine):
     # 600 degrees of freedom relax at 20/ps: 1000 steps are some 100 independent samples, and the error 1.7 K.
     assert np.mean(after_bath) == pytest.approx(300, abs=7)
     assert np.mean(at_end) - np.mean(after_bath) == pytest.approx(0.21 / 6 * 300, abs=3)
+    told = integrator.computeTemperatures()
+    context.createCheckpoint()
+    assert integrator.computeTemperatures() == pytest.approx(told, nan_ok=True)
     # Whatever the user sets counts.
     context.setVelocities(np.zeros((2 * count, 3)))
     assert integrator.computeTemperatures().flexible == 0

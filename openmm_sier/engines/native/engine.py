@@ -93,6 +93,8 @@ class NativeEngine(Engine):
         self._environment: Any = None
         self._is_guarded = bool(self._variables[EXACT_ONLY])
         self._is_fresh = True
+        #: Whether velocities are those that the last step left.
+        self._follows_bath = False
         self.evaluations = 0
         platform = context.getPlatform()
         precision = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision")
@@ -153,6 +155,7 @@ class NativeEngine(Engine):
         evaluations = flow.scheme.force_evaluations
         for _ in range(steps):
             clock = self._one_step(clock)
+            self._follows_bath = True
             self.evaluations += evaluations
             act_on_pending()
 
@@ -179,7 +182,9 @@ class NativeEngine(Engine):
     def start_anew(self) -> None:
         self._is_fresh, self._potential = True, None
 
-    atoms_moved = start_anew
+    def atoms_moved(self) -> None:
+        self.start_anew()
+        self._follows_bath = False
 
     def _settle(self) -> None:
         """After news from outside, make what follows depend on nothing but what the Context holds."""
@@ -312,7 +317,7 @@ class NativeEngine(Engine):
         Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
         """
         conserved, now, thermal = self.conserves_momentum(), Snapshot(self._context), None
-        if not self._is_fresh and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
+        if self._follows_bath and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
             thermal = np.array(self._integrator.getPerDofVariableByName(V0))
         if not isinstance(self._found, RigidityError):
             bodies, state = self.bodies, self.state()
