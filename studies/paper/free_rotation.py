@@ -28,9 +28,8 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.measure.statistics import Estimate, jackknife
 from studies import records, style
-from studies.bench import rotations
 from studies.methods import PAPER, OwnMethod
-from studies.paper import published, reference, tip4p
+from studies.paper import published, reference, rotations, tip4p
 from studies.paper.published import FS
 from studies.records import Record
 from studies.report import SILENT, Report, Table
@@ -101,7 +100,7 @@ def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
         in place of the rms; `exponent`, that of the growth of delta over the last decade of times up to `MODERATE`, and
         `tau_power`, the time at which the power law with it reaches 10 %, all times in ps; and `energy`, the rms over
         bodies of the deviation of the energy at the last time over the mean energy, in per cent.
-        `costs`: see `studies.bench.rotations`.
+        `costs`: see `studies.paper.rotations`.
     """
     runs = [(method, step) for step in settings.steps_fs for method in PAPER]
     work = [method.forces * settings.span / step for method, step in runs]
@@ -115,7 +114,7 @@ def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
             done += part
         advance(done, "free rotation: cost of the maps")
         costs = [
-            rotations.time_rotations((settings.timed_bodies,), settings.timings, step * FS).assign(step_fs=step)
+            rotations.time_rotations(settings.timed_bodies, settings.timings, step * FS).assign(step_fs=step)
             for step in settings.steps_fs
         ]
     tables = {"curves": pd.concat(curves), "taus": pd.DataFrame(taus), "costs": pd.concat(costs)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import shlex
 from collections.abc import Callable
@@ -31,8 +30,7 @@ from studies import (
     whole_run,
 )
 from studies.acceptance_trials import AcceptanceSettings
-from studies.bench import __main__ as bench_command
-from studies.bench import accuracy, layer, peers, usual_inputs
+from studies.bench import accuracy, peers, usual_inputs
 from studies.hmc import exactness, mixture, samples, solvated
 from studies.native import program as counts
 from studies.paper import __main__ as paper_command
@@ -79,15 +77,8 @@ def acceptances(found):
 
 
 def benchmarks(found):
-    steps = found["steps"]
-    assert set(steps["molecules"]) == {27}
-    # A step is longer than the calls of forces in it.
-    own = steps[steps["name"].str.endswith("the force calls in it")]
-    assert len(own) == 2
-    assert (own["median"] > 1).all()
-    assert set(found["rotations"]["name"]) == {"MRDL", "exact", "SEJ4", "exact, Numba"}
-    assert list(found["layer"]["what"][:2]) == [f"{n} bodies, ns a body and step" for n in (20, 40)]
     assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4"]
+    assert found["points"]["percent"].between(1e-3, 50).all()
 
 
 def two_means_and_ranges(found):
@@ -228,19 +219,11 @@ MINIATURES = {
         kept=f"{acceptance.KEPT}/*",
     ),
     "bench": Miniature(
-        bench_command,
-        (
-            "{box} --parts steps rotations layer accuracy --copies 1 --rounds 1 --bodies 20 40 --time 0.1 "
-            "--equilibrate 0.02 --platform Reference",
-        ),
+        accuracy,
+        ("{box} --time 0.1 --equilibrate 0.02 --platform Reference",),
         benchmarks,
         "bench",
-        patches=(
-            (accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)}),
-            (peers, "installed", list),
-            (layer, "SMALLEST", 20),
-            (layer, "_least", functools.partial(layer._least, repeats=1)),
-        ),
+        patches=((accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)}), (peers, "installed", list)),
     ),
     "defaults": Miniature(
         defaults,
