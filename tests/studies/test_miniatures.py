@@ -21,7 +21,6 @@ from studies import (
     equipartition,
     heat_bath,
     mesh,
-    paper,
     processed,
     records,
     schemes,
@@ -36,7 +35,7 @@ from studies.native import program as counts
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
 from tests.support.commands import SYSTEMS, write_lattice
-from tests.support.paper import members_of_water
+from tests.support.paper import make_at_once
 from tests.support.waters import water_box
 
 DIPEPTIDE = SYSTEMS / "dipeptide.pdb"
@@ -293,7 +292,7 @@ MINIATURES = {
         ("water --quick",),
         lambda found: None,
         "water",
-        patches=((water_runs, "QUICK", WATER), (paper, "ensemble", members_of_water)),
+        patches=((water_runs, "QUICK", WATER), (records, "make_missing", make_at_once)),
     ),
     "samples": Miniature(
         samples,
