@@ -2,8 +2,8 @@
 
     python -m studies.paper free-rotation | dipole | water | all [--quick]
 
-Writes numbers (JSON) and a figure for each. The runs of water are kept in --out, phase point by phase point, and are
-not repeated. All take two minutes on two cores with --quick, and about 70 in full.
+Writes numbers (JSON) for each, and a figure of water. The runs of water are kept in --out, phase point by phase point,
+and are not repeated. All take two minutes on two cores with --quick, and about 70 in full.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class PaperSettings(Settings):
 
 
 def study(settings: PaperSettings, report: Report = SILENT) -> dict[str, Record]:
-    """Carry out experiments, and write a JSON file and a figure for each.
+    """Carry out experiments, and write a JSON file for each and a figure of water.
 
     Returns:
         What was found, by experiment.
@@ -57,10 +57,10 @@ def _carry_out(name: str, experiment: Experiment, settings: PaperSettings, repor
     seconds = perf_counter() - begun
     for table in experiment.tables(record):
         report.table(table)
-    paths = [settings.out / f"{name}.json", settings.out / f"{name}.png"]
-    record.write(paths[0])
-    experiment.figure(record, paths[1])
-    report.note(f"{name}: {duration(seconds)}; written {', '.join(map(str, paths))}")
+    record.write(settings.out / f"{name}.json")
+    if name == "water":
+        water.figure(record, settings.out / "water.png")
+    report.note(f"{name}: {duration(seconds)}; written to {settings.out}")
     return record
 
 
@@ -86,16 +86,15 @@ def _simulate_water(settings: PaperSettings, report: Report) -> Record:
 
 
 class Experiment(NamedTuple):
-    """Functions that find the numbers, and make tables of text and the figure of them."""
+    """Functions that find the numbers, and make tables of text of them."""
 
     find: Callable[[PaperSettings, Report], Record]
     tables: Callable[[Record], list[Table]]
-    figure: Callable[[Record, Path], None]
 
 
 #: In the order of the paper.
 EXPERIMENTS = {
-    "free-rotation": Experiment(_rotate_freely, free_rotation.tables, free_rotation.figure),
-    "dipole": Experiment(_turn_in_field, dipole.tables, dipole.figure),
-    "water": Experiment(_simulate_water, water.tables, water.figure),
+    "free-rotation": Experiment(_rotate_freely, free_rotation.tables),
+    "dipole": Experiment(_turn_in_field, dipole.tables),
+    "water": Experiment(_simulate_water, water.tables),
 }

@@ -237,10 +237,13 @@ MINIATURES = {
     ),
     "equipartition": Miniature(
         equipartition,
-        ("{box} --dt 1 2 --methods verlet sier2 sier4 --time 0.1 --equilibrate 0.02 --platform Reference",),
+        (
+            "{box} --dt 1 2 --methods verlet sier2 sier4 --time 0.1 --equilibrate 0.02 --settle 0.02 "
+            "--platform Reference",
+        ),
         temperatures,
         "equipartition",
-        patches=((equipartition, "SETTLING", 0.02),),
+        kept="*.jsonl",
     ),
     "exactness": Miniature(exactness, ("--trials 200 --processes 1",), known_averages, "exactness", figure=False),
     "heat bath": Miniature(
@@ -259,6 +262,7 @@ MINIATURES = {
         ),
         meshes,
         "mesh",
+        figure=False,
     ),
     "mixture": Miniature(
         mixture,
@@ -278,6 +282,7 @@ MINIATURES = {
         ("dipole --quick",),
         lambda found: None,
         "dipole",
+        figure=False,
         patches=((dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1)),),
     ),
     "paper, free rotation": Miniature(
@@ -285,6 +290,7 @@ MINIATURES = {
         ("free-rotation --quick",),
         lambda found: None,
         "free-rotation",
+        figure=False,
         patches=((free_rotation, "QUICK", FREE),),
     ),
     "paper, water": Miniature(
@@ -315,6 +321,7 @@ MINIATURES = {
         ),
         schemes_by_step,
         "schemes",
+        figure=False,
         kept="*.jsonl",
     ),
     "solvated": Miniature(
@@ -359,6 +366,7 @@ MINIATURES = {
         processed_state,
         "processed",
         figure=False,
+        kept="*.jsonl",
     ),
 }
 
@@ -417,6 +425,7 @@ def test_results_of_other_settings_are_refused(tmp_path, capsys):
         (acceptance, AcceptanceSettings, f"{acceptance.KEPT}/settings.json"),
         (schemes, schemes.SchemesSettings, "schemes-settings.json"),
         (defaults, defaults.DefaultsSettings, "settings.json"),
+        (equipartition, equipartition.EquipartitionSettings, "equipartition-settings.json"),
         (whole_run, whole_run.WholeRunSettings, "whole-run-settings.json"),
     ):
         path = tmp_path / study.__name__ / noted
