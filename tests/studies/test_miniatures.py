@@ -28,7 +28,6 @@ from studies import (
     speed_boxes,
     whole_run,
 )
-from studies.acceptance_trials import AcceptanceSettings
 from studies.bench import accuracy, peers, usual_inputs
 from studies.hmc import exactness, mixture, samples, solvated
 from studies.native import program as counts
@@ -215,7 +214,7 @@ MINIATURES = {
         ("{box} --sizes 27 --schemes verlet sier4g --trials 3 --time 0.012 --equilibrate 0.03 --platform CPU",),
         acceptances,
         "acceptance",
-        kept=f"{acceptance.KEPT}/*",
+        kept="*.jsonl",
     ),
     "bench": Miniature(
         accuracy,
@@ -422,7 +421,7 @@ def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
 def test_results_of_other_settings_are_refused(tmp_path, capsys):
     """Studies whose runs are kept one by one."""
     for study, kind, noted in (
-        (acceptance, AcceptanceSettings, f"{acceptance.KEPT}/settings.json"),
+        (acceptance, acceptance.AcceptanceSettings, "acceptance-settings.json"),
         (schemes, schemes.SchemesSettings, "schemes-settings.json"),
         (defaults, defaults.DefaultsSettings, "settings.json"),
         (equipartition, equipartition.EquipartitionSettings, "equipartition-settings.json"),
