@@ -125,8 +125,8 @@ def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
     name = f"{solution.name}-{settings.moving}-{masses}-{settings.scheme}-{settings.step:g}-{settings.length:g}"
     integrator.step(settings.discarded)
     integrator.resetStatistics()
-    forces, begun, errors = integrator.forceEvaluations, process_time(), []
-    notes: dict[str, Any] = {
+    forces, begun = integrator.forceEvaluations, process_time()
+    known: dict[str, Any] = {
         "box": solution.name,
         "atoms": context.getSystem().getNumParticles(),
         "solute": len(solution.solute),
@@ -134,24 +134,21 @@ def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
         "length": 1e3 * md(integrator.getStepSize()),
         "reversal": integrator.reversalError,
     }
-    with report.progress(name, settings.trials) as show:
-        for done in range(1, settings.trials + 1):
-            integrator.step(1)
-            errors.append(integrator.lastEnergyError)
-            notes |= {
-                "accepted": integrator.accepted,
-                "forces": integrator.forceEvaluations - forces,
-                "processor_seconds": process_time() - begun,
-            }
-            record = Record(settings.recorded(), {"trials": pd.DataFrame({"error": errors})}, notes)
-            record.write(settings.out / f"{name}.json")
-            show(done)
-    return record
+
+    def trial() -> dict[str, float]:
+        integrator.step(1)
+        return {"error": integrator.lastEnergyError}
+
+    def notes(_: int) -> dict[str, Any]:
+        spent = {"forces": integrator.forceEvaluations - forces, "processor_seconds": process_time() - begun}
+        return known | {"accepted": integrator.accepted, **spent}
+
+    return solutes.kept_series(settings, name, name, settings.trials, 1, trial, notes, report)
 
 
 def row_of(record: Record) -> dict[str, Any]:
     """What trials tell, see `studies.acceptance.statistics`, and the acceptance that is expected by the spread."""
-    settings, errors = record.settings, record.tables["trials"]["error"].to_numpy(dtype=float)
+    settings, errors = record.settings, record.tables["samples"]["error"].to_numpy(dtype=float)
     found = statistics(errors)
     return {
         **record.notes,

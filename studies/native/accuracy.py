@@ -1,11 +1,11 @@
 """The native engine beside the exact one: rms(H)/rms(V) of liquids by scheme, platform and number of substeps.
 
     python -m studies.native.accuracy [BOX.pdb] [--time 0.3] [--schemes sier4g ...] [--substeps 2 3 5] [--fs 1 2]
-        [--on CPU OpenCL:double OpenCL:mixed] [--molecules 64]
+        [--on CPU OpenCL:double OpenCL:mixed]
 
 has a line for each run: the exact engine's on the CPU first, then the native engine's with the ratio of both. All runs
-of a box start from one phase point. The step is `--fs` times the force evaluations of the scheme. `--molecules` takes
-that many molecules of the box, in a smaller box of the same density, for slow platforms. Writes native-accuracy.json.
+of a box start from one phase point. The step is `--fs` times the force evaluations of the scheme. Writes
+native-accuracy.json.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import unit
 
 from openmm_sier import SIERIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
@@ -28,8 +27,8 @@ from studies.records import Record
 from studies.report import SILENT, Report
 from studies.units import md
 
-#: Steps of 2 fs before the runs, and of 1 fs in a strong bath before those of boxes that are set up here.
-EQUILIBRATION, MELTING = 1000, 2000
+#: Steps of 2 fs before the runs.
+EQUILIBRATION = 1000
 
 #: ps between two energies.
 INTERVAL = 0.004
@@ -51,7 +50,6 @@ class NativeSettings(BoxSettings):
     """What is compared.
 
     Attributes:
-        molecules: of the box; all unless given.
         schemes: by name; all unless given.
         substeps: of the native engine; the usual ones unless given.
         fs: simulated time per force evaluation.
@@ -60,7 +58,6 @@ class NativeSettings(BoxSettings):
         time: of each run, ps.
     """
 
-    molecules: int | None = None
     schemes: tuple[str, ...] = ()
     substeps: tuple[int, ...] = ()
     fs: tuple[float, ...] = (1.0, 2.0)
@@ -81,24 +78,16 @@ class Started(NamedTuple):
 def start(settings: NativeSettings) -> Started:
     """A box, equilibrated; hydrogens of solutes are constrained."""
     box = boxes.read(settings, "hbonds")
-    system, positions = box.system, np.array(box.positions.value_in_unit(unit.nanometer))
-    if settings.molecules is not None:
-        _, positions, system = boxes.of_size(box, settings.box.parent, settings.molecules)
-    fast = prepare_system(boxes.with_tolerance(system)).fastForceGroups
+    fast = prepare_system(box.system).fastForceGroups
     bath = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
     bath.setRandomNumberSeed(settings.seed)
     bath.setConstraintTolerance(1e-9)
-    context = make_context(system, bath, "CPU")
-    context.setPositions(positions)
+    context = make_context(box.system, bath, "CPU")
+    context.setPositions(box.positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
     context.setVelocitiesToTemperature(settings.temperature, settings.seed)
-    if settings.molecules is not None:
-        bath.setStepSize(0.001)
-        bath.setFriction(20.0)
-        bath.step(MELTING)
-        bath.setStepSize(0.002)
     bath.step(EQUILIBRATION)
-    return Started(system, context.getState(positions=True, velocities=True), fast)
+    return Started(box.system, context.getState(positions=True, velocities=True), fast)
 
 
 def context_on(place: str, system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
@@ -149,7 +138,7 @@ def study(settings: NativeSettings, report: Report = SILENT) -> Record:
     schemes = chosen(settings.schemes, CATALOGUE, "scheme")
     begun = start(settings)
     rows = pd.DataFrame([row for scheme in schemes for row in compare(begun, scheme, settings, report)])
-    title = f"{settings.box.stem}, {settings.molecules or 'all'} molecules, {settings.time:g} ps"
+    title = f"{settings.box.stem}, {settings.time:g} ps"
     report.table(records.table(title, rows, COLUMNS, left=4))
     return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "native-accuracy.json")
 
