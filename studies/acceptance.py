@@ -10,30 +10,34 @@ schemes or steps adds to them. Writes acceptance.json and acceptance.png. The de
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import openmm
 import pandas as pd
+from openmm import unit
 
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.metropolis import spread_at
-from openmm_sier.dynamics.schemes import SIER4G
-from studies import acceptance_trials as trials
+from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from openmm_sier.integrators.hmc import SIERHMCIntegrator
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.measure.starts import make_context
 from studies import boxes, records, style
-from studies.acceptance_trials import AcceptanceSettings
-from studies.command import chosen, claim, command
+from studies.command import BoxSettings, chosen, claim, command
 from studies.methods import REVERSIBLE
 from studies.records import Record
 from studies.report import SILENT, Report
-
-#: The directory of intermediate results.
-KEPT = "trials"
+from studies.sampling import equilibrated
+from studies.units import md
 
 #: Settings in which the trials of a directory may differ.
-FREE = ("sizes", "schemes", "dt", "trials")
+FREE = ("sizes", "schemes", "dt", "trials", "processes")
 
 #: Spreads of boxes below this size are not pooled with those of larger ones, since cut-offs are shorter in boxes that
 #: are narrower than twice the usual cut-off.
@@ -67,28 +71,150 @@ LIMITS = {
 }
 
 
-def row_of(member: dict[str, Any]) -> dict[str, Any]:
-    """The row for trials, see `acceptance_trials.measure`.
+#: Size in nm and number of the random displacements of molecules that tell the noise of the energy. Single precision
+#: resolves the coordinates of a large box about as well.
+NOISE_STEP, NOISE_SAMPLES = 1e-6, 16
+
+#: Default number of trials in a box, which is `MOLECULES` over the molecules of the box, within the two bounds.
+MOLECULES, FEWEST, MOST = 163840, 10, 400
+
+
+@dataclass(frozen=True)
+class AcceptanceSettings(BoxSettings):
+    """Settings of the measurement.
+
+    Attributes:
+        sizes: numbers of molecules, multiples of that of the box or smaller.
+        schemes: by name; all unless given.
+        dt: simulated time per force evaluation, fs.
+        trials: their number at each size, or one number for all; fewer in larger boxes unless given.
+        time: of each trajectory, ps, rounded to a whole number of steps.
+        equilibrate: at each size, ps, for repeated boxes; cropped ones are equilibrated until they have settled.
+        processes: that make trials at the same time.
+    """
+
+    sizes: tuple[int, ...] = (64, 512, 4096, 32768)
+    schemes: tuple[str, ...] = ()
+    dt: tuple[float, ...] = (2.0,)
+    trials: tuple[int, ...] = ()
+    time: float = 0.06
+    equilibrate: float = 1.0
+    processes: int = 1
+
+    def trials_of(self, molecules: int) -> int:
+        """Number of trials in a box of this size."""
+        if not self.trials:
+            return min(MOST, max(FEWEST, MOLECULES // molecules))
+        return self.trials[self.sizes.index(molecules) if len(self.trials) > 1 else 0]
+
+
+class Task(NamedTuple):
+    """Trials of one method in one box."""
+
+    settings: AcceptanceSettings
+    molecules: int
+    scheme: str
+    fs_per_force: float
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """What identifies the trials."""
+        named = {"molecules": self.molecules, "method": REVERSIBLE[self.scheme].name}
+        return named | {"fs_per_force": self.fs_per_force, "trials": self.settings.trials_of(self.molecules)}
+
+
+def run(task: Task) -> dict[str, Any]:
+    """Trials, each from the last sample, with momenta drawn anew.
 
     Returns:
-        Besides what tells the trials: their number; `acceptance`, the mean of min(1, exp(-error)); `spread`, the
-        standard deviation of the energy error; `mean` of the error, half the square of the spread if errors are normal,
-        each with its standard error; `noise`, the standard deviation of the energy from rounding, which enters each
-        trial twice. Energies are in kT.
+        Besides the point `step` in fs, `length` of a trial in fs; the `errors` of the energy at the end of each trial
+        in kT, None where a trajectory could not be followed; `reversal`, the distance in nm by which an atom missed its
+        start when the first trajectory was followed back; the `noise` of the energy in kT, from rounding, which enters
+        each trial twice; and `broken`, why there are no trials.
     """
-    errors = np.array([math.inf if error is None else error for error in member["errors"]])
-    followed = errors[np.isfinite(errors)]
-    unknown = ("acceptance", "acceptance_error", "spread", "spread_error", "mean", "mean_error")
+    settings, method = task.settings, REVERSIBLE[task.scheme]
+    box = boxes.read(settings)
+    replica = boxes.of_size(box, settings.box.parent, task.molecules)
+    context = make_context(replica.system, SIERIntegrator(0.001, SIER2), settings.platform)
+    # A cropped box has new faces, so it is equilibrated until it has settled.
+    time: Any = None if task.molecules < box.topology.getNumResidues() else settings.equilibrate
+    kept, positions = settings.out / f"start of {task.molecules}.xml", replica.positions * unit.nanometer
+    context.setState(equilibrated(context, positions, settings.temperature, settings.seed, time, kept))
+    bodies, noise = context.getIntegrator().bodies, energy_noise(context, settings.seed)
+    step = task.fs_per_force * method.forces
+    steps = max(1, round(1e3 * settings.time / step))
+    made: dict[str, Any] = task.point | {"step": step, "length": step * steps, "errors": [], "reversal": None}
+    made |= {"noise": noise / (GAS_CONSTANT * settings.temperature), "broken": ""}
+    integrator = SIERHMCIntegrator(
+        settings.temperature, 1e-3 * step, method.scheme, steps, bodies=bodies, rotation=method.rotation
+    )
+    integrator.setRandomNumberSeed(settings.seed)
+    tried = make_context(replica.system, integrator, settings.platform)
+    tried.setPositions(context.getState(positions=True).getPositions())
+    try:
+        for _ in range(made["trials"]):
+            integrator.step(1)
+            error = integrator.lastEnergyError
+            made["errors"].append(error if math.isfinite(error) else None)
+    except openmm.OpenMMException as error:
+        return made | {"errors": [], "broken": " ".join(str(error).split())}
+    return made | {"reversal": integrator.reversalError}
+
+
+def energy_noise(context: openmm.Context, seed: int = 1) -> float:
+    """Standard deviation of a Context's potential energy from rounding, kJ/mol.
+
+    Molecules are displaced at random, by so little that their forces predict the change of the energy. The scatter
+    about this prediction is from rounding alone, of positions and of sums.
+
+    Args:
+        context: of a SIERIntegrator, with positions. It is left as it was.
+        seed: of the displacements.
+    """
+    state = context.getState(positions=True, energy=True, forces=True)
+    positions = md(state.getPositions(asNumpy=True))
+    bodies = context.getIntegrator().bodies
+    F, _ = bodies.forces_and_torques(md(state.getForces(asNumpy=True)), context.getIntegrator().getBodyState().A)
+    owners, rng, found = bodies.owners, np.random.default_rng(seed), []
+    try:
+        for _ in range(NOISE_SAMPLES):
+            moved = rng.normal(scale=NOISE_STEP, size=F.shape)
+            context.setPositions(np.where(owners[:, None] >= 0, positions + moved.T[owners], positions))
+            context.computeVirtualSites()
+            found.append(md(context.getState(energy=True).getPotentialEnergy()) + float((F * moved).sum()))
+    finally:
+        context.setPositions(positions)
+    return float(np.std(found, ddof=1))
+
+
+def statistics(errors: Sequence[float | None]) -> dict[str, Any]:
+    """What energy errors of trials in kT tell; an error is None or NaN where a trajectory could not be followed.
+
+    Returns:
+        The number of `trials`; `acceptance`, the mean of min(1, exp(-error)); `spread`, the standard deviation of the
+        energy error; `mean` of the error, half the square of the spread if errors are normal; each with its standard
+        error, and NaN where there are too few trials.
+    """
+    found = np.array(errors, dtype=float)
+    followed = found[np.isfinite(found)]
+    chances = np.exp(-np.maximum(np.where(np.isfinite(found), found, math.inf), 0))
+    n, m = len(found), len(followed)
+    sd = float(followed.std(ddof=1)) if m > 1 else math.nan
+    return {
+        "trials": n,
+        "acceptance": chances.mean() if n else math.nan,
+        "acceptance_error": chances.std(ddof=1) / math.sqrt(n) if n > 1 else math.nan,
+        "spread": sd,
+        "spread_error": sd / math.sqrt(2 * (m - 1)) if m > 1 else math.nan,
+        "mean": followed.mean() if m else math.nan,
+        "mean_error": sd / math.sqrt(m) if m > 1 else math.nan,
+    }
+
+
+def row_of(member: dict[str, Any]) -> dict[str, Any]:
+    """The row for trials of `run`, see `statistics`."""
     row = {key: value for key, value in member.items() if key not in ("errors", "reversal")}
-    row |= {"trials": len(errors)} | dict.fromkeys(unknown, math.nan)
-    if len(errors) > 1:
-        chances = np.exp(-np.maximum(errors, 0))
-        row["acceptance"], row["acceptance_error"] = chances.mean(), chances.std(ddof=1) / math.sqrt(len(errors))
-    if len(followed) > 1:
-        sd = followed.std(ddof=1)
-        row["spread"], row["spread_error"] = sd, sd / math.sqrt(2 * (len(followed) - 1))
-        row["mean"], row["mean_error"] = followed.mean(), sd / math.sqrt(len(followed))
-    return row
+    return row | statistics(member["errors"])
 
 
 def measure(settings: AcceptanceSettings, report: Report = SILENT) -> pd.DataFrame:
@@ -97,38 +223,25 @@ def measure(settings: AcceptanceSettings, report: Report = SILENT) -> pd.DataFra
     Raises:
         ValueError: a scheme is unknown, a size does not fit the box, or the directory has results of other settings.
     """
-    methods = dict(zip(settings.schemes or REVERSIBLE, chosen(settings.schemes, REVERSIBLE, "scheme"), strict=True))
+    chosen(settings.schemes, REVERSIBLE, "scheme")
     if len(settings.trials) not in (0, 1, len(settings.sizes)):
         raise ValueError(f"trials must be one number or one for each of {len(settings.sizes)} sizes")
     if settings.trials and min(settings.trials) < 2:
         raise ValueError(f"trials must be at least 2, got {min(settings.trials)}")
-    box = boxes.read(settings)
-    kept = settings.out / KEPT
-    kept.mkdir(parents=True, exist_ok=True)
-    claim(kept / "settings.json", {key: value for key, value in settings.recorded().items() if key not in FREE})
-    for molecules in settings.sizes:
-        replica, begun = boxes.of_size(box, settings.box.parent, molecules), None
-        for (name, method), dt in itertools.product(methods.items(), settings.dt):
-            path, wanted = kept / f"{molecules}-{name}-{dt:g}.json", settings.trials_of(molecules)
-            if (member := _known(path, wanted)) is None:
-                # A cropped box has new faces, so it is equilibrated until it has settled.
-                time = None if molecules < box.topology.getNumResidues() else settings.equilibrate
-                begun = begun or trials.start(replica, kept / f"{molecules}.npy", settings, time, report)
-                member = trials.measure(begun, method, dt, wanted, settings, report)
-                records.replace_file(path, json.dumps(member, indent=1))
-            form = "acceptance {acceptance:.3f} ± {acceptance_error:.3f}, sd {spread:.4f} ± {spread_error:.4f} kT"
-            told = member["broken"] or records.cell(form, row_of(member))
-            report.note(f"{method.name} at {dt:g} fs per force, {molecules} molecules: {told}")
-    found = [row_of(json.loads(path.read_text())) for path in sorted(kept.glob("[0-9]*.json"))]
+    shared = {key: value for key, value in settings.recorded().items() if key not in FREE}
+    claim(settings.out / "acceptance-settings.json", shared)
+    path = settings.out / "acceptance.jsonl"
+    tasks = [Task(settings, *each) for each in product(settings.sizes, settings.schemes or REVERSIBLE, settings.dt)]
+    form = "acceptance {acceptance:.3f} ± {acceptance_error:.3f}, sd {spread:.4f} ± {spread_error:.4f} kT"
+    for made in records.make_missing(path, tasks, run, settings.processes):
+        told = made["broken"] or records.cell(form, row_of(made))
+        report.note(records.cell("{method} at {fs_per_force:g} fs per force, {molecules} molecules: ", made) + told)
     order = [method.name for method in REVERSIBLE.values()]
-    rows = pd.DataFrame(found).sort_values("method", key=lambda names: names.map(order.index))
+    rows = pd.DataFrame([row_of(member) for member in records.kept_runs(path)])
+    # More trials begin with those that there were.
+    rows = rows.sort_values("trials").drop_duplicates(["molecules", "method", "fs_per_force"], keep="last")
+    rows = rows.sort_values("method", key=lambda names: names.map(order.index), kind="stable")
     return rows.sort_values(["molecules", "fs_per_force"], kind="stable", ignore_index=True)
-
-
-def _known(path: Path, wanted: int) -> dict[str, Any] | None:
-    """Trials that are on disk, if they are enough."""
-    member = json.loads(path.read_text()) if path.exists() else None
-    return member if member and (member["broken"] or len(member["errors"]) >= wanted) else None
 
 
 # --- how large a box may be ---
@@ -155,7 +268,7 @@ def limits(rows: pd.DataFrame, accepted: float = 0.5) -> pd.DataFrame:
         row = {"method": method, "fs_per_force": dt, "spread": spread, "spread_error": error}
         row["measured"] = max(mine.loc[mine["acceptance"] > accepted, "molecules"], default=0)
         found.append(row | {"largest": largest, "largest_error": 2 * largest * error / spread})
-    return pd.DataFrame(found)
+    return pd.DataFrame(found, columns=list(found[0]) if found else ["method", "fs_per_force", "largest"])
 
 
 def expected_acceptance(spread: float) -> float:

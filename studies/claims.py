@@ -269,7 +269,6 @@ TESTED = (
     Tested(
         "Restarts are bit-identical on Reference, and on CPU with one thread.",
         ("tests/integrators/test_restart.py",),
-        "python -m studies.checks.repeatability",
     ),
     Tested(
         "Ctrl-C leaves the Context at a completed step, or at the last sample.",

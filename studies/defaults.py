@@ -4,31 +4,25 @@
     python -m studies.defaults --tolerance 5e-4 --starts 1     some of it
 
 Each run is kept in defaults.jsonl as soon as it is done, and is not repeated: a command that was stopped goes on where
-it was, and two commands with different seeds can share a directory. The table of all runs there is defaults.json.
+it was. The table of all runs there is defaults.json.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import product
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-import openmm
 import pandas as pd
 
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
-from openmm_sier.measure.observables import energy_error
 from studies import boxes, records
-from studies.command import BoxSettings, chosen, claim, command
-from studies.methods import CONSTANT_ENERGY, Method
+from studies.command import chosen, claim, command
+from studies.methods import CONSTANT_ENERGY
 from studies.records import Record
 from studies.report import SILENT, Report, Table
-from studies.sampling import Liquid, equilibrated_liquid, follow
+from studies.sampling import GridSettings, conserved
 
 #: What makes a cell of the table.
 CELL = ["tolerance", "cutoff", "switch", "balanced"]
@@ -37,8 +31,8 @@ Choice = tuple[Literal["no", "yes"], ...]
 
 
 @dataclass(frozen=True)
-class DefaultsSettings(BoxSettings):
-    """Settings of the table; the seeds of the starts follow `seed`.
+class DefaultsSettings(GridSettings):
+    """Settings of the table.
 
     Attributes:
         tolerance: OpenMM's ewaldErrorTolerance.
@@ -47,9 +41,6 @@ class DefaultsSettings(BoxSettings):
         balanced: whether the sums of PME are balanced, or split as OpenMM does it.
         methods: by name.
         dt: simulated time per force evaluation, fs.
-        starts: equilibrated phase points, from which all runs start.
-        time: of each run, ps.
-        equilibrate: before them, ps.
     """
 
     tolerance: tuple[float, ...] = (5e-4, 1e-4, 1e-5)
@@ -58,46 +49,34 @@ class DefaultsSettings(BoxSettings):
     balanced: Choice = ("no", "yes")
     methods: tuple[str, ...] = ("verlet", "sier4g")
     dt: float = 2.0
-    starts: int = 4
-    time: float = 1.0
     equilibrate: float = 2.0
 
 
-def systems(settings: DefaultsSettings) -> Iterator[tuple[dict[str, Any], openmm.System]]:
-    """The box with all combinations of settings, each with its cell of the table."""
-    for values in product(settings.tolerance, settings.cutoff, settings.switch, settings.balanced):
-        tolerance, cutoff, switch, balanced = values
-        interactions = Interactions(cutoff, None if switch == "yes" else 0.0, tolerance)
-        box = forcefields.read_box(settings.box, settings.forcefield, interactions=interactions)
-        system = box.system if balanced == "yes" else boxes.split_by_openmm(box.system)
-        yield dict(zip(CELL, values, strict=True)), system
+class Task(NamedTuple):
+    """One run."""
+
+    settings: DefaultsSettings
+    cell: tuple[float, float, str, str]
+    method: str
+    seed: int
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """What identifies the run."""
+        cell = dict(zip(CELL, self.cell, strict=True))
+        return cell | {"method": CONSTANT_ENERGY[self.method].name, "seed": self.seed}
 
 
-def percent(liquid: Liquid, method: Method, settings: DefaultsSettings, report: Report) -> float:
-    """rms(H)/rms(V) of a run in per cent."""
-    with warnings.catch_warnings():
-        # This is what is measured here.
-        warnings.filterwarnings("ignore", "PME is split as OpenMM does it")
-        series = follow(liquid, method, settings.dt, settings.time, report=report).series
-    return 100 * energy_error(series.total, series.potential)
-
-
-def run_missing(settings: DefaultsSettings, path: Path, report: Report) -> None:
-    """Make the runs that a file lacks, and add each to it."""
-    methods = chosen(settings.methods, CONSTANT_ENERGY, "method")
-    done = [{name: value for name, value in row.items() if name != "percent"} for row in records.kept_runs(path)]
-
-    @cache
-    def start(seed: int) -> Liquid:
-        return equilibrated_liquid(replace(settings, seed=seed), settings.equilibrate, report)
-
-    for cell, system in systems(settings):
-        for seed, method in product(range(settings.seed, settings.seed + settings.starts), methods):
-            row = cell | {"method": method.name, "seed": seed}
-            if row not in done:
-                row["percent"] = percent(replace(start(seed), system=system), method, settings, report)
-                records.keep_run(path, row)
-                report.note(", ".join(f"{name} {value}" for name, value in row.items()))
+def run(task: Task) -> dict[str, Any]:
+    """A run with its `percent`, rms(H)/rms(V)."""
+    settings, (tolerance, cutoff, switch, balanced) = task.settings, task.cell
+    interactions = Interactions(cutoff, None if switch == "yes" else 0.0, tolerance)
+    system = forcefields.read_box(settings.box, settings.forcefield, interactions=interactions).system
+    if balanced == "no":
+        boxes.split_by_openmm(system)
+    liquid = replace(settings.start(task.seed), system=system)
+    found, _ = conserved(liquid, CONSTANT_ENERGY[task.method], settings.dt, settings.time)
+    return task.point | {"percent": found["percent"]}
 
 
 def table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -113,7 +92,11 @@ def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
     shared = {name: settings.recorded()[name] for name in ("box", "temperature", "dt", "time", "equilibrate")}
     claim(settings.out / "settings.json", shared)
     path = settings.out / "defaults.jsonl"
-    run_missing(settings, path, report)
+    chosen(settings.methods, CONSTANT_ENERGY, "method")
+    cells = product(settings.tolerance, settings.cutoff, settings.switch, settings.balanced)
+    tasks = [Task(settings, *each) for each in product(cells, settings.methods, settings.seeds)]
+    for made in records.make_missing(path, tasks, run, settings.processes):
+        report.note(", ".join(f"{name} {value}" for name, value in made.items()))
     record = Record(settings.recorded(), {"rows": pd.DataFrame(records.kept_runs(path))}, {})
     report.table(tables(record)[0])
     return record.write(settings.out / "defaults.json")

@@ -1,19 +1,19 @@
 """Temperatures of rotations and translations by integrator and step.
 
     python -m studies.equipartition [BOX.pdb] [--ensemble nvt] [--methods verlet sier2] [--dt 1 2]
-    python -m studies.equipartition --pool DIR DIR
 
-compares T_trans, T_rot, mean potential energy and density with OpenMM's integrators and ours, or pools what earlier
-comparisons wrote, and writes equipartition.json and equipartition.png.
+compares T_trans, T_rot, mean potential energy and density with OpenMM's integrators and ours. Each run is kept in
+equipartition.jsonl as soon as it is done, and is not repeated: commands with other methods, steps, seeds or lengths and
+one `--out` add to the same table. Writes equipartition.json and equipartition.png from all runs there.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import openmm
@@ -26,23 +26,17 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import mean_and_error, slope_and_error
 from openmm_sier.observe.conservation import density
 from studies import records, sampling, style
-from studies.command import BoxSettings, chosen, command
+from studies.command import chosen, claim, command
 from studies.methods import CONSTANT_ENERGY, Method, with_bath
 from studies.records import Record
 from studies.report import SILENT, Report
-from studies.sampling import Liquid, Unstable, equilibrated_liquid, follow
-
-#: Start of every run that is left out, ps.
-SETTLING = 2.0
+from studies.sampling import GridSettings, Liquid, Unstable, follow
 
 #: Samples of the forces that predict the bias, steps of SIER2 before each, and their length in ps.
 FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 
-#: The file of the numbers.
-FILE = "equipartition.json"
-
-#: Settings that comparisons must share to be pooled.
-SHARED = ("box", "forcefield", "ensemble", "temperature", "friction", "pressure")
+#: Settings that all runs of a directory share.
+SHARED = ("box", "forcefield", "ensemble", "temperature", "equilibrate", "friction", "pressure")
 
 #: What is measured, each with its standard error: temperatures in K, kJ/mol, g/cm^3.
 MEASURED = ("translation", "rotation", "difference", "potential", "density")
@@ -62,64 +56,82 @@ COLUMNS = {
 
 
 @dataclass(frozen=True)
-class EquipartitionSettings(BoxSettings):
+class EquipartitionSettings(GridSettings):
     """Settings of the comparison.
 
     Attributes:
         dt: simulated time per force evaluation, fs.
         methods: by name; all of the ensemble unless given.
         ensemble: of the runs.
-        time: of each run, ps.
-        equilibrate: before them, ps.
+        settle: start of every run that is left out, ps.
         friction: of heat baths, 1/ps.
         pressure: bar.
-        replicas: runs of each, with seeds that follow the first.
-        pool: directories of earlier comparisons, which are pooled instead of making runs.
     """
 
     dt: tuple[float, ...] = (0.5, 1.0, 2.0, 3.0, 4.0)
     methods: tuple[str, ...] = ()
     ensemble: Literal["nve", "nvt", "npt"] = "nve"
+    starts: int = 1
     time: float = 20.0
     equilibrate: float = 10.0
+    settle: float = 2.0
     friction: float = 1.0
     pressure: float = 1.0
-    replicas: int = 1
-    pool: tuple[Path, ...] = ()
 
     ANY_SIGN: ClassVar[tuple[str, ...]] = ("pressure",)
 
+    def known(self, seed: int) -> dict[str, Method]:
+        """The methods of the ensemble, by name."""
+        return CONSTANT_ENERGY if self.ensemble == "nve" else with_bath(self.temperature, self.friction, seed)
 
-def compare(settings: EquipartitionSettings, report: Report = SILENT) -> pd.DataFrame:
-    """Run every method at every step from equilibrated starts, one for each replica, and pool the replicas.
 
-    Returns:
-        A row for each method and step, with what is `MEASURED`, the drift of the energy, `broken`, why the run ended
-        early, and `predicted`, the difference of the temperatures to leading order in the step, NaN where that is not
-        known; see `studies.methods.Method`.
+class Task(NamedTuple):
+    """One run."""
 
-    Raises:
-        ValueError: a method is unknown.
+    settings: EquipartitionSettings
+    name: str
+    fs_per_force: float
+    seed: int
+
+    @property
+    def method(self) -> Method:
+        return self.settings.known(self.seed)[self.name]
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """What identifies the run."""
+        method = self.method
+        step = {"step": self.fs_per_force * method.forces, "fs_per_force": self.fs_per_force}
+        return {"method": method.name, **step, "time": self.settings.time, "seed": self.seed}
+
+
+def run(task: Task) -> dict[str, Any]:
+    """A run: what is `MEASURED`, the drift of the energy, `broken`, why it ended early, and `predicted`.
+
+    The latter is the difference of the temperatures to leading order in the step, NaN where that is not known; see
+    `studies.methods.Method`.
     """
-    rows = []
-    for seed in range(settings.seed, settings.seed + settings.replicas):
-        mine = replace(settings, seed=seed)
-        known = CONSTANT_ENERGY
-        if mine.ensemble != "nve":
-            known = with_bath(mine.temperature, mine.friction, seed)
-        methods = chosen(mine.methods, known, f"method of the {mine.ensemble} ensemble")
-        liquid = equilibrated_liquid(mine, mine.equilibrate, report)
-        # Forces are needed only where some method has a law (NaN is not above 0).
-        slope = _slope(liquid) if any(method.bias > 0 for method in methods) else math.nan
-        surrounded = replace(liquid, system=_surrounded(liquid.system, mine))
-        for method in methods:
-            for dt in mine.dt:
-                row = _row(surrounded, method, dt, mine.time, report)
-                rows.append(row | {"predicted": -method.bias * (1e-3 * row["step"]) ** 2 * slope})
-                found = records.cell("T_rot - T_trans = {difference:+.2f} ± {difference_error:.2f} K", row)
-                told = f"unstable ({row['broken']})" if row["broken"] else found
-                report.note(f"{method.name} at {dt:g} fs per force: {told}")
-    return pooled(pd.DataFrame(rows))
+    settings, method, row = task.settings, task.method, task.point
+    liquid = settings.start(task.seed)
+    # Forces are needed only where the method has a law (NaN is not above 0).
+    slope = _slope(liquid) if method.bias > 0 else math.nan
+    row["predicted"] = -method.bias * (1e-3 * row["step"]) ** 2 * slope
+    surrounded = replace(liquid, system=_surrounded(liquid.system, settings))
+    try:
+        series = follow(surrounded, method, task.fs_per_force, settings.time, settings.settle).series
+    except Unstable as error:
+        unknown = {name: math.nan for each in MEASURED for name in (each, f"{each}_error")}
+        return row | unknown | {"drift": math.nan, "broken": str(error)}
+    measured = (
+        series.translation,
+        series.rotation,
+        series.rotation - series.translation,
+        series.potential / liquid.bodies.n,
+        density(liquid.bodies.masses.sum(), series.volume),
+    )
+    for name, values in zip(MEASURED, measured, strict=True):
+        row[name], row[f"{name}_error"], _ = mean_and_error(values)
+    return row | {"drift": slope_and_error(series.time, series.total).value, "broken": ""}
 
 
 def _surrounded(system: openmm.System, settings: EquipartitionSettings) -> openmm.System:
@@ -141,25 +153,6 @@ def _slope(liquid: Liquid) -> float:
     return rotation - translation
 
 
-def _row(liquid: Liquid, method: Method, dt: float, time: float, report: Report) -> dict[str, Any]:
-    row: dict[str, Any] = {"method": method.name, "step": dt * method.forces, "fs_per_force": dt, "time": time}
-    unknown = {name: math.nan for each in MEASURED for name in (each, f"{each}_error")}
-    try:
-        series = follow(liquid, method, dt, time, SETTLING, report).series
-    except Unstable as error:
-        return row | unknown | {"drift": math.nan, "broken": str(error)}
-    measured = (
-        series.translation,
-        series.rotation,
-        series.rotation - series.translation,
-        series.potential / liquid.bodies.n,
-        density(liquid.bodies.masses.sum(), series.volume),
-    )
-    for name, values in zip(MEASURED, measured, strict=True):
-        row[name], row[f"{name}_error"], _ = mean_and_error(values)
-    return row | {"drift": slope_and_error(series.time, series.total).value, "broken": ""}
-
-
 def pooled(rows: pd.DataFrame) -> pd.DataFrame:
     """One row for each method and step, the runs weighted by their lengths; independent errors add up in squares."""
     return pd.DataFrame([_pool(group) for _, group in rows.groupby(["method", "step"], sort=False)])
@@ -179,51 +172,26 @@ def _pool(rows: pd.DataFrame) -> dict[str, Any]:
     return first | {"time": float(rows["time"].sum()), "predicted": float(rows["predicted"].mean())}
 
 
-def pool(directories: Sequence[Path]) -> Record:
-    """The runs of earlier comparisons together.
-
-    Args:
-        directories: of these comparisons, all with the same `SHARED` settings.
+def study(settings: EquipartitionSettings, report: Report = SILENT) -> Record:
+    """Make the runs that are missing in the directory `out`, and write equipartition.json and equipartition.png.
 
     Raises:
-        ValueError: two of them were made with different settings, or have runs with the same seed.
+        ValueError: a method is unknown, or the directory has runs of other settings.
     """
-    found = [records.read(directory / FILE) for directory in directories]
-    for directory, record in zip(directories, found, strict=True):
-        for name in SHARED:
-            if (one := record.settings[name]) != (other := found[0].settings[name]):
-                raise ValueError(
-                    f"{directory} and {directories[0]} cannot be pooled: their settings of {name} are {one} and {other}"
-                )
-    _refuse_repetitions(directories, found)
-    rows = pooled(pd.concat([record.tables["rows"] for record in found]))
-    return Record(found[0].settings, {"rows": rows}, {"pooled": [record.settings for record in found]})
-
-
-def _refuse_repetitions(directories: Sequence[Path], found: Sequence[Record]) -> None:
-    """Raise ValueError where a run would count twice as if it were independent."""
-    seen: dict[tuple, Path] = {}
-    for directory, record in zip(directories, found, strict=True):
-        for settings in record.notes.get("pooled", [record.settings]):
-            seeds = range(settings["seed"], settings["seed"] + settings["replicas"])
-            runs = set(record.tables["rows"][["method", "step"]].itertuples(index=False, name=None))
-            for key in ((*run, seed) for run in runs for seed in seeds):
-                if seen.setdefault(key, directory) is not directory:
-                    raise ValueError(
-                        f"{directory} and {seen[key]} cannot be pooled: both have {key[0]} at {key[1]:g} fs with seed "
-                        f"{key[2]}, which is one run and not two"
-                    )
-
-
-def study(settings: EquipartitionSettings, report: Report = SILENT) -> Record:
-    """Compare or pool, and write equipartition.json and equipartition.png."""
-    if settings.pool:
-        record = pool(settings.pool)
-    else:
-        record = Record(settings.recorded(), {"rows": compare(settings, report)}, {})
-    title = f"Equipartition, {record.settings['ensemble'].upper()}; velocities at whole steps"
-    report.table(records.table(title, record.tables["rows"], COLUMNS))
-    record.write(settings.out / FILE)
+    known = settings.known(settings.seed)
+    chosen(settings.methods, known, f"method of the {settings.ensemble} ensemble")
+    shared = {name: settings.recorded()[name] for name in SHARED}
+    claim(settings.out / "equipartition-settings.json", shared)
+    path = settings.out / "equipartition.jsonl"
+    tasks = [Task(settings, *each) for each in product(settings.methods or known, settings.dt, settings.seeds)]
+    form = "{method} at {fs_per_force:g} fs per force: T_rot - T_trans = {difference:+.2f} ± {difference_error:.2f} K"
+    for made in records.make_missing(path, tasks, run, settings.processes):
+        report.note(made["broken"] or records.cell(form, made))
+    runs = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan})
+    rows = pooled(runs)
+    title = f"Equipartition, {settings.ensemble.upper()}; velocities at whole steps"
+    report.table(records.table(title, rows, COLUMNS))
+    record = Record(shared, {"rows": rows, "runs": runs}, {}).write(settings.out / "equipartition.json")
     figure(record, settings.out / "equipartition.png")
     return record
 

@@ -7,7 +7,7 @@ The cut-off stays. In the box itself all pairs of an Ewald parameter and a mesh 
 have the same reference, and for each mesh the parameter that was best at its spacing. Force evaluations of all meshes,
 of OpenMM's choices by ewaldErrorTolerance and of `balance_pme` take turns. The table has, for each of these choices,
 the fastest mesh whose forces are at least as exact. Set OPENMM_CPU_THREADS to 1 for a machine that does other work.
-Writes mesh.json and mesh.png.
+Writes mesh.json.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.starts import make_context
 from openmm_sier.prepare.pme import meshed_forces
-from studies import boxes, records, style
+from studies import boxes, records
 from studies.bench.timing import ON_PROCESSORS, interleaved, median_and_error
 from studies.command import BoxSettings, command
 from studies.records import Record
@@ -263,7 +262,7 @@ def _row(molecules: int, forces: Forces, its_error: float, seconds: np.ndarray) 
 
 
 def study(settings: MeshSettings, report: Report = SILENT) -> Record:
-    """Scan and time, and write mesh.json and mesh.png.
+    """Scan and time, and write mesh.json.
 
     Raises:
         ValueError: the box is not cubic, or a number of molecules no cube times that of the box.
@@ -281,35 +280,7 @@ def study(settings: MeshSettings, report: Report = SILENT) -> Record:
     found = {"scan": scanned, "meshes": pd.DataFrame(meshes), "choices": pd.DataFrame(choices)}
     title = f"PME by tolerance, and the fastest mesh as exact, {settings.cutoff:g} nm"
     report.table(records.table(title, found["choices"], COLUMNS))
-    record = Record(settings.recorded(), found, {"threads": threads.count()})
-    record.write(settings.out / "mesh.json")
-    figure(record, settings.out / "mesh.png")
-    return record
-
-
-def figure(record: Record, path: Path) -> None:
-    """Error against Ewald parameter, a line for each mesh of the box; time against error in each box."""
-    scanned, meshes, choices = (record.tables[name] for name in ("scan", "meshes", "choices"))
-    with style.figure(path, 2) as (_, (errors, times)):
-        for mesh, mine in scanned.groupby("mesh"):
-            errors.plot(mine["alpha"], mine["error"], lw=1, color=style.GREY, alpha=0.6)
-            least = mine.loc[mine["error"].idxmin()]
-            errors.annotate(f"{mesh}", (least["alpha"], least["error"]), fontsize=6, ha="center", va="top")
-        for molecules, mine in meshes.groupby("molecules"):
-            unit_of = mine["milliseconds"].min()
-            (line,) = times.plot(
-                mine["error"], mine["milliseconds"] / unit_of, ".-", lw=1, label=f"{molecules} molecules"
-            )
-            for split, marker in ((OPENMM, "s"), (BALANCED, "o")):
-                chosen = choices[(choices["molecules"] == molecules) & (choices["split"] == split)]
-                times.plot(
-                    chosen["error"], chosen["milliseconds"] / unit_of, marker, color=line.get_color(), mfc="white"
-                )
-        errors.set(yscale="log", xlabel="Ewald parameter (1/nm)", ylabel="error of the forces")
-        errors.set_title("Error, by mesh")
-        times.set(xscale="log", xlabel="error of the forces", ylabel="time over that of the coarsest mesh")
-        times.set_title("Time; squares OpenMM, circles balanced")
-        times.legend()
+    return Record(settings.recorded(), found, {"threads": threads.count()}).write(settings.out / "mesh.json")
 
 
 main = command(MeshSettings, study, __doc__, __name__)

@@ -11,7 +11,7 @@ import openmm
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.operators import Rotation
-from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, Scheme, alternating
+from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, Scheme
 from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, KICK, Stage
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
@@ -103,8 +103,6 @@ def with_bath(temperature: float, friction: float, seed: int) -> dict[str, Metho
 
 # --- published schemes beside the catalogue ---
 
-_BLANES_MOAN = "Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), "
-_OMELYAN_2002 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002), "
 _OMELYAN_2003 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), "
 
 
@@ -116,43 +114,8 @@ def _gradients_outside(share: float) -> tuple[Stage, ...]:
     return (*half, Stage(KICK, 1 - 2 * share), *reversed(half))
 
 
-#: Published schemes that the catalogue leaves out, because for any number of forces it has one that does as well or
-#: better.
+#: A published scheme that the catalogue leaves out, because for any number of forces it has one that does as well or
+#: better. Palindromes of kicks and drifts are compared by their fractions, see `studies.schemes`.
 OTHERS = {
-    "s6": alternating(
-        "Blanes-Moan S6",
-        DRIFT,
-        KICK,
-        (
-            0.0792036964311957,
-            0.209515106613362,
-            0.353172906049774,
-            -0.143851773179818,
-            -0.0420650803577195,
-            0.434336666566456,
-        ),
-        _BLANES_MOAN + "S6",
-    ),
-    "srkn6b": alternating(
-        "Blanes-Moan SRKN6b",
-        KICK,
-        DRIFT,
-        (
-            0.0829844064174052,
-            0.245298957184271,
-            0.396309801498368,
-            0.60487266571108,
-            -0.0390563049223486,
-            -0.350171622895351,
-        ),
-        _BLANES_MOAN + "SRKN6b",
-    ),
-    "pefrl": alternating(
-        "PEFRL",
-        DRIFT,
-        KICK,
-        (0.1786178958448091, 0.7123418310626054, -0.06626458266981849, -0.2123418310626054),
-        _OMELYAN_2002 + "position extended Forest-Ruth-like",
-    ),
     "omf3gg": Scheme("OMF, 3 forces and 2 gradients", _gradients_outside(0.3152315246820299), _OMELYAN_2003 + "Eq. 43"),
 }

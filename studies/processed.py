@@ -13,7 +13,8 @@ Comput. 18, 223 (1997).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from studies.methods import of_scheme
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import follow
-from studies.whole_run import Task, WholeRunSettings, start
+from studies.whole_run import Task, WholeRunSettings, start, tasks
 
 TAKAHASHI_IMADA = Scheme(
     "Takahashi-Imada",
@@ -65,11 +66,8 @@ def run(task: Task) -> dict[str, Any]:
     per_force = task.step / method.forces
     series = follow(start(task), method, per_force, settings.time, interval=task.step).series
     inner, better = slice(1, -1), processed(series.potential, series.total)
-    return {
-        "liquid": task.liquid,
-        "step": task.step,
+    return task.point | {
         "fs_per_force": per_force,
-        "seed": task.seed,
         "percent": 100 * energy_error(series.total, series.potential),
         "processed": 100 * energy_error(better, series.potential),
         "walk": 100 * energy_walk(series.time[inner], better, series.potential),
@@ -77,18 +75,13 @@ def run(task: Task) -> dict[str, Any]:
 
 
 def study(settings: ProcessedSettings, report: Report = SILENT) -> Record:
-    """Make all runs, and write processed.json."""
-    rows = []
-    for seed in range(settings.seed, settings.seed + settings.starts):
-        for liquid in settings.liquids:
-            for step in settings.steps:
-                rows.append(run(Task(settings, liquid, "sier4g", step, seed)))
-                report.note(
-                    records.cell("{liquid}, {step:g} fs, seed {seed}: {percent:.3f}, {processed:.3f} %", rows[-1])
-                )
-    record = Record(settings.recorded(), {"rows": pd.DataFrame(rows)}, {})
-    report.table(records.table("Takahashi and Imada's scheme over whole runs", record.tables["rows"], COLUMNS))
-    return record.write(settings.out / "processed.json")
+    """Make the runs that are missing in the directory `out`, and write processed.json."""
+    path, tried = settings.out / "processed.jsonl", replace(settings, methods=("sier4g",))
+    for made in records.make_missing(path, tasks(tried), run, settings.processes):
+        report.note(records.cell("{liquid}, {step:g} fs, seed {seed}: {percent:.3f}, {processed:.3f} %", made))
+    rows = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan}).assign(method=TAKAHASHI_IMADA.name)
+    report.table(records.table("Takahashi and Imada's scheme over whole runs", rows, COLUMNS))
+    return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "processed.json")
 
 
 main = command(ProcessedSettings, study, __doc__, __name__)

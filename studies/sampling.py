@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
-from openmm import unit
+import pandas as pd
 
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
@@ -19,7 +20,9 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.named import SIER2Integrator
+from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.starts import make_context, prepare
+from openmm_sier.measure.statistics import slope_and_error
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
 from studies import boxes
@@ -27,6 +30,7 @@ from studies.command import BoxSettings
 from studies.methods import Method
 from studies.records import replace_file
 from studies.report import SILENT, Report
+from studies.units import md
 
 #: Tolerance of constraints for OpenMM's own integrators.
 CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE
@@ -106,18 +110,66 @@ def equilibrated_liquid(
         time: of the equilibration, ps.
         report: gets notes and progress.
         tolerance: of PME.
-        kept: XML file of the State of an earlier equilibration, which is made if it does not exist; None keeps none.
+        kept: see `equilibrated`.
     """
     box = boxes.read(settings, tolerance=tolerance)
-    if kept is not None and kept.exists():
-        start = openmm.XmlSerializer.deserialize(kept.read_text())
-    else:
-        context = make_context(box.system, SIER2Integrator(0.001), settings.platform)
-        prepare(context, box.positions, settings.temperature, settings.seed, time, report=report)
-        start = context.getState(positions=True, velocities=True)
-        if kept is not None:
-            replace_file(kept, openmm.XmlSerializer.serialize(start))
+    context = make_context(box.system, SIER2Integrator(0.001), settings.platform)
+    start = equilibrated(context, box.positions, settings.temperature, settings.seed, time, kept, report)
     return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)
+
+
+@dataclass(frozen=True)
+class GridSettings(BoxSettings):
+    """What studies take that make runs of a box from several starts, and keep them one by one.
+
+    Attributes:
+        starts: equilibrated phase points, from which all runs start; their seeds follow `seed`.
+        time: of each run, ps.
+        equilibrate: before them, ps.
+        processes: that make runs at the same time.
+    """
+
+    starts: int = 4
+    time: float = 1.0
+    equilibrate: float = 3.0
+    processes: int = 1
+
+    @property
+    def seeds(self) -> range:
+        return range(self.seed, self.seed + self.starts)
+
+    @property
+    def liquid(self) -> str:
+        """Name of the box, and of the force field if it is not that of the box."""
+        return ", ".join([self.box.stem, *(Path(file).stem for file in self.forcefield)])
+
+    def start(self, seed: int, tolerance: float = boxes.TOLERANCE) -> Liquid:
+        """The equilibrated phase point of a seed, which is kept in `out` for other runs."""
+        kept = self.out / f"start of {self.liquid}, seed {seed}.xml"
+        return equilibrated_liquid(replace(self, seed=seed), self.equilibrate, tolerance=tolerance, kept=kept)
+
+
+def equilibrated(
+    context: openmm.Context,
+    positions: Any,
+    temperature: float,
+    seed: int,
+    time: float,
+    kept: Path | None = None,
+    report: Report = SILENT,
+) -> openmm.State:
+    """Positions and velocities after an equilibration, see `openmm_sier.measure.starts.prepare`.
+
+    Args:
+        kept: XML file of the State of an earlier equilibration, which is made if it does not exist; None keeps none.
+    """
+    if kept is not None and kept.exists():
+        return openmm.XmlSerializer.deserialize(kept.read_text())
+    prepare(context, positions, temperature, seed, time, report=report)
+    state = context.getState(positions=True, velocities=True)
+    if kept is not None:
+        replace_file(kept, openmm.XmlSerializer.serialize(state))
+    return state
 
 
 class Followed(NamedTuple):
@@ -176,6 +228,37 @@ def follow(
             return Followed(series, simulated / wall, simulated / processor)
     except openmm.OpenMMException as error:
         raise Unstable(" ".join(str(error).split())) from error
+
+
+def conserved(
+    liquid: Liquid, method: Method, dt: float, time: float, interval: float = INTERVAL
+) -> tuple[dict[str, Any], Series | None]:
+    """How well a run conserves energy, and its samples; see `follow` for the arguments.
+
+    Returns:
+        `percent` for rms(H)/rms(V) in per cent (see `openmm_sier.measure.observables.energy_error`), the `drift` of the
+        energy of the whole box in kJ/mol/ps with `its_error` as that of a slope, NaN where the run broke down, and why
+        it did: `broken`.
+    """
+    with warnings.catch_warnings():
+        # What a step or a System does to the energy is what is measured here.
+        warnings.simplefilter("ignore")
+        try:
+            series = follow(liquid, method, dt, time, interval=interval).series
+        except Unstable as error:
+            return dict.fromkeys(("percent", "drift", "its_error"), math.nan) | {"broken": str(error)}, None
+    drift, uncertainty, _ = slope_and_error(series.time, series.total)
+    percent = 100 * energy_error(series.total, series.potential)
+    return {"percent": percent, "drift": drift, "its_error": uncertainty, "broken": ""}, series
+
+
+def over_starts(runs: pd.DataFrame, names: Sequence[str]) -> dict[str, Any]:
+    """Means over runs that differ in their seeds alone, with standard errors; NaN where one is `broken`."""
+    found: dict[str, Any] = {"starts": len(runs), "broken": next((reason for reason in runs["broken"] if reason), "")}
+    for name in names:
+        found[name] = runs[name].mean(skipna=False)
+        found[f"{name}_error"] = runs[name].std(skipna=False) / math.sqrt(len(runs))
+    return found
 
 
 def sample(
@@ -242,14 +325,8 @@ def observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> Sa
     """
     state = context.getState(energy=True)
     found = temperatures(bodies, body_state(context, bodies), conserved)
-    return Sample(
-        state.getTime().value_in_unit(unit.picosecond),
-        state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
-        state.getKineticEnergy().value_in_unit(unit.kilojoule_per_mole),
-        found.translation,
-        found.rotation,
-        state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3),
-    )
+    time, potential, kinetic = map(md, (state.getTime(), state.getPotentialEnergy(), state.getKineticEnergy()))
+    return Sample(time, potential, kinetic, found.translation, found.rotation, md(state.getPeriodicBoxVolume()))
 
 
 def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
@@ -274,9 +351,9 @@ def steepness(context: openmm.Context, bodies: RigidBodies, samples: int, every:
     sums = np.zeros(2)
     for _ in range(samples):
         context.getIntegrator().step(every)
-        forces = context.getState(forces=True).getForces(asNumpy=True)
+        forces = md(context.getState(forces=True).getForces(asNumpy=True))
         A = context.getIntegrator().getBodyState().A
-        F, tau = bodies.forces_and_torques(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer), A)
+        F, tau = bodies.forces_and_torques(forces, A)
         sums += (F * F / bodies.masses).sum(), (body_frame(A, tau) ** 2 * bodies.inverse_moments).sum()
     # Forces do not know whether the total momentum is conserved.
     dof = np.array(degrees_of_freedom(bodies, conserved=False)[:2])

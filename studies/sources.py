@@ -13,7 +13,7 @@ COMMANDS = {
         "python -m studies.acceptance systems/tip3p-512.pdb --sizes 512 --schemes verlet sier2v2 sier2p3 sier4g "
         "--dt 3 4 5 --trials 40",
     ),
-    "cost.json": ("OPENMM_CPU_THREADS=1 python -m studies.bench --parts accuracy --platform CPU",),
+    "cost.json": ("OPENMM_CPU_THREADS=1 python -m studies.bench.accuracy --platform CPU",),
     "crowding.json": ("OPENMM_CPU_THREADS=1 python -m studies.crowding --platform CPU",),
     "defaults.json": ("python -m studies.defaults",),
     "dipeptide-samples.json": (

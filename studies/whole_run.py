@@ -14,7 +14,6 @@ processes of one thread each. Writes whole-run.json and whole-run.png from all r
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,9 +26,8 @@ import pandas as pd
 from openmm_sier import prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G
 from openmm_sier.measure import forcefields
-from openmm_sier.measure.observables import energy_error, energy_walk
-from openmm_sier.measure.starts import make_context, prepare
-from openmm_sier.measure.statistics import slope_and_error
+from openmm_sier.measure.observables import energy_walk
+from openmm_sier.measure.starts import make_context
 from openmm_sier.prepare.pme import DIRECT_SHARE
 from openmm_sier.system import find_bodies
 from openmm_sier.system.vibrations import WATER
@@ -38,7 +36,7 @@ from studies.command import SYSTEMS, Settings, chosen, claim, command
 from studies.methods import CONSTANT_ENERGY
 from studies.records import Record
 from studies.report import SILENT, Report, Table
-from studies.sampling import Liquid, Unstable, follow
+from studies.sampling import Liquid, conserved, equilibrated, over_starts
 
 
 class Kind(NamedTuple):
@@ -188,39 +186,30 @@ def start(task: Task) -> Liquid:
     boxes.with_tolerance(system, settings.tolerance)
     if not task.molecules:
         prepare_system(system)
-    if kept.exists():
-        state = openmm.XmlSerializer.deserialize(kept.read_text())
-    else:
-        context = make_context(system, CONSTANT_ENERGY["sier4g"].make(0.003), settings.platform)
-        prepare(context, positions, settings.temperature, task.seed, settings.equilibrate)
-        state = context.getState(positions=True, velocities=True)
-        records.replace_file(kept, openmm.XmlSerializer.serialize(state))
+    context = make_context(system, CONSTANT_ENERGY["sier4g"].make(0.003), settings.platform)
+    state = equilibrated(context, positions, settings.temperature, task.seed, settings.equilibrate, kept)
     bodies = find_bodies.RigidBodies.from_system(system, None if task.molecules else topology)
     return Liquid(system, bodies, state, settings.platform)
 
 
 def run(task: Task) -> dict[str, Any]:
-    """The energy error of a run, its walk and drift; why it ended early, if it did, is in `broken`."""
+    """The energy error of a run, its walk and drift, see `studies.sampling.conserved`."""
     method = CONSTANT_ENERGY[task.method]
-    found = task.point | {"forces": method.forces, "fs_per_force": task.step / method.forces, "broken": ""}
-    unknown = dict.fromkeys(("percent", "walk", "drift", "its_error"), math.nan)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            series = follow(start(task), method, found["fs_per_force"], task.settings.time, interval=INTERVAL).series
-        except Unstable as error:
-            return found | unknown | {"broken": str(error)}
-    time, H, V = series.time, series.total, series.potential
-    drift = slope_and_error(time, H)
-    return found | {
-        "percent": 100 * energy_error(H, V),
-        "walk": 100 * energy_walk(time, H, V),
-        "rms_V": float(np.std(V)),
-        "drift": drift.value,
-        "its_error": drift.error,
-        "temperature": float(np.nanmean(series.translation)),
-        "means": np.round([each.mean() for each in np.array_split(H, max(1, round(task.settings.time)))], 4),
-    }
+    found = task.point | {"forces": method.forces, "fs_per_force": task.step / method.forces}
+    figures, series = conserved(start(task), method, found["fs_per_force"], task.settings.time, INTERVAL)
+    if series is None:
+        return found | figures | {"walk": math.nan}
+    H, V = series.total, series.potential
+    return (
+        found
+        | figures
+        | {
+            "walk": 100 * energy_walk(series.time, H, V),
+            "rms_V": float(np.std(V)),
+            "temperature": float(np.nanmean(series.translation)),
+            "means": np.round([each.mean() for each in np.array_split(H, max(1, round(task.settings.time)))], 4),
+        }
+    )
 
 
 def run_missing(settings: WholeRunSettings, path: Path, report: Report = SILENT) -> None:
@@ -236,14 +225,10 @@ def points(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _point(runs: pd.DataFrame) -> dict[str, Any]:
-    starts = len(runs)
-    point = {name: runs.iloc[0][name] for name in (*POINT, "forces", "fs_per_force")} | {"starts": starts}
+    point = {name: runs.iloc[0][name] for name in (*POINT, "forces", "fs_per_force")}
     walks = np.array([walk_slope(np.array(means, dtype=float)) for means in runs["means"] if np.ndim(means)])
-    point["its_error"] = math.sqrt((runs["its_error"] ** 2).sum() + (walks**2).sum()) / starts
-    for name in ("percent", "walk", "drift"):
-        point[name] = runs[name].mean(skipna=False)
-        point[f"{name}_error"] = runs[name].std(skipna=False) / math.sqrt(starts)
-    return point | {"broken": next((reason for reason in runs["broken"] if reason), "")}
+    point["its_error"] = math.sqrt((runs["its_error"] ** 2).sum() + (walks**2).sum()) / len(runs)
+    return point | over_starts(runs, ("percent", "walk", "drift"))
 
 
 def walk_slope(means: np.ndarray) -> float:

@@ -1,24 +1,34 @@
-"""Energy error against cost: OpenMM's Verlet, the schemes of the catalogue, and other programs where installed."""
+"""Energy error against cost: OpenMM's Verlet, schemes of the catalogue, LAMMPS and GROMACS where installed.
+
+    python -m studies.bench.accuracy [BOX.pdb] [--platform CPU]
+
+Programs are LAMMPS (lmp) and GROMACS (gmx, gmx_d) on the PATH, at the same liquid. Each point is one run from one
+equilibrated start; set OPENMM_CPU_THREADS to 1 for processor times. `studies.speed` compares speeds at the settings
+that each program recommends. Writes bench.json and bench.png.
+"""
 
 from __future__ import annotations
 
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import pandas as pd
 
+from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.measure.observables import energy_error
 from studies import records, style
 from studies.bench import peers
-from studies.bench.timing import BenchSettings, counts_processor_time
+from studies.bench.timing import counts_processor_time
+from studies.command import BoxSettings, command
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
-from studies.report import Report, Table
+from studies.report import SILENT, Report, Table
 from studies.sampling import INTERVAL, Energies, Liquid, Unstable, equilibrated_liquid, follow
 
 #: fs per force evaluation: of methods of second order, and of those of fourth.
@@ -48,6 +58,20 @@ COSTS = {
     "forces per ps": "{forces_per_ps:.0f}",
     "simulated fs per second": "{fs_per_second:.0f}",
 }
+
+
+@dataclass(frozen=True)
+class BenchSettings(BoxSettings):
+    """What is measured.
+
+    Attributes:
+        time: of each run, ps.
+        equilibrate: before them, ps.
+    """
+
+    time: float = 1.0
+    equilibrate: float = 2.0
+
 
 #: What is measured: energies, and simulated fs per second, of processor time if `counts_processor_time`.
 Measured = tuple[Energies, float]
@@ -179,3 +203,19 @@ def figure(record: Record, path: Path) -> None:
             "better", (0.97, 0.03), (0.86, 0.1), "axes fraction", fontsize=13, arrowprops={"arrowstyle": "->"}
         )
         axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=12)
+
+
+def study(settings: BenchSettings, report: Report = SILENT) -> Record:
+    """Measure, and write bench.json and bench.png."""
+    found = find(settings, report)
+    for table in tables(found):
+        report.table(table)
+    of_processor = counts_processor_time(settings.platform)
+    builds = {peer.name: peer.build for peer in peers.installed()}
+    notes = {"peers": builds, "clock": "processor" if of_processor else "wall", "threads": threads.count()}
+    record = Record(settings.recorded(), found, notes).write(settings.out / "bench.json")
+    figure(record, settings.out / "bench.png")
+    return record
+
+
+main = command(BenchSettings, study, __doc__, __name__)

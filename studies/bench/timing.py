@@ -5,38 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from openmm_sier.dynamics.backend import threads
-from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.statistics import Estimate
-from studies.command import BoxSettings
-
-
-@dataclass(frozen=True)
-class BenchSettings(BoxSettings):
-    """Settings of the benchmark.
-
-    Attributes:
-        copies: repetitions of the box along each edge, one number for each size.
-        bodies: sizes of the sets of bodies for the rotation and the layer alone.
-        rounds: how often everything takes its turn; steps in small boxes do so more often, in large ones less often.
-        time: length of the runs that measure the energy error, ps.
-        equilibrate: before those runs, ps.
-        parts: of steps, rotations, layer, accuracy; all unless given.
-    """
-
-    copies: tuple[int, ...] = (1, 2, 4)
-    bodies: tuple[int, ...] = (512, 4096, 32768, 131072)
-    rounds: int = 8
-    time: float = 1.0
-    equilibrate: float = 2.0
-    parts: tuple[str, ...] = ()
-
 
 #: Platforms on which processor time is what a computation costs; on others the processor waits.
 ON_PROCESSORS = ("CPU", "Reference")
@@ -78,14 +53,6 @@ def turns(actions: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, np
             if number:
                 found[name].append(given)
     return {name: np.array(each, dtype=float) for name, each in found.items()}
-
-
-def apart(clock: ForceClock, action: Callable[[], object]) -> tuple[float, float]:
-    """Seconds that an action takes outside and inside the force calls that a clock counts."""
-    before, start = clock.seconds, time.perf_counter()
-    action()
-    total, inside = time.perf_counter() - start, clock.seconds - before
-    return total - inside, inside
 
 
 def median_and_error(values: np.ndarray) -> Estimate:

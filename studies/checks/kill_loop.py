@@ -16,7 +16,6 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -115,19 +114,6 @@ def _changed(path: Path) -> int:
     return path.stat().st_mtime_ns if path.exists() else 0
 
 
-def trace(directory: Path, out: str) -> dict[str, int]:
-    """What a kill left: whether files had grown since the checkpoint, and whether one was being written."""
-    checkpoint = (directory / out).with_suffix(".chk")
-    if not checkpoint.exists():
-        return {"before the first checkpoint": 1}
-    _, notes = checkpoints.read_checkpoint(checkpoint)
-    grown = (directory / out).stat().st_size > notes["trajectory"]["size"]
-    return {
-        "with something written after the checkpoint": int(grown),
-        "while a checkpoint was being written": int(checkpoint.with_name(checkpoint.name + ".tmp").exists()),
-    }
-
-
 def last_step(directory: Path, out: str) -> int:
     checkpoint = (directory / out).with_suffix(".chk")
     return checkpoints.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
@@ -141,26 +127,22 @@ def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:
         raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
 
 
-def compare(directory: Path, one: str, two: str, steps: int) -> int:
-    """Check that two runs left the same complete files; returns the number of frames.
+def compare(directory: Path, one: str, two: str, steps: int) -> None:
+    """Check that two runs left the same complete files.
 
     Raises:
         Lost: naming what differs.
     """
-    trajectories = [mdtraj.load(str(directory / name), top=str(directory / "box.pdb")) for name in (one, two)]
-    logs = [(directory / name).with_suffix(".csv").read_bytes() for name in (one, two)]
-    if trajectories[0].n_frames != steps // EVERY:
-        raise Lost(f"{one} has {trajectories[0].n_frames} frames, expected {steps // EVERY}")
-    if not np.array_equal(trajectories[0].xyz, trajectories[1].xyz):
-        raise Lost(f"the frames of {one} are not those of {two}")
-    if (directory / one).read_bytes() != (directory / two).read_bytes():
-        raise Lost(f"{one} and {two} differ, though their coordinates are the same")
-    if logs[0] != logs[1] or logs[0].count(b"\n") != steps // ROWS + 2:
-        raise Lost(f"the log of {one} is not that of {two}, or not all of it")
+    for name, other in zip(*([each, f"{Path(each).stem}.csv"] for each in (one, two)), strict=True):
+        if (directory / name).read_bytes() != (directory / other).read_bytes():
+            raise Lost(f"{name} is not {other}")
+    frames = mdtraj.load(str(directory / one), top=str(directory / "box.pdb")).n_frames
+    rows = (directory / one).with_suffix(".csv").read_bytes().count(b"\n") - 2
     ours, theirs = (_datasets(directory / bodies_of(name)) for name in (one, two))
-    if len(ours["step"]) != steps // BODIES or any(not np.array_equal(ours[key], theirs[key]) for key in theirs):
-        raise Lost(f"the body states of {one} are not those of {two}, or not all of them")
-    return steps // EVERY
+    if any(not np.array_equal(ours[key], theirs[key]) for key in theirs):
+        raise Lost(f"the body states of {one} are not those of {two}")
+    if (frames, rows, len(ours["step"])) != (steps // EVERY, steps // ROWS, steps // BODIES):
+        raise Lost(f"after {steps} steps {one} has {frames} frames, {rows} rows and {len(ours['step'])} body states")
 
 
 def _datasets(path: Path) -> dict[str, np.ndarray]:
@@ -169,40 +151,6 @@ def _datasets(path: Path) -> dict[str, np.ndarray]:
     with h5py.File(path) as file:
         file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
     return found
-
-
-def kill_loop(
-    directory: Path, suffix: str, kills: int, ensemble: str = "npt", seed: int = 1, signals: Sequence[str] = SIGNALS
-) -> Counter:
-    """Kill and continue a run, then compare it with an undisturbed one.
-
-    Args:
-        directory: where the files go.
-        suffix: of the trajectory.
-        kills: how many.
-        ensemble: nve, nvt or npt.
-        seed: of the moments of the kills.
-        signals: names, which take turns.
-
-    Returns:
-        Numbers of steps and frames, and of kills by their signal and by what they met.
-
-    Raises:
-        Lost: something did not survive.
-    """
-    write_lattice(directory / "box.pdb", 27)
-    rng, out, met = np.random.default_rng(seed), f"killed{suffix}", Counter(kills=kills)
-    for number in range(kills):
-        # Shifted by one in every `ONE_IN` kills, so that early kills meet all signals.
-        name = signals[(number + number // ONE_IN) % len(signals)]
-        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, ensemble, name)
-        met[f"by SIG{name}"] += 1
-        met.update(trace(directory, out))
-    steps = last_step(directory, out) + CHECKPOINTS
-    finish(directory, out, steps, ensemble)
-    finish(directory, f"whole{suffix}", steps, ensemble)
-    met.update(steps=steps, frames=compare(directory, out, f"whole{suffix}", steps))
-    return met
 
 
 @dataclass(frozen=True)
@@ -223,10 +171,33 @@ class LoopSettings(Settings):
     out: Path = Path("killed")
 
 
+def kill_loop(settings: LoopSettings) -> Counter[str]:
+    """Kill and continue a run, then compare it with an undisturbed one.
+
+    Returns:
+        The number of steps, and of kills by each signal.
+
+    Raises:
+        Lost: something did not survive.
+    """
+    directory, out, whole = settings.out, f"killed{settings.suffix}", f"whole{settings.suffix}"
+    write_lattice(directory / "box.pdb", 27)
+    rng, met = np.random.default_rng(settings.seed), Counter[str]()
+    for number in range(settings.kills):
+        # Shifted by one in every `ONE_IN` kills, so that early kills meet all signals.
+        name = settings.signals[(number + number // ONE_IN) % len(settings.signals)]
+        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, settings.ensemble, name)
+        met[f"kills by SIG{name}"] += 1
+    met["steps"] = last_step(directory, out) + CHECKPOINTS
+    for each in (out, whole):
+        finish(directory, each, met["steps"], settings.ensemble)
+    compare(directory, out, whole, met["steps"])
+    return met
+
+
 def study(settings: LoopSettings, report: Report = SILENT) -> None:
     """Kill a run in the directory `out`, which is left, and compare."""
-    met = kill_loop(settings.out, settings.suffix, settings.kills, settings.ensemble, settings.seed, settings.signals)
-    for name, count in met.items():
+    for name, count in kill_loop(settings).items():
         report.note(f"{name}: {count}")
     report.note("every frame and row once, in order, as in the run that nothing disturbed")
 

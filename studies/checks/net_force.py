@@ -8,40 +8,32 @@ energy. Lennard-Jones is switched from 0.75 to 0.9 nm; the mean is over 20 state
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import openmm
-from openmm import app, unit
 
-from openmm_sier import balance_pme
+from openmm_sier.measure import forcefields
+from openmm_sier.measure.forcefields import Interactions
+from studies import boxes
+from studies.command import SYSTEMS
+from studies.units import md
 
-SYSTEMS = Path(__file__).parents[2] / "systems"
-BOXES = {"tip3p-512.pdb": "tip3p.xml", "spce-512.pdb": "spce.xml"}
+BOXES = ("tip3p-512.pdb", "spce-512.pdb")
 STATES, STEPS = 20, 10
 
 
 def net_force(box: str, tolerance: float, balanced: bool, states: int = STATES) -> float:
     """Mean magnitude of the sum of all forces, kJ/mol/nm."""
-    pdb = app.PDBFile(str(SYSTEMS / box))
-    system = app.ForceField(BOXES[box]).createSystem(
-        pdb.topology,
-        nonbondedMethod=app.PME,
-        nonbondedCutoff=0.9 * unit.nanometer,
-        switchDistance=0.75 * unit.nanometer,
-        ewaldErrorTolerance=tolerance,
-    )
-    if balanced:
-        balance_pme(system)
+    found = forcefields.read_box(SYSTEMS / box, interactions=Interactions(0.9, 0.75, tolerance))
+    system = found.system if balanced else boxes.split_by_openmm(found.system)
     context = openmm.Context(system, openmm.VerletIntegrator(0.002), openmm.Platform.getPlatformByName("CPU"))
-    context.setPositions(pdb.positions)
+    context.setPositions(found.positions)
     context.setVelocitiesToTemperature(297, 1)
-    found = []
+    sizes = []
     for _ in range(states):
         context.getIntegrator().step(STEPS)
-        forces = context.getState(forces=True).getForces(asNumpy=True)
-        found.append(np.linalg.norm(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer).sum(axis=0)))
-    return float(np.mean(found))
+        forces = md(context.getState(forces=True).getForces(asNumpy=True))
+        sizes.append(np.linalg.norm(forces.sum(axis=0)))
+    return float(np.mean(sizes))
 
 
 def main() -> None:

@@ -9,15 +9,14 @@ precision. A trajectory that misses by more than 1e-4 nm is refused; the message
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import openmm
-from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4G, SIERHMCIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import Scheme
-
-BOX = Path(__file__).parents[2] / "systems" / "tip3p-512.pdb"
+from openmm_sier.measure import forcefields
+from openmm_sier.measure.forcefields import Interactions
+from studies.command import SYSTEMS
 
 #: Schemes, steps in a trajectory, and the step in fs.
 TRAJECTORIES: Sequence[tuple[Scheme, int, float]] = (
@@ -30,18 +29,12 @@ TRAJECTORIES: Sequence[tuple[Scheme, int, float]] = (
 
 def missed(scheme: Scheme, steps: int, step: float) -> str:
     """The distance in nm, or why the trajectory is refused."""
-    pdb = app.PDBFile(str(BOX))
-    system = app.ForceField("tip3p.xml").createSystem(
-        pdb.topology,
-        nonbondedMethod=app.PME,
-        nonbondedCutoff=0.9 * unit.nanometer,
-        switchDistance=0.75 * unit.nanometer,
-    )
-    prepare_system(system)
+    box = forcefields.read_box(SYSTEMS / "tip3p-512.pdb", interactions=Interactions(0.9, 0.75, 5e-4))
+    prepare_system(box.system)
     integrator = SIERHMCIntegrator(297, 1e-3 * step, scheme, steps)
     integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("CPU"))
-    context.setPositions(pdb.positions)
+    context = openmm.Context(box.system, integrator, openmm.Platform.getPlatformByName("CPU"))
+    context.setPositions(box.positions)
     try:
         integrator.step(1)
     except openmm.OpenMMException as refusal:

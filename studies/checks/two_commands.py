@@ -3,39 +3,31 @@
     python -m studies.checks.two_commands [--times 100] [--pairs run,restart ensemble,run] [--seed 1]
 
 The files of the command that goes on must be those of one that was alone, byte for byte, and nothing else may be left.
-A second command that comes when the first has ended finds its files, or begins anew with --overwrite. In one of four
-collisions the first command is killed after the second has been refused, and started once more. The status is 1 if
-anything differs.
+A second command that comes when the first has ended finds its files, or begins anew with --overwrite. The status is 1
+if anything differs. Writes two-commands.json.
 """
 
 from __future__ import annotations
 
-import importlib
-import os
 import random
 import shutil
-import signal
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import pandas as pd
 
-from openmm_sier.cli import main as command_line
-from openmm_sier.cli import run as _imported_before_the_fork  # noqa: F401
 from openmm_sier.cli.member import CHECKPOINT
 from studies import records
 from studies.boxes import write_lattice
 from studies.command import Settings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
-
-COMMANDS = ("run", "restart", "ensemble")
 
 #: Steps of a run, of which `HALF` are done where a restart begins.
 STEPS, HALF = 60, 20
@@ -59,12 +51,11 @@ MEMBER = "members-of/seed1"
 #: Seconds in which a command has to end.
 PATIENCE = 120.0
 
-
 #: Pairs by the names that users give.
-PAIRS = {f"{first},{second}": (first, second) for first, second in product(COMMANDS, COMMANDS)}
+PAIRS = {f"{pair[0]},{pair[1]}": pair for pair in product(("run", "restart", "ensemble"), repeat=2)}
 
 #: How the two commands of a collision met.
-MEETINGS = ("second refused", "first refused", "second came after the first", "first killed")
+MEETINGS = ("second refused", "first refused", "second came after the first")
 
 COLUMNS = {"pair": "{pair}", "started": "{times}", **{name: f"{{{name}}}" for name in MEETINGS}}
 
@@ -73,82 +64,47 @@ class Disturbed(ValueError):
     """Two commands wrote into one file, or both were refused."""
 
 
-class Command:
-    """One of the three commands, in a process that is forked, since the imports would take most of the time."""
-
-    def __init__(self, kind: str, place: Path, steps: int = STEPS):
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115
-        self.code: int | None = None
-        self._process = os.fork()
-        if self._process == 0:
-            code = 70
-            try:
-                os.chdir(place)
-                with open(os.devnull, "w") as null:
-                    os.dup2(null.fileno(), 1)
-                os.dup2(self._said.fileno(), 2)
-                # Whoever calls this may have put something else there.
-                sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
-                sys.argv = ["openmm-sier", *arguments(kind, steps)]
-                code = command_line.main(sys.argv[1:])
-            finally:
-                sys.stderr.flush()
-                os._exit(code)
-
-    def ended(self) -> bool:
-        if self.code is None:
-            found, status = os.waitpid(self._process, os.WNOHANG)
-            self.code = os.waitstatus_to_exitcode(status) if found else None
-        return self.code is not None
-
-    def wait(self) -> int | None:
-        end = time.monotonic() + PATIENCE
-        while not self.ended():
-            if time.monotonic() > end:
-                self.kill()
-                raise Disturbed(f"a command did not end in {PATIENCE:g} s")
-            time.sleep(0.01)
-        return self.code
-
-    def kill(self) -> None:
-        os.kill(self._process, signal.SIGKILL)
-        while not self.ended():
-            time.sleep(0.01)
-
-    def said(self) -> str:
-        self._said.seek(0)
-        return self._said.read().decode()
-
-
-def arguments(kind: str, steps: int) -> list[str]:
-    """The command line of a command."""
-    if kind == "ensemble":
-        return ["ensemble", "members-of.toml", "--processes", "1"]
+def started(kind: str, place: Path, steps: int = STEPS) -> subprocess.Popen[str]:
+    """One of the three commands in a process of its own."""
+    line = ["ensemble", "members-of.toml", "--processes", "1"]
     if kind == "restart":
-        checkpoint = f"{MEMBER}/{CHECKPOINT}"
-        return ["run", "box.pdb", "--platform", "Reference", "--restart", checkpoint, "--steps", str(steps)]
-    given = OPTIONS | {"steps": steps}
-    options = [text for key, value in given.items() for text in (f"--{key.replace('_', '-')}", str(value))]
-    return ["run", "box.pdb", *options, "--overwrite", "--out", f"{MEMBER}/run.dcd"]
+        line = [
+            "run",
+            "box.pdb",
+            "--platform",
+            "Reference",
+            "--restart",
+            f"{MEMBER}/{CHECKPOINT}",
+            "--steps",
+            str(steps),
+        ]
+    elif kind == "run":
+        given = OPTIONS | {"steps": steps, "out": f"{MEMBER}/run.dcd"}
+        options = [text for key, value in given.items() for text in (f"--{key.replace('_', '-')}", str(value))]
+        line = ["run", "box.pdb", *options, "--overwrite"]
+    program = [sys.executable, "-m", "openmm_sier.cli", *line]
+    return subprocess.Popen(program, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """The exit code of a command, and what it said on standard error."""
+    try:
+        said = process.communicate(timeout=PATIENCE)[1]
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise Disturbed(f"a command did not end in {PATIENCE:g} s") from None
+    return process.returncode, said
 
 
 def alone(kind: str, place: Path, steps: int = STEPS) -> None:
     """Carry out a command that nothing disturbs."""
-    command = Command(kind, place, steps)
-    if command.wait():
-        raise Disturbed(f"{kind} alone failed: {command.said()}")
-
-
-def again(kind: str, place: Path) -> None:
-    """Carry out a killed command once more. A restart that was killed after its last step finds nothing left to do."""
-    command = Command(kind, place)
-    if command.wait() and not (kind == "restart" and f"is at step {STEPS} " in command.said()):
-        raise Disturbed(f"{kind} after it was killed failed: {command.said()}")
+    code, said = ended(started(kind, place, steps))
+    if code:
+        raise Disturbed(f"{kind} alone failed: {said}")
 
 
 def prepare(directory: Path, restart: bool) -> None:
     """Write what commands start from: the box, the plan and, for a restart, the files of half a run."""
-    directory.mkdir()
     write_lattice(directory / "box.pdb", 8)
     lines = [f"{key} = {value!r}".replace("'", '"') for key, value in OPTIONS.items()]
     plan = ["[options]", *lines, 'box = "box.pdb"', "[members]", "seed = [1]", ""]
@@ -159,74 +115,53 @@ def prepare(directory: Path, restart: bool) -> None:
 
 
 def results(directory: Path) -> dict[str, bytes]:
-    """The files of the run. Checkpoints are left out, since they note the path of the box."""
-    place = directory / MEMBER
-    return {path.name: path.read_bytes() for path in sorted(place.glob("run.*")) if path.name != CHECKPOINT}
+    """The files of the run, and locks. Checkpoints are left out, since they note the path of the box."""
+    paths = sorted((directory / MEMBER).glob("run.*")) + sorted(directory.rglob(".*.lock"))
+    return {path.name: path.read_bytes() for path in paths if path.name != CHECKPOINT}
 
 
 def collide(directory: Path, first: str, second: str, times: int, seed: int) -> Counter[str]:
-    """Start two commands again and again.
-
-    Args:
-        directory: where the files go.
-        first, second: what is started, of `COMMANDS`.
-        times: how often.
-        seed: of the distances.
-
-    Returns:
-        How often they met in each of the ways of `MEETINGS`.
+    """Start two commands again and again in a directory; how often they met in each of the ways of `MEETINGS`.
 
     Raises:
         Disturbed: something differs from an undisturbed run.
     """
     restart = "restart" in (first, second)
-    with suppress(ImportError):
-        # Each command would import it anew after the fork, which takes longer than its run.
-        importlib.import_module("numba")
     start, undisturbed, here = directory / "start", directory / "undisturbed", directory / "here"
+    start.mkdir()
     prepare(start, restart)
     shutil.copytree(start, undisturbed)
     begun = time.monotonic()
     alone("restart" if restart else first, undisturbed)
-    # The second command comes while the first is running, or shortly after it.
-    latest = 1.2 * (time.monotonic() - begun)
+    # Imports take most of the time, of both commands alike.
+    latest = 0.5 * (time.monotonic() - begun)
     expected, chance = results(undisturbed), random.Random(seed)
     met: Counter[str] = Counter()
-    for number in range(times):
+    for _ in range(times):
         shutil.copytree(start, here)
-        one = Command(first, here)
+        one = started(first, here)
         time.sleep(chance.uniform(0, latest))
-        two = Command(second, here)
-        two.wait()
-        if two.code == 1 and number % 4 == 3 and not one.ended():
-            one.kill()
-            met["first killed"] += 1
-            again(first, here)
-        elif one.wait() and two.code:
-            raise Disturbed(f"both {first} and {second} failed: {one.said()}{two.said()}")
-        met[_ending(one, two)] += 1
-        _compare(here, expected)
+        two = started(second, here)
+        met[meeting(ended(two), ended(one))] += 1
+        found = results(here)
+        if different := {name for name in {*found, *expected} if found.get(name) != expected.get(name)}:
+            raise Disturbed(f"{', '.join(sorted(different))} in {here} are not those of an undisturbed run")
         shutil.rmtree(here)
     return met
 
 
-def _ending(one: Command, two: Command) -> str:
-    refused = two if two.code == 1 else one
-    if refused.code == 1:
-        said = [line for line in refused.said().splitlines() if line.startswith("openmm-sier: ")]
-        if len(said) != 1 or "is being written by process" not in said[0]:
-            raise Disturbed(f"a refused command said: {refused.said()}")
-        return "second refused" if refused is two else "first refused"
-    return "second came after the first"
-
-
-def _compare(place: Path, expected: dict[str, bytes]) -> None:
-    found = results(place)
-    if found != expected:
-        different = [name for name in {*found, *expected} if found.get(name) != expected.get(name)]
-        raise Disturbed(f"{', '.join(different)} in {place} are not those of an undisturbed run")
-    if left := sorted(path.name for path in place.rglob(".*.lock")):
-        raise Disturbed(f"{', '.join(left)} stayed behind in {place}")
+def meeting(two: tuple[int, str], one: tuple[int, str]) -> str:
+    """How the second and the first command met, by their exit codes and what they said."""
+    if one[0] and two[0]:
+        raise Disturbed(f"both commands failed: {one[1]}{two[1]}")
+    # A restart of a run that is complete has a code of its own.
+    refused = [said for code, said in (two, one) if code == 1]
+    if not refused:
+        return "second came after the first"
+    lines = [line for line in refused[0].splitlines() if line.startswith("openmm-sier: ")]
+    if len(lines) != 1 or "is being written by process" not in lines[0]:
+        raise Disturbed(f"a refused command said: {refused[0]}")
+    return "second refused" if two[0] == 1 else "first refused"
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ from openmm_sier.observe.conservation import density
 from studies import records
 from studies.command import Settings, command
 from studies.hmc.curvature import KINDS, Curvature
+from studies.hmc.solutes import by_label, kept_series
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import body_state
@@ -117,10 +118,7 @@ def study(settings: MixtureSettings, report: Report = SILENT) -> None:
     if not settings.table:
         run(settings, report)
         return
-    runs: dict[str, list[Record]] = {}
-    for path in settings.table:
-        record = records.read(path)
-        runs.setdefault(record.notes["label"], []).append(record)
+    runs = by_label(settings.table)
     rows = table(runs)
     names = [name.removesuffix("_error") for name in rows if name.endswith("_error")]
     report.table(records.table("A mixture at 1 bar", records.with_text(rows, *names), COLUMNS))
@@ -210,27 +208,21 @@ def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
     is_hmc = isinstance(integrator, SIERHMCIntegrator)
     if is_hmc:
         integrator.resetStatistics()
-    rows, count = [], round(settings.time / EVERY)
-    with report.progress(settings.label, count) as show:
-        for done in range(1, count + 1):
-            integrator.step(every)
-            state = context.getState(positions=True, energy=True)
-            found = temperatures(bodies, body_state(context, bodies), False)
-            row = {"potential": md(state.getPotentialEnergy()), "kinetic": md(state.getKineticEnergy())}
-            row |= {"volume": md(state.getPeriodicBoxVolume()), **found._asdict()}
-            rows.append(row | curvature(state))
-            if done % round(SAVED / EVERY) == 0 or done == count:
-                notes = {
-                    "label": settings.label,
-                    "mass": float(bodies.masses.sum()),
-                    "atoms": system.getNumParticles(),
-                    "waters": sum(residue.name == "HOH" for residue in pdb.topology.residues()),
-                    "accepted": integrator.acceptanceRate if is_hmc else None,
-                }
-                record = Record(settings.recorded(), {"samples": pd.DataFrame(rows)}, notes)
-                record.write(settings.out / f"{settings.name}.json")
-                show(done)
-    return record
+    waters = sum(residue.name == "HOH" for residue in pdb.topology.residues())
+    known = {"mass": float(bodies.masses.sum()), "atoms": system.getNumParticles(), "waters": waters}
+
+    def sample() -> dict[str, float]:
+        integrator.step(every)
+        state = context.getState(positions=True, energy=True)
+        found = temperatures(bodies, body_state(context, bodies), False)
+        row = {"potential": md(state.getPotentialEnergy()), "kinetic": md(state.getKineticEnergy())}
+        return row | {"volume": md(state.getPeriodicBoxVolume()), **found._asdict()} | curvature(state)
+
+    def notes(done: int) -> dict[str, Any]:
+        return known | {"accepted": integrator.acceptanceRate if is_hmc else None}
+
+    count, saved = round(settings.time / EVERY), round(SAVED / EVERY)
+    return kept_series(settings, settings.name, settings.label, count, saved, sample, notes, report)
 
 
 # --- tables ---

@@ -210,26 +210,21 @@ def run(settings: SampleSettings, report: Report = SILENT) -> Record:
     if is_hmc:
         integrator.resetStatistics()
     before, begun = getattr(integrator, "forceEvaluations", 0), process_time()
-    rows, count = [], round(1e3 * settings.time / interval)
-    with report.progress(settings.label, count) as show:
-        for done in range(1, count + 1):
-            integrator.step(every)
-            rows.append(observe(context))
-            if done % max(1, round(1e3 * SAVED / interval)) == 0 or done == count:
-                steps = getattr(integrator, "forceEvaluations", before + done * every) - before
-                # A trial takes an energy, and a move of the volume another one.
-                energies = (0 if settings.held else done) + (integrator.trials if is_hmc else 0)
-                notes = {
-                    "label": settings.label,
-                    "interval": interval,
-                    "forces": (steps + energies) / done,
-                    "accepted": integrator.acceptanceRate if is_hmc else None,
-                    "milliseconds": 1e3 * (process_time() - begun) / (steps + energies),
-                }
-                record = Record(settings.recorded(), {"samples": pd.DataFrame(rows)}, notes)
-                record.write(settings.out / f"{settings.name}.json")
-                show(done)
-    return record
+
+    def sample() -> dict[str, float]:
+        integrator.step(every)
+        return observe(context)
+
+    def notes(done: int) -> dict[str, Any]:
+        steps = getattr(integrator, "forceEvaluations", before + done * every) - before
+        # A trial takes an energy, and a move of the volume another one.
+        forces = steps + (0 if settings.held else done) + (integrator.trials if is_hmc else 0)
+        accepted = integrator.acceptanceRate if is_hmc else None
+        cost = {"forces": forces / done, "milliseconds": 1e3 * (process_time() - begun) / forces}
+        return {"interval": interval, "accepted": accepted, **cost}
+
+    count, saved = round(1e3 * settings.time / interval), max(1, round(1e3 * SAVED / interval))
+    return solutes.kept_series(settings, settings.name, settings.label, count, saved, sample, notes, report)
 
 
 class Observer:
@@ -262,12 +257,8 @@ def samples_of(record: Record, skip: float = 0.0) -> pd.DataFrame:
 
 def table(files: Sequence[Path], skip: float = 0.0) -> pd.DataFrame:
     """A row for each kind of run; runs that differ in their seeds alone are pooled."""
-    runs: dict[str, list[Record]] = {}
-    for path in files:
-        record = records.read(path)
-        runs.setdefault(record.notes["label"], []).append(record)
     rows = []
-    for label, several in runs.items():
+    for label, several in solutes.by_label(files).items():
         tables = [samples_of(record, skip) for record in several]
         lengths = np.array([len(samples) for samples in tables])
         first = several[0].notes
@@ -276,9 +267,8 @@ def table(files: Sequence[Path], skip: float = 0.0) -> pd.DataFrame:
         accepted = [record.notes["accepted"] for record in several]
         row["accepted"] = math.nan if None in accepted else np.average(accepted, weights=lengths)
         for name in OBSERVED:
-            row[name], row[f"{name}_error"] = pooled([mean_and_error(samples[name].to_numpy()) for samples in tables])[
-                :2
-            ]
+            means = [mean_and_error(samples[name].to_numpy()) for samples in tables]
+            row[name], row[f"{name}_error"], _ = pooled(means)
         costs = {name: [cost(samples[[name]], first["forces"]) for samples in tables] for name in OBSERVED}
         costs["dipole"] = [cost(samples[list(DIPOLE)], first["forces"]) for samples in tables]
         for name, found in costs.items():

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import openmm
+import pandas as pd
 from openmm import app, unit
 from tyro.conf import Positional
 
@@ -15,8 +17,10 @@ from openmm_sier import prepare_system
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.starts import make_context
-from studies import boxes
+from studies import boxes, records
 from studies.command import Settings
+from studies.records import Record
+from studies.report import Report
 from systems import peptide
 
 #: The name that stands for DHFR in water, the benchmark of Amber and CHARMM, whose files openmmtools has.
@@ -160,3 +164,46 @@ def _start(solution: Solution, settings: SoluteSettings) -> tuple[np.ndarray, np
         np.savez(kept, positions=state.getPositions(asNumpy=True).value_in_unit(unit.nanometer), vectors=vectors)
     found = np.load(kept)
     return found["positions"], found["vectors"]
+
+
+# --- runs that are kept as they go on ---
+
+
+def kept_series(
+    settings: Settings,
+    name: str,
+    label: str,
+    count: int,
+    every: int,
+    sample: Callable[[], dict[str, float]],
+    notes: Callable[[int], dict[str, Any]],
+    report: Report,
+) -> Record:
+    """Take samples, and write them to a file of their own, NAME.json in `out`, as the run goes on.
+
+    Args:
+        settings: of the run.
+        name, label: of the file, and for the report.
+        count, every: number of samples, and between two records.
+        sample: goes on to the next sample.
+        notes: of a record after so many samples.
+        report: gets progress.
+    """
+    rows = []
+    with report.progress(label, count) as show:
+        for done in range(1, count + 1):
+            rows.append(sample())
+            if done % every == 0 or done == count:
+                record = Record(settings.recorded(), {"samples": pd.DataFrame(rows)}, {"label": label, **notes(done)})
+                record.write(settings.out / f"{name}.json")
+                show(done)
+    return record
+
+
+def by_label(files: Sequence[Path]) -> dict[str, list[Record]]:
+    """Records of `kept_series` by their labels; those of one label differ in their seeds alone."""
+    runs: dict[str, list[Record]] = {}
+    for path in files:
+        record = records.read(path)
+        runs.setdefault(record.notes["label"], []).append(record)
+    return runs

@@ -20,7 +20,6 @@ from pathlib import Path
 from time import process_time
 from typing import Any, Literal
 
-import numpy as np
 import pandas as pd
 
 from openmm_sier import SIERHMCIntegrator
@@ -28,7 +27,7 @@ from openmm_sier.dynamics.metropolis import spread_at
 from openmm_sier.dynamics.rotation import exact, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 from studies import records
-from studies.acceptance import expected_acceptance, pooled_spread
+from studies.acceptance import expected_acceptance, pooled_spread, statistics
 from studies.command import command
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
@@ -126,8 +125,8 @@ def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
     name = f"{solution.name}-{settings.moving}-{masses}-{settings.scheme}-{settings.step:g}-{settings.length:g}"
     integrator.step(settings.discarded)
     integrator.resetStatistics()
-    forces, begun, errors = integrator.forceEvaluations, process_time(), []
-    notes: dict[str, Any] = {
+    forces, begun = integrator.forceEvaluations, process_time()
+    known: dict[str, Any] = {
         "box": solution.name,
         "atoms": context.getSystem().getNumParticles(),
         "solute": len(solution.solute),
@@ -135,43 +134,31 @@ def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
         "length": 1e3 * md(integrator.getStepSize()),
         "reversal": integrator.reversalError,
     }
-    with report.progress(name, settings.trials) as show:
-        for done in range(1, settings.trials + 1):
-            integrator.step(1)
-            errors.append(integrator.lastEnergyError)
-            notes |= {
-                "accepted": integrator.accepted,
-                "forces": integrator.forceEvaluations - forces,
-                "processor_seconds": process_time() - begun,
-            }
-            record = Record(settings.recorded(), {"trials": pd.DataFrame({"error": errors})}, notes)
-            record.write(settings.out / f"{name}.json")
-            show(done)
-    return record
+
+    def trial() -> dict[str, float]:
+        integrator.step(1)
+        return {"error": integrator.lastEnergyError}
+
+    def notes(_: int) -> dict[str, Any]:
+        spent = {"forces": integrator.forceEvaluations - forces, "processor_seconds": process_time() - begun}
+        return known | {"accepted": integrator.accepted, **spent}
+
+    return solutes.kept_series(settings, name, name, settings.trials, 1, trial, notes, report)
 
 
 def row_of(record: Record) -> dict[str, Any]:
-    """What trials tell: acceptance, the mean of min(1, exp(-error)), and mean and standard deviation of the errors."""
-    found = record.tables["trials"]["error"].to_numpy(dtype=float)
-    errors = np.where(np.isnan(found), math.inf, found)
-    followed, chances = errors[np.isfinite(errors)], np.exp(-np.maximum(errors, 0))
-    n, m = len(errors), len(followed)
-    spread = float(np.std(followed, ddof=1)) if m > 1 else math.nan
+    """What trials tell, see `studies.acceptance.statistics`, and the acceptance that is expected by the spread."""
+    settings, errors = record.settings, record.tables["samples"]["error"].to_numpy(dtype=float)
+    found = statistics(errors)
     return {
         **record.notes,
-        "moving": record.settings["moving"],
-        "masses": f"{record.settings['hydrogen_mass']:g}{', water too' if record.settings['heavy_water'] else ''}",
-        "scheme": record.settings["scheme"],
-        "per_force": record.settings["step"],
-        "trials": n,
-        "acceptance": chances.mean(),
-        "acceptance_error": chances.std(ddof=1) / math.sqrt(n) if n > 1 else math.nan,
-        "spread": spread,
-        "spread_error": spread / math.sqrt(2 * (m - 1)) if m > 1 else math.nan,
-        "mean": followed.mean() if m else math.nan,
-        "mean_error": spread / math.sqrt(m) if m > 1 else math.nan,
-        "expected": expected_acceptance(spread),
-        "errors": found.round(6),
+        **found,
+        "moving": settings["moving"],
+        "masses": f"{settings['hydrogen_mass']:g}{', water too' if settings['heavy_water'] else ''}",
+        "scheme": settings["scheme"],
+        "per_force": settings["step"],
+        "expected": expected_acceptance(found["spread"]),
+        "errors": errors.round(6),
     }
 
 

@@ -1,11 +1,11 @@
 """The native engine beside the exact one: rms(H)/rms(V) of liquids by scheme, platform and number of substeps.
 
-    python -m studies.native.accuracy [BOX.pdb] [--carbon-dioxide] [--time 0.3] [--schemes sier4g ...]
-        [--substeps 2 3 5] [--fs 1 2] [--on CPU OpenCL:double OpenCL:mixed] [--molecules 64]
+    python -m studies.native.accuracy [BOX.pdb] [--time 0.3] [--schemes sier4g ...] [--substeps 2 3 5] [--fs 1 2]
+        [--on CPU OpenCL:double OpenCL:mixed]
 
 has a line for each run: the exact engine's on the CPU first, then the native engine's with the ratio of both. All runs
-of a box start from one phase point. The step is `--fs` times the force evaluations of the scheme. `--molecules` takes
-that many molecules of the box, in a smaller box of the same density, for slow platforms. Writes native-accuracy.json.
+of a box start from one phase point. The step is `--fs` times the force evaluations of the scheme. Writes
+native-accuracy.json.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import unit
 
 from openmm_sier import SIERIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
@@ -28,19 +27,11 @@ from studies.records import Record
 from studies.report import SILENT, Report
 from studies.units import md
 
-#: Steps of 2 fs before the runs, and of 1 fs in a strong bath before those of boxes that are set up here.
-EQUILIBRATION, MELTING = 1000, 2000
+#: Steps of 2 fs before the runs.
+EQUILIBRATION = 1000
 
 #: ps between two energies.
 INTERVAL = 0.004
-
-#: Carbon dioxide, EPM2 (Harris and Yung, J. Phys. Chem. 99, 12021 (1995)): C-O in nm, charge of C, sigma and epsilon.
-CO_LENGTH, CHARGE, CARBON, OXYGEN = 0.1149, 0.6512, (0.2757, 0.23388), (0.3033, 0.66937)
-MASS_C, MASS_O = 12.011, 15.9994
-
-#: Molecules of carbon dioxide and their number in a nm^3, 0.8 g/cm^3.
-CO2_MOLECULES, CO2_DENSITY = 256, 10.95
-
 
 COLUMNS = {
     "scheme": "{scheme}",
@@ -59,8 +50,6 @@ class NativeSettings(BoxSettings):
     """What is compared.
 
     Attributes:
-        carbon_dioxide: whether the liquid is carbon dioxide in place of the box.
-        molecules: of the box; all unless given.
         schemes: by name; all unless given.
         substeps: of the native engine; the usual ones unless given.
         fs: simulated time per force evaluation.
@@ -69,8 +58,6 @@ class NativeSettings(BoxSettings):
         time: of each run, ps.
     """
 
-    carbon_dioxide: bool = False
-    molecules: int | None = None
     schemes: tuple[str, ...] = ()
     substeps: tuple[int, ...] = ()
     fs: tuple[float, ...] = (1.0, 2.0)
@@ -88,75 +75,19 @@ class Started(NamedTuple):
     fast: frozenset[int]
 
 
-def carbon_dioxide() -> tuple[openmm.System, np.ndarray]:
-    """System and positions of EPM2: two mass points at a constrained distance, which carry C and both O.
-
-    The masses are half the molecule's and their distance gives it its moment of inertia, since OpenMM's constraints
-    cannot hold three atoms on a line.
-    """
-    molecule = MASS_C + 2 * MASS_O
-    distance = CO_LENGTH * np.sqrt(8 * MASS_O / molecule)
-    edge = (CO2_MOLECULES / CO2_DENSITY) ** (1 / 3)
-    system, force = openmm.System(), openmm.NonbondedForce()
-    system.setDefaultPeriodicBoxVectors(*np.diag([edge] * 3))
-    cells, rng = int(np.ceil(CO2_MOLECULES ** (1 / 3))), np.random.default_rng(7)
-    lattice = (np.stack(np.meshgrid(*[np.arange(cells)] * 3), axis=-1).reshape(-1, 3) + 0.5) * edge / cells
-    positions = []
-    for centre in rng.permutation(lattice)[:CO2_MOLECULES]:
-        axis = rng.normal(size=3)
-        axis /= np.linalg.norm(axis)
-        first = system.addParticle(molecule / 2)
-        system.addParticle(molecule / 2)
-        system.addConstraint(first, first + 1, distance)
-        force.addParticle(0, 1, 0)
-        force.addParticle(0, 1, 0)
-        for place, charge, kind in ((0, CHARGE, CARBON), (-1, -CHARGE / 2, OXYGEN), (1, -CHARGE / 2, OXYGEN)):
-            weight = 0.5 + place * CO_LENGTH / distance
-            site = system.addParticle(0)
-            system.setVirtualSite(site, openmm.TwoParticleAverageSite(first, first + 1, 1 - weight, weight))
-            force.addParticle(charge, *kind)
-        for i in range(first, first + 5):
-            for j in range(first, i):
-                force.addException(i, j, 0, 1, 0)
-        reach = np.array([-distance / 2, distance / 2, 0, -CO_LENGTH, CO_LENGTH])
-        positions.append(centre + reach[:, None] * axis)
-    force.setNonbondedMethod(openmm.NonbondedForce.PME)
-    force.setCutoffDistance(0.9)
-    force.setUseSwitchingFunction(True)
-    force.setSwitchingDistance(0.75)
-    system.addForce(force)
-    return system, np.concatenate(positions)
-
-
-def start(settings: NativeSettings, tolerance: float = boxes.TOLERANCE) -> Started:
-    """A box, equilibrated; hydrogens of solutes are constrained.
-
-    With the usual tolerance PME is exact enough to see the schemes' errors.
-    """
-    made = settings.carbon_dioxide or settings.molecules is not None
-    if settings.carbon_dioxide:
-        system, positions = carbon_dioxide()
-    else:
-        box = boxes.read(settings, "hbonds")
-        system, positions = box.system, np.array(box.positions.value_in_unit(unit.nanometer))
-        if settings.molecules is not None:
-            _, positions, system = boxes.of_size(box, settings.box.parent, settings.molecules)
-    boxes.with_tolerance(system, tolerance)
-    fast = prepare_system(system).fastForceGroups
+def start(settings: NativeSettings) -> Started:
+    """A box, equilibrated; hydrogens of solutes are constrained."""
+    box = boxes.read(settings, "hbonds")
+    fast = prepare_system(box.system).fastForceGroups
     bath = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
     bath.setRandomNumberSeed(settings.seed)
     bath.setConstraintTolerance(1e-9)
-    context = make_context(system, bath, "CPU")
-    context.setPositions(positions)
+    context = make_context(box.system, bath, "CPU")
+    context.setPositions(box.positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
     context.setVelocitiesToTemperature(settings.temperature, settings.seed)
-    if made:
-        bath.setStepSize(0.001)
-        bath.setFriction(20.0)
-        bath.step(MELTING)
-        bath.setStepSize(0.002)
     bath.step(EQUILIBRATION)
-    return Started(system, context.getState(positions=True, velocities=True), fast)
+    return Started(box.system, context.getState(positions=True, velocities=True), fast)
 
 
 def context_on(place: str, system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
@@ -207,8 +138,7 @@ def study(settings: NativeSettings, report: Report = SILENT) -> Record:
     schemes = chosen(settings.schemes, CATALOGUE, "scheme")
     begun = start(settings)
     rows = pd.DataFrame([row for scheme in schemes for row in compare(begun, scheme, settings, report)])
-    name = "carbon dioxide" if settings.carbon_dioxide else settings.box.stem
-    title = f"{name}, {settings.molecules or 'all'} molecules, {settings.time:g} ps"
+    title = f"{settings.box.stem}, {settings.time:g} ps"
     report.table(records.table(title, rows, COLUMNS, left=4))
     return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "native-accuracy.json")
 

@@ -17,8 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +25,7 @@ from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.measure.statistics import Estimate, jackknife
-from studies import records, style
+from studies import records
 from studies.methods import PAPER, OwnMethod
 from studies.paper import published, tip4p
 from studies.paper.published import FS
@@ -36,9 +34,6 @@ from studies.report import SILENT, Report, Table
 
 #: One debye times one MV/m in kJ/mol: 1e-21/299792458 C m (CODATA), 1e6 V/m, the Avogadro constant.
 DEBYE_MV_PER_M = 1e-21 / 299792458 * 1e6 * 6.02214076e23 / 1e3
-
-#: The look of the paper's values.
-OPEN: dict[str, Any] = {"ls": "none", "mfc": "white", "mew": 1.8, "zorder": 3, "label": "_"}
 
 #: The paper's z axis in the lab frame of the computation.
 Z = np.array([1.0, 2.0, 2.0]) / 3
@@ -203,7 +198,7 @@ def _averages(energy: Spread, potential: Spread, momentum: Spread) -> dict[str, 
     }
 
 
-# --- as text and figure ---
+# --- as text ---
 
 
 def tables(record: Record) -> list[Table]:
@@ -229,29 +224,3 @@ def _beside(rows: pd.DataFrame, name: str, theirs: dict, text: Callable[[float, 
         row["paper"] = "-" if paper is None else text(*paper)
         beside.append(row | {"ratio": published.ratio(row[name], None if paper is None else paper[0])})
     return pd.DataFrame(beside)
-
-
-def figure(record: Record, path: Path) -> None:
-    """Table 1 as two panels, the paper's values as open symbols."""
-    rows = record.tables["rows"]
-    steps = sorted(rows["force_step_fs"].unique())
-    with style.figure(path, 2, "Water molecule in an electric field: what is conserved") as (_, panels):
-        for axes, name, paper in zip(
-            panels, ("energy", "momentum"), (published.ENERGY, published.MOMENTUM), strict=True
-        ):
-            theirs = [(*key, value, min(error, 0.9 * value)) for key, (value, error) in paper.items()]
-            columns = ["method", "force_step_fs", name, f"{name}_error"]
-            for i, method in enumerate(PAPER):
-                for frame, look in ((rows, {}), (pd.DataFrame(theirs, columns=columns), OPEN)):
-                    mine = frame[(frame["method"] == method.name) & frame["force_step_fs"].isin(steps)]
-                    # Methods are set apart.
-                    mine = mine.assign(force_step_fs=mine["force_step_fs"] * 1.025 ** (i - 1.5))
-                    style.curves(axes, mine, "force_step_fs", name, **look)
-            axes.set(xscale="log", yscale="log", xlabel="time step per force evaluation, h/f (fs)")
-            style.plain_ticks(axes.xaxis, steps)
-        energy, momentum = panels
-        energy.set(ylabel="rms(H) / rms(V)  (%)", title="energy")
-        momentum.set(ylabel=r"rms($L_z$) / $\langle|L_z|\rangle$", title="angular momentum")
-        energy.errorbar([], [], [], fmt="o", mfc="white", mew=1.8, color=style.GREY, label="open: the paper")
-        energy.legend(loc="lower right", fontsize=10)
-        momentum.text(0.5, 0.12, "rounding", transform=momentum.transAxes, ha="center", color=style.GREY)

@@ -16,8 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,16 +26,12 @@ from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.measure.statistics import Estimate, jackknife
-from studies import records, style
-from studies.bench import rotations
+from studies import records
 from studies.methods import PAPER, OwnMethod
-from studies.paper import published, reference, tip4p
+from studies.paper import published, reference, rotations, tip4p
 from studies.paper.published import FS
 from studies.records import Record
 from studies.report import SILENT, Report, Table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 #: Deviation up to which delta is proportional to t for an inexact map.
 MODERATE = 0.1
@@ -101,7 +96,7 @@ def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
         in place of the rms; `exponent`, that of the growth of delta over the last decade of times up to `MODERATE`, and
         `tau_power`, the time at which the power law with it reaches 10 %, all times in ps; and `energy`, the rms over
         bodies of the deviation of the energy at the last time over the mean energy, in per cent.
-        `costs`: see `studies.bench.rotations`.
+        `costs`: see `studies.paper.rotations`.
     """
     runs = [(method, step) for step in settings.steps_fs for method in PAPER]
     work = [method.forces * settings.span / step for method, step in runs]
@@ -115,7 +110,7 @@ def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
             done += part
         advance(done, "free rotation: cost of the maps")
         costs = [
-            rotations.time_rotations((settings.timed_bodies,), settings.timings, step * FS).assign(step_fs=step)
+            rotations.time_rotations(settings.timed_bodies, settings.timings, step * FS).assign(step_fs=step)
             for step in settings.steps_fs
         ]
     tables = {"curves": pd.concat(curves), "taus": pd.DataFrame(taus), "costs": pd.concat(costs)}
@@ -202,7 +197,7 @@ def _root_mean(squares: np.ndarray) -> Callable[[np.ndarray], float]:
     return lambda kept: math.sqrt(squares[kept].mean())
 
 
-# --- as text and figure ---
+# --- as text ---
 
 
 def tables(record: Record) -> list[Table]:
@@ -228,58 +223,3 @@ def _beside(row: dict[str, Any]) -> dict[str, str]:
         "median": published.picoseconds(row["tau_median"]),
         "power": published.picoseconds(row["tau_power"]),
     }
-
-
-def figure(record: Record, path: Path) -> None:
-    """delta against t for each step, continued to the 10 % that define tau, with the paper's tau there."""
-    curves, taus = record.tables["curves"], record.tables["taus"]
-    steps = list(taus["step_fs"].unique())
-    title = "Free rotation of a water molecule: error of the attitude"
-    with style.figure(path, len(steps), title, sharey=True) as (made, panels):
-        for axes, step in zip(panels, steps, strict=True):
-            axes.axhline(MODERATE, color=style.GREY, lw=1, zorder=0)
-            mine = curves[curves["step_fs"] == step]
-            style.curves(axes, mine, "time", "delta")
-            rows = taus[taus["step_fs"] == step].to_dict("records")
-            for i, row in enumerate(rows):
-                _continue(axes, mine[mine["method"] == row["method"]], row)
-                place = (0.98, 0.045 + 0.06 * (len(rows) - 1 - i))
-                colour = style.of_method(row["method"])["color"]
-                axes.text(*place, _label(row), transform=axes.transAxes, ha="right", color=colour, fontsize=10)
-            axes.set(xscale="log", yscale="log", ylim=(3e-17, 3), xlim=(6e-3, 2e12), xlabel="time")
-            _time_ticks(axes)
-            axes.set_title(f"step {step:g} fs")
-        panels[0].set_ylabel(r"$\delta$ = rms deviation from the exact attitude")
-        notes = "solid: measured      dashed: on by $\\delta = t/10\\tau$      dotted: on by the power found"
-        made.supxlabel(notes + "      open, at 10 %: the paper's $\\tau$", color=style.GREY, fontsize=10)
-
-
-def _continue(axes: Axes, curve: pd.DataFrame, row: dict[str, Any]) -> None:
-    """The two laws from the last moderate delta on, and the paper's tau."""
-    look = style.of_method(row["method"])
-    last = curve[curve["delta"] <= MODERATE].tail(1)
-    for end, line in ((row["tau"], "--"), (row["tau_power"], ":")):
-        axes.plot([*last["time"], end], [*last["delta"], MODERATE], line, color=look["color"], lw=1.4, zorder=1)
-    tau = published.TAU.get((row["method"], row["step_fs"]))
-    if tau is not None:
-        open_symbol: dict[str, Any] = {"mfc": "white", "mew": 1.8, "ms": 9, "zorder": 4, "clip_on": False}
-        axes.plot(tau, MODERATE, look["marker"], color=look["color"], **open_symbol)
-
-
-def _label(row: dict[str, Any]) -> str:
-    tau = published.TAU.get((row["method"], row["step_fs"]))
-    paper = "" if tau is None else f" (paper: {published.picoseconds(tau, like=row['tau'])})"
-    return rf"{row['method']}: $\tau$ = {published.picoseconds(row['tau'])}{paper}"
-
-
-def _time_ticks(axes: Axes) -> None:
-    """From fs to s."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
-
-    def text(value: float, _: int) -> str:
-        return published.picoseconds(value) if value >= 1 else "10 fs"
-
-    axes.xaxis.set_major_locator(FixedLocator([1e-2, 1, 1e3, 1e6, 1e9, 1e12]))
-    axes.xaxis.set_major_formatter(FuncFormatter(text))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_locator(LogLocator(numticks=9))

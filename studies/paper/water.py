@@ -51,7 +51,7 @@ def evaluate(settings: WaterSettings, edge: float, made: list[dict[str, Any]]) -
     Args:
         settings: of the experiment.
         edge: of the box, nm.
-        made: runs from all phase points, see `water_runs.make_runs`.
+        made: runs from all phase points, see `water_runs.run`.
 
     Returns:
         `points`: for each kind, method and `force_step_fs` the mean rms(H) over the mean rms(V) in per cent with its

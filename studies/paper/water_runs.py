@@ -1,11 +1,9 @@
-"""The runs of liquid water: from each phase point one with every method and step, kept on disk as they are done."""
+"""The runs of liquid water: from each phase point one with every method and step."""
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,17 +14,9 @@ from openmm_sier.measure.statistics import rms, slope_and_error
 from studies.methods import PAPER, Method
 from studies.paper import liquids
 from studies.paper.published import FS
-from studies.records import replace_file
-from studies.report import SILENT, Report
 
 #: Beyond this rms(H)/rms(V) a method has broken down, and longer steps are not tried.
 BROKEN = 1.0
-
-#: Prefixes of the names of phase points. PME takes longest, and comes first.
-PREFIXES = {liquids.PME: "pme", liquids.MOLECULAR: "molecular"}
-
-#: The file of a phase point.
-FILE = "runs.json"
 
 
 class PhasePoint(NamedTuple):
@@ -34,11 +24,6 @@ class PhasePoint(NamedTuple):
 
     kind: str
     number: int
-
-    @property
-    def name(self) -> str:
-        """For example `pme-3`."""
-        return f"{PREFIXES[self.kind]}-{self.number}"
 
 
 @dataclass(frozen=True)
@@ -102,70 +87,48 @@ QUICK = WaterSettings(
 
 
 def phase_points(settings: WaterSettings) -> list[PhasePoint]:
-    """All phase points of an experiment, starting with those that take longest."""
-    kinds = [kind for kind in PREFIXES if kind in settings.kinds]
+    """All phase points of an experiment, starting with those that take longest, of PME."""
+    kinds = [kind for kind in (liquids.PME, liquids.MOLECULAR) if kind in settings.kinds]
     return [PhasePoint(kind, 1 + i) for kind in kinds for i in range(settings.runs)]
 
 
-def phase_point(name: str, settings: WaterSettings) -> PhasePoint:
-    """The phase point of a name.
+class Task(NamedTuple):
+    """The runs from one phase point."""
 
-    Raises:
-        ValueError: the experiment has no such point.
+    settings: WaterSettings
+    start: PhasePoint
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """What identifies the runs."""
+        shared = {"seed": self.settings.seed, "molecules": self.settings.molecules, "span": self.settings.span}
+        return self.start._asdict() | shared
+
+
+def run(task: Task) -> dict[str, Any]:
+    """The point of a task, with its `runs`: all methods and steps from one phase point.
+
+    A run has its `kind`, `number` of the phase point, `method`, `force_step_fs`, and about the run's own means `rms_H`,
+    `rms_V` in kJ/mol and the `drift` of H in kJ/mol/ps, None if the run did not finish.
     """
-    points = {point.name: point for point in phase_points(settings)}
-    if name not in points:
-        raise ValueError(f"the phase point must be one of {', '.join(points)}, got {name!r}")
-    return points[name]
-
-
-def make_runs(
-    water: liquids.Water, point: PhasePoint, settings: WaterSettings, directory: Path, report: Report = SILENT
-) -> list[dict[str, Any]]:
-    """Runs of all methods and steps from one phase point.
-
-    Args:
-        water: the liquid.
-        point: where they start.
-        settings: of the experiment.
-        directory: for the file of runs; runs that it already has are not repeated.
-        report: gets progress.
-
-    Returns:
-        For each run its `kind`, `number` of the phase point, `method`, `force_step_fs`, and means about the run's own
-        means: `rms_H`, `rms_V` in kJ/mol and the `drift` of H in kJ/mol/ps, None if the run did not finish.
-    """
-    plan = [(method, step) for method in PAPER for step in settings.steps_of(method, point)]
-    known = {(run["method"], run["force_step_fs"]): run for run in read_runs(directory)}
+    settings, point = task.settings, task.start
+    water = liquids.water_box(settings.molecules)
     # From a box of its own the liquid has to settle first; the project's has.
-    whole = water.molecules == liquids.water_box(512).molecules
-    time = settings.relax * point.number if whole else None
-    phase = liquids.phase_point(
-        water, point.kind, settings.cutoffs, settings.temperature, time, settings.seed + point.number
-    )
+    time = settings.relax * point.number if settings.molecules == WaterSettings.molecules else None
+    seed = settings.seed + point.number
+    phase = liquids.phase_point(water, point.kind, settings.cutoffs, settings.temperature, time, seed)
     system = liquids.build(point.kind, water, settings.cutoffs)
-    runs: list[dict[str, Any]] = []
-    with report.progress(point.name, sum(1 / step for _, step in plan)) as advance:
-        done, broken = 0.0, set()
-        for method, step in plan:
-            advance(done, f"{point.name}: {method.name}, h/f = {step:g} fs")
-            done += 1 / step
+    runs, broken = [], set()
+    for method in PAPER:
+        for step in settings.steps_of(method, point):
             if method.name in broken:
                 continue
-            if (run := known.get((method.name, step))) is None:
-                run = {"kind": point.kind, "number": point.number, "method": method.name, "force_step_fs": step}
-                run |= _run(system, point.kind, phase, method, step, settings)
-                replace_file(directory / FILE, json.dumps([*runs, run], indent=1) + "\n")
-            runs.append(run)
-            if run["rms_H"] is None or run["rms_H"] > BROKEN * run["rms_V"]:
+            made = point._asdict() | {"method": method.name, "force_step_fs": step}
+            made |= _run(system, point.kind, phase, method, step, settings)
+            runs.append(made)
+            if made["rms_H"] is None or made["rms_H"] > BROKEN * made["rms_V"]:
                 broken.add(method.name)
-    return runs
-
-
-def read_runs(directory: Path) -> list[dict[str, Any]]:
-    """The runs of a phase point that are on disk."""
-    path = directory / FILE
-    return json.loads(path.read_text()) if path.exists() else []
+    return task.point | {"runs": runs}
 
 
 def _run(

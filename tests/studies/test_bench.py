@@ -10,10 +10,9 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import RigidBodies
 from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure import forcefields
-from studies.bench import layer, peers
+from studies.bench import peers
 from tests.support.commands import SYSTEMS
 
 
@@ -26,20 +25,6 @@ def liquid():
     context.setVelocitiesToTemperature(297, 1)
     state = context.getState(positions=True, velocities=True)
     return found.system, state, peers.liquid_of(found.system, state)
-
-
-def test_free_water_is_water():
-    system, positions = layer.free_water(3)
-    bodies = RigidBodies.from_system(system)
-    assert bodies.n == 3
-    # Rounding of coordinates up to 10 nm.
-    assert np.abs(bodies.place(*bodies.fit(positions), np.zeros_like(positions)) - positions).max() < 1e-14
-
-
-# --- accuracy at a level ---
-
-
-# --- peers ---
 
 
 def test_what_gromacs_gets_has_the_same_energy(liquid, tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.measure import forcefields
-from studies import acceptance_trials, boxes, speed_boxes
+from studies import acceptance, boxes, speed_boxes
 from studies.speed import SpeedSettings
 from tests.support.commands import SYSTEMS, write_lattice
 from tests.support.reports import Told
@@ -43,7 +43,7 @@ def test_noise_of_the_energy(tmp_path, name, noisy):
     context.setPositions(box.positions)
     before = context.getState(positions=True).getPositions(asNumpy=True)
     # In double precision the second order in displacements of 1e-6 nm is left: of overlapping molecules 1e-5 kJ/mol.
-    assert (acceptance_trials.energy_noise(context) > 2e-5) is noisy
+    assert (acceptance.energy_noise(context) > 2e-5) is noisy
     assert np.array_equal(context.getState(positions=True).getPositions(asNumpy=True), before)
 
 

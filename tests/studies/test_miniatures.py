@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import shlex
 from collections.abc import Callable
@@ -22,7 +21,6 @@ from studies import (
     equipartition,
     heat_bath,
     mesh,
-    paper,
     processed,
     records,
     schemes,
@@ -30,15 +28,13 @@ from studies import (
     speed_boxes,
     whole_run,
 )
-from studies.acceptance_trials import AcceptanceSettings
-from studies.bench import __main__ as bench_command
-from studies.bench import accuracy, layer, peers, usual_inputs
+from studies.bench import accuracy, peers, usual_inputs
 from studies.hmc import exactness, mixture, samples, solvated
 from studies.native import program as counts
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
 from tests.support.commands import SYSTEMS, write_lattice
-from tests.support.paper import members_of_water
+from tests.support.paper import make_at_once
 from tests.support.waters import water_box
 
 DIPEPTIDE = SYSTEMS / "dipeptide.pdb"
@@ -79,15 +75,8 @@ def acceptances(found):
 
 
 def benchmarks(found):
-    steps = found["steps"]
-    assert set(steps["molecules"]) == {27}
-    # A step is longer than the calls of forces in it.
-    own = steps[steps["name"].str.endswith("the force calls in it")]
-    assert len(own) == 2
-    assert (own["median"] > 1).all()
-    assert set(found["rotations"]["name"]) == {"MRDL", "exact", "SEJ4", "exact, Numba"}
-    assert list(found["layer"]["what"][:2]) == [f"{n} bodies, ns a body and step" for n in (20, 40)]
     assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4"]
+    assert found["points"]["percent"].between(1e-3, 50).all()
 
 
 def two_means_and_ranges(found):
@@ -225,22 +214,14 @@ MINIATURES = {
         ("{box} --sizes 27 --schemes verlet sier4g --trials 3 --time 0.012 --equilibrate 0.03 --platform CPU",),
         acceptances,
         "acceptance",
-        kept=f"{acceptance.KEPT}/*",
+        kept="*.jsonl",
     ),
     "bench": Miniature(
-        bench_command,
-        (
-            "{box} --parts steps rotations layer accuracy --copies 1 --rounds 1 --bodies 20 40 --time 0.1 "
-            "--equilibrate 0.02 --platform Reference",
-        ),
+        accuracy,
+        ("{box} --time 0.1 --equilibrate 0.02 --platform Reference",),
         benchmarks,
         "bench",
-        patches=(
-            (accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)}),
-            (peers, "installed", list),
-            (layer, "SMALLEST", 20),
-            (layer, "_least", functools.partial(layer._least, repeats=1)),
-        ),
+        patches=((accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)}), (peers, "installed", list)),
     ),
     "defaults": Miniature(
         defaults,
@@ -255,10 +236,13 @@ MINIATURES = {
     ),
     "equipartition": Miniature(
         equipartition,
-        ("{box} --dt 1 2 --methods verlet sier2 sier4 --time 0.1 --equilibrate 0.02 --platform Reference",),
+        (
+            "{box} --dt 1 2 --methods verlet sier2 sier4 --time 0.1 --equilibrate 0.02 --settle 0.02 "
+            "--platform Reference",
+        ),
         temperatures,
         "equipartition",
-        patches=((equipartition, "SETTLING", 0.02),),
+        kept="*.jsonl",
     ),
     "exactness": Miniature(exactness, ("--trials 200 --processes 1",), known_averages, "exactness", figure=False),
     "heat bath": Miniature(
@@ -277,6 +261,7 @@ MINIATURES = {
         ),
         meshes,
         "mesh",
+        figure=False,
     ),
     "mixture": Miniature(
         mixture,
@@ -296,6 +281,7 @@ MINIATURES = {
         ("dipole --quick",),
         lambda found: None,
         "dipole",
+        figure=False,
         patches=((dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1)),),
     ),
     "paper, free rotation": Miniature(
@@ -303,6 +289,7 @@ MINIATURES = {
         ("free-rotation --quick",),
         lambda found: None,
         "free-rotation",
+        figure=False,
         patches=((free_rotation, "QUICK", FREE),),
     ),
     "paper, water": Miniature(
@@ -310,7 +297,7 @@ MINIATURES = {
         ("water --quick",),
         lambda found: None,
         "water",
-        patches=((water_runs, "QUICK", WATER), (paper, "ensemble", members_of_water)),
+        patches=((water_runs, "QUICK", WATER), (records, "make_missing", make_at_once)),
     ),
     "samples": Miniature(
         samples,
@@ -333,6 +320,7 @@ MINIATURES = {
         ),
         schemes_by_step,
         "schemes",
+        figure=False,
         kept="*.jsonl",
     ),
     "solvated": Miniature(
@@ -377,6 +365,7 @@ MINIATURES = {
         processed_state,
         "processed",
         figure=False,
+        kept="*.jsonl",
     ),
 }
 
@@ -432,9 +421,10 @@ def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
 def test_results_of_other_settings_are_refused(tmp_path, capsys):
     """Studies whose runs are kept one by one."""
     for study, kind, noted in (
-        (acceptance, AcceptanceSettings, f"{acceptance.KEPT}/settings.json"),
+        (acceptance, acceptance.AcceptanceSettings, "acceptance-settings.json"),
         (schemes, schemes.SchemesSettings, "schemes-settings.json"),
         (defaults, defaults.DefaultsSettings, "settings.json"),
+        (equipartition, equipartition.EquipartitionSettings, "equipartition-settings.json"),
         (whole_run, whole_run.WholeRunSettings, "whole-run-settings.json"),
     ):
         path = tmp_path / study.__name__ / noted

@@ -5,9 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import openmm
@@ -18,7 +16,7 @@ from openmm_sier import SIERIntegrator
 from studies.paper import liquids, molecular_cutoff, tip4p, water, water_runs
 from studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from studies.paper.molecular_cutoff import MolecularCutoff
-from studies.paper.water_runs import PhasePoint, WaterSettings
+from studies.paper.water_runs import Task, WaterSettings
 from tests.support.oracles import random_attitudes
 
 ON, OFF, EDGE = 0.3, 0.5, 1.5
@@ -139,17 +137,9 @@ def known_phase_points(monkeypatch):
     monkeypatch.setattr(liquids, "phase_point", lambda water, kind, *_: phase(kind, _[-1]))
 
 
-def runs_from(point, settings, directory):
-    return water_runs.make_runs(box(), point, settings, directory)
-
-
 def evaluated(settings):
     """The record of the experiment in miniature."""
-    (kind,) = settings.kinds
-    made = []
-    for i in range(settings.runs):
-        with tempfile.TemporaryDirectory() as directory:
-            made += runs_from(PhasePoint(kind, 1 + i), settings, Path(directory))
+    made = [run for point in water_runs.phase_points(settings) for run in water_runs.run(Task(settings, point))["runs"]]
     return water.evaluate(settings, box().edge, made)
 
 
@@ -210,45 +200,6 @@ def test_broken_runs_are_left_out():
     assert points["runs"]["SIER4", 1.0] == 1
     assert points["runs"]["SIER4", 60.0] == 0
     assert math.isnan(points["percent"]["SIER4", 60.0])
-
-
-@pytest.mark.slow
-def test_runs_on_disk_are_not_made_again(tmp_path, monkeypatch):
-    """What a process that was killed after its second run leaves is kept, and the rest is as if it had not been."""
-    settings = replace(
-        miniature()[0],
-        force_steps_fs=(1.0, 2.0),
-        compared_from_fs=9.0,
-        compared_to_fs=9.0,
-        runs=1,
-        span=0.05,
-        relax=0.1,
-    )
-    point = PhasePoint(MOLECULAR, 1)
-    (tmp_path / "quiet").mkdir()
-    undisturbed = runs_from(point, settings, tmp_path / "quiet")
-    assert [(run["method"], run["force_step_fs"]) for run in undisturbed] == [
-        (method, step) for method in ("SIER2", "SIER4") for step in (1.0, 2.0)
-    ]
-    made = []
-    make = water_runs._run
-
-    def killed_at_third(*arguments):
-        if len(made) == 2:
-            raise KeyboardInterrupt
-        made.append(arguments)
-        return make(*arguments)
-
-    monkeypatch.setattr(water_runs, "_run", killed_at_third)
-    with pytest.raises(KeyboardInterrupt):
-        runs_from(point, settings, tmp_path)
-    assert water_runs.read_runs(tmp_path) == undisturbed[:2]
-    monkeypatch.setattr(water_runs, "_run", lambda *arguments: made.append(arguments) or make(*arguments))
-    assert runs_from(point, settings, tmp_path) == undisturbed
-    assert len(made) == 4
-    assert water_runs.read_runs(tmp_path) == undisturbed
-    runs_from(point, settings, tmp_path)
-    assert len(made) == 4
 
 
 @pytest.mark.slow

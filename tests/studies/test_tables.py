@@ -11,7 +11,7 @@ import pytest
 from openmm_sier.dynamics.schemes import SIER2V2, SIER4P, SIER4V
 from studies import acceptance, equipartition, records, schemes, speed, step_study, whole_run
 from studies.bench import accuracy, timing
-from studies.equipartition import MEASURED, EquipartitionSettings
+from studies.equipartition import MEASURED
 from studies.hmc import solvated
 from studies.methods import OTHERS
 from studies.records import Record
@@ -21,7 +21,7 @@ from studies.speed import Turn
 
 
 def trials_of(molecules, errors, method="SIER2", broken=""):
-    """What `acceptance_trials.measure` gives."""
+    """What `acceptance.run` gives."""
     place = {"molecules": molecules, "method": method, "fs_per_force": 2.0, "step": 2.0, "length": 60.0}
     return place | {"errors": list(errors), "reversal": 1e-8, "noise": 1e-3, "broken": broken}
 
@@ -100,30 +100,10 @@ def test_replicas_are_pooled_by_their_lengths():
     assert pooled(run_of(1.0, 0.3, 30.0), run_of(0.0, 1.0, 10.0, broken="too hot"))["broken"] == "too hot"
 
 
-def test_directories_are_pooled(tmp_path):
-    def write(name, seeds, **changes):
-        settings = EquipartitionSettings(seed=seeds[0], replicas=len(seeds), **changes).recorded()
-        rows = equipartition.pooled(pd.DataFrame([run_of(float(seed), 0.3, 10.0) for seed in seeds]))
-        (tmp_path / name).mkdir()
-        Record(settings, {"rows": rows}, {}).write(tmp_path / name / equipartition.FILE)
-        return rows
-
-    together = write("both", (1, 2))
-    write("1", (1,))
-    write("2", (2,))
-    found = equipartition.pool((tmp_path / "1", tmp_path / "2"))
-    pd.testing.assert_frame_equal(found.tables["rows"], together)
-    write("hot", (1,), temperature=350.0)
-    with pytest.raises(ValueError, match=r"cannot be pooled: their settings of temperature are 350.0 and 297.0"):
-        equipartition.pool((tmp_path / "1", tmp_path / "hot"))
-    with pytest.raises(ValueError, match="cannot be pooled: both have SIER4 at 4 fs with seed 2"):
-        equipartition.pool((tmp_path / "both", tmp_path / "2"))
-
-
 # --- schemes ----------------------------------------------------------------------------------------------------------
 
 CANDIDATES = {**OTHERS, "sier4v": SIER4V, "sier4p": SIER4P}
-FORCES = {"s6": 6, "srkn6b": 6, "pefrl": 4, "sier4v": 5, "sier4p": 4, "omf3gg": 5}
+FORCES = {"sier4v": 5, "sier4p": 4, "omf3gg": 5}
 
 
 @pytest.mark.parametrize("name", CANDIDATES)
@@ -307,7 +287,7 @@ def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):
 
 def test_steps_of_a_solute_are_those_that_its_bonds_allow():
     steps = [{each.method: each.step for each in speed.contestants(solute)} for solute in (False, True)]
-    assert [(each["SIER2P3"], each["SIER4G"]) for each in steps] == [(12, 6), (9, 6)]
+    assert [(each["SIER2P3"], each["SIER4G"]) for each in steps] == [(12, 4), (9, 4)]
 
 
 def test_the_law_of_the_walk_is_found_again():

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+import numpy as np
 import openmm
 
-from studies.bench.layer import free_water
+OH, HH = 0.09572, 0.15139
 
 #: kJ/mol/nm^2, of the springs of O and H.
 SPRINGS = (1e5, 7e3, 7e3)
+
+
+def free_water(n):
+    """Water molecules without interactions: the System and positions (3 n, 3)."""
+    system = openmm.System()
+    for _ in range(n):
+        oxygen, *hydrogens = (system.addParticle(mass) for mass in (15.99943, 1.007947, 1.007947))
+        for hydrogen in hydrogens:
+            system.addConstraint(oxygen, hydrogen, OH)
+        system.addConstraint(*hydrogens, HH)
+    half = np.arcsin(HH / 2 / OH)
+    sites = OH * np.array([[0, 0, 0], [np.cos(half), np.sin(half), 0], [np.cos(half), -np.sin(half), 0]])
+    places = np.random.default_rng(1).uniform(0, 10, (n, 1, 3))
+    return system, (places + sites).reshape(-1, 3)
 
 
 def tethered_water(n):
