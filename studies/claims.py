@@ -260,7 +260,6 @@ TESTED = (
         "physical_validation finds no deviation of kinetic energies from the canonical ensemble, and finds one where a "
         "step is too long.",
         ("tests/validation/test_physical_validation.py",),
-        "python -m studies.checks.validate_water --out DIR",
     ),
     Tested(
         "openmmtools' caches, moves and replica exchange work.",

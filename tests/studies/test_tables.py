@@ -256,13 +256,14 @@ def test_a_speed_is_simulated_time_over_what_it_took():
     """2 fs in 1 ms of processor time and 2 ms of wall time."""
     turns = {
         speed.REFERENCE: np.array(3 * [Turn(2.0, 0.002, 0.001)]),
+        speed.BATH_REFERENCE: np.array(3 * [Turn(8.0, 0.004, 0.002)]),
         "other": np.array(3 * [Turn(12.0, 0.004, 0.003)]),
     }
-    reference, own = speed.rows_of(turns, "CPU")
+    reference, _, own = speed.rows_of(turns, "CPU")
     # 1 fs/ms is 86.4 ns/day.
     assert (reference["ns_per_day"], reference["ns_per_day_processor"]) == pytest.approx((86.4, 172.8))
-    assert own["over"] == pytest.approx(2.0)
-    assert speed.rows_of(turns, "CUDA")[1]["over"] == pytest.approx(3.0)
+    assert (own["over"], own["over_middle"]) == pytest.approx((2.0, 1.0))
+    assert speed.rows_of(turns, "CUDA")[2]["over"] == pytest.approx(3.0)
 
 
 def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):
