@@ -39,7 +39,7 @@ class PlanError(ValueError):
     """No ensemble can be made from a plan."""
 
 
-def run(
+def run_plan(
     plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, list: bool
 ) -> None:
     """Run `openmm-sier ensemble`.

@@ -333,9 +333,8 @@ class RigidBodies:
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
         active = backend.active()
-        inverses = self.inverse_masses, self.inverse_moments
         for sites in self._sites:
-            active.move(sites, state.p, state.A, state.L, *inverses, velocities)
+            active.move(sites, state.p, state.A, state.L, self._inverses, velocities)
         return velocities
 
     def displaced(
@@ -348,7 +347,7 @@ class RigidBodies:
             A: (3, 3, n).
             shift: half the square of a time, ps^2.
         """
-        return backend.active().displace(q, A, F, tau, shift, self.inverse_masses, self.inverse_moments)
+        return backend.active().displace(q, A, F, tau, shift, self._inverses)
 
     def angular_velocities(self, state: BodyState) -> np.ndarray:
         """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""
@@ -363,6 +362,10 @@ class RigidBodies:
     def inverse_moments(self) -> np.ndarray:
         """(3, n), 1/(dalton nm^2); zero where the moment is."""
         return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
+
+    @cached_property
+    def _inverses(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.inverse_masses, self.inverse_moments
 
     @cached_property
     def point_particles(self) -> np.ndarray:
