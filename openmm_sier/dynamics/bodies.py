@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import RigidityError as RigidityError
@@ -169,7 +169,7 @@ class RigidBodies:
             owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
         return owners
 
-    def tied(self: Bodies, links: tuple, molecules: np.ndarray) -> Bodies:
+    def linked(self: Bodies, links: tuple, molecules: np.ndarray) -> Bodies:
         """The same bodies with other links and molecules, see `RigidBodies`."""
         return type(self)(self.species, self.n_particles, self.labels, links, molecules)
 
@@ -307,10 +307,8 @@ class RigidBodies:
     ) -> tuple[np.ndarray, np.ndarray]:
         active = backend.active()
         total, moment = np.empty((2, 3, self.n))
-        finite = True
-        for sites, own in zip(self._sites, weights, strict=True):
-            finite &= active.collect(sites, vectors, A, own, total, moment)
-        if not finite:
+        kinds = zip(self._sites, weights, strict=True)
+        if not all(active.collect(sites, vectors, A, own, total, moment) for sites, own in kinds):
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
 
@@ -323,10 +321,7 @@ class RigidBodies:
             NotFiniteError: a position is not finite. All have been written then.
         """
         active = backend.active()
-        finite = True
-        for sites in self._sites:
-            finite &= active.place(sites, q, A, positions)
-        if not finite:
+        if not all(active.place(sites, q, A, positions) for sites in self._sites):
             raise NotFiniteError(np.concatenate([q, A.reshape(9, -1)]))
         return positions
 
@@ -348,10 +343,6 @@ class RigidBodies:
             shift: half the square of a time, ps^2.
         """
         return backend.active().displace(q, A, F, tau, shift, self._inverses)
-
-    def angular_velocities(self, state: BodyState) -> np.ndarray:
-        """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""
-        return angular_velocity(state.A, state.L, self.inverse_moments)
 
     @cached_property
     def inverse_masses(self) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -130,23 +130,7 @@ def _box(source: _Source, system: openmm.System, topology: app.Topology, files: 
 # --- topologies of other programs ---
 
 
-def _prmtop(path: str, box: Any, files: Sequence[str]) -> tuple[Any, Callable[..., openmm.System]]:
-    file = app.AmberPrmtopFile(path, periodicBoxVectors=box)
-    return file, file.createSystem
-
-
-def _top(path: str, box: Any, files: Sequence[str]) -> tuple[Any, Callable[..., openmm.System]]:
-    file = app.GromacsTopFile(path, periodicBoxVectors=box)
-    return file, file.createSystem
-
-
-def _psf(path: str, box: Any, files: Sequence[str]) -> tuple[Any, Callable[..., openmm.System]]:
-    file = app.CharmmPsfFile(path, periodicBoxVectors=box)
-    # By default OpenMM's other readers add no bonds that constraints hold.
-    return file, partial(file.createSystem, app.CharmmParameterSet(*files), flexibleConstraints=False)
-
-
-_READERS = {PRMTOP: _prmtop, TOP: _top, PSF: _psf}
+_READERS: dict[str, Any] = {PRMTOP: app.AmberPrmtopFile, TOP: app.GromacsTopFile, PSF: app.CharmmPsfFile}
 
 
 def _box_of_topology(
@@ -162,7 +146,11 @@ def _box_of_topology(
         )
     parameters = [forcefields.locate(str(file), path.parent) for file in files]
     try:
-        file, create = _READERS[kind](str(topology), found.box, parameters)
+        file = _READERS[kind](str(topology), periodicBoxVectors=found.box)
+        create = file.createSystem
+        if kind == PSF:
+            # OpenMM's other readers add no bonds that constraints hold by themselves.
+            create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
     except FileNotFoundError:
         raise
     except Exception as error:

@@ -46,11 +46,7 @@ class Constraints:
     """
 
     def __init__(
-        self,
-        pairs: ArrayLike,
-        lengths: ArrayLike,
-        masses: ArrayLike,
-        describe: Callable[[int], str] | None = None,
+        self, pairs: ArrayLike, lengths: ArrayLike, masses: ArrayLike, describe: Callable[[int], str] | None = None
     ):
         """
         Args:
