@@ -18,18 +18,9 @@ from openmm_sier.system.notices import notify
 
 #: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
 PASSIVE_FORCES = (
-    *TERMS,
-    openmm.NonbondedForce,
-    openmm.GBSAOBCForce,
-    openmm.GayBerneForce,
-    openmm.RMSDForce,
-    openmm.CustomExternalForce,
-    openmm.CustomCompoundBondForce,
-    openmm.CustomCentroidBondForce,
-    openmm.CustomNonbondedForce,
-    openmm.CustomGBForce,
-    openmm.CustomHbondForce,
-    openmm.CustomManyParticleForce,
+    *(*TERMS, openmm.CustomExternalForce, openmm.CustomCompoundBondForce, openmm.CustomCentroidBondForce),
+    *(openmm.NonbondedForce, openmm.GBSAOBCForce, openmm.GayBerneForce, openmm.RMSDForce),
+    *(openmm.CustomNonbondedForce, openmm.CustomGBForce, openmm.CustomHbondForce, openmm.CustomManyParticleForce),
     # It has an effect, which the exact engine takes over: a sum over bodies is cheaper than reading atoms back.
     openmm.CMMotionRemover,
 )
