@@ -107,13 +107,6 @@ class Constraints:
 
     # --- what is conserved and counted ---
 
-    def residual(self, q: np.ndarray) -> float:
-        """Largest relative deviation of a constrained length at positions (3, n)."""
-        if not len(self.pairs):
-            return 0.0
-        found = np.linalg.norm(q[:, self.pairs[:, 0]] - q[:, self.pairs[:, 1]], axis=0)
-        return float(np.abs(found / self.lengths - 1).max())
-
     def rank(self, q: np.ndarray | None = None) -> int:
         """Number of independent constraints, each of which takes away one degree of freedom.
 
