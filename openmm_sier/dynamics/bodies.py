@@ -110,11 +110,11 @@ class RigidBodies:
         self.species = tuple(species)
         self.n_particles = n_particles
         self.labels = labels
-        starts = np.cumsum([0] + [s.atoms.shape[0] for s in self.species])
+        counts = [s.atoms.shape[0] for s in self.species]
+        starts = np.cumsum([0, *counts])
         self.n = int(starts[-1])
         self.parts = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
         self._check()
-        counts = [s.atoms.shape[0] for s in self.species]
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self._sites, self._fractions = sites_of(self.species, self.parts)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -236,18 +237,11 @@ def _topology_of(system: openmm.System) -> app.Topology:
     return topology
 
 
-def _molecules(system: openmm.System) -> Iterator[list[int]]:
+def _molecules(system: openmm.System) -> list[list[int]]:
     """Particles of one molecule each, in their order; one whose particles are not together comes in parts."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     molecule_of = {i: number for number, molecule in enumerate(context.getMolecules()) for i in molecule}
-    part: list[int] = []
-    for i in range(system.getNumParticles()):
-        if part and molecule_of[i] != molecule_of[part[-1]]:
-            yield part
-            part = []
-        part.append(i)
-    if part:
-        yield part
+    return [list(part) for _, part in groupby(range(system.getNumParticles()), molecule_of.__getitem__)]
 
 
 # --- what was read ---
