@@ -47,9 +47,9 @@ def install() -> None:
     _replace(openmm.Context, "setState", _set_state)
     _replace(openmm.Context, "getState", _mark_state)
     for name in ("setPositions", "setVelocities", "setVelocitiesToTemperature"):
-        _replace(openmm.Context, name, functools.partial(_tell, Binding.moved))
-    _replace(openmm.Context, "loadCheckpoint", functools.partial(_tell, Binding.take_over))
-    _replace(openmm.Context, "createCheckpoint", functools.partial(_tell, Binding.start_anew))
+        _replace(openmm.Context, name, functools.partial(_pass_on, Binding.moved))
+    _replace(openmm.Context, "loadCheckpoint", functools.partial(_pass_on, Binding.take_over))
+    _replace(openmm.Context, "createCheckpoint", functools.partial(_pass_on, Binding.start_anew))
     _replace(openmm.XmlSerializer, "serialize", _write_restart_point)
     for owner, name in _CHANGES_OF_SYSTEMS:
         _replace(owner, name, _count_change)
@@ -177,7 +177,7 @@ def _set_all_but_integrator(context: openmm.Context, state: openmm.State) -> Non
 # --- changes from outside ---
 
 
-def _tell(news: Callable, method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) -> Any:
+def _pass_on(news: Callable, method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) -> Any:
     """Tell an integrator by a method of `Binding` that a method of its Context was called."""
     found = method(context, *args, **kwargs)
     if binding := _binding_of(context):
@@ -197,11 +197,7 @@ def _count_change(method: Callable, *args: Any, **kwargs: Any) -> Any:
 
 
 def _keep_bodies(
-    method: Callable,
-    context: openmm.Context,
-    tolerance: Any = 10.0,
-    maxIterations: int = 0,
-    reporter: Any = None,
+    method: Callable, context: openmm.Context, tolerance: Any = 10.0, maxIterations: int = 0, reporter: Any = None
 ) -> None:
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     if binding := _binding_of(context):

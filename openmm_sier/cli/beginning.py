@@ -95,7 +95,7 @@ class Simulated:
         system, integrator = stock.make_stock(self.box.system, plan.scheme, plan.dt / 1000, bath, plan.friction, piston)
         stock.seed_noise(system, integrator, plan.seed, step)
         context = make_context(system, integrator, self.options.platform)
-        integrator.attend(context, self.bodies)
+        integrator.bind(context, self.bodies)
         return context
 
     def begin(self, state: openmm.State | None = None, origin: Plan | None = None) -> openmm.Context:

@@ -39,7 +39,7 @@ class PlanError(ValueError):
     """No ensemble can be made from a plan."""
 
 
-def run(
+def run_plan(
     plan: Path, out: Path | None, processes: int | None, threads: int | None, scheduler: str | None, list: bool
 ) -> None:
     """Run `openmm-sier ensemble`.
@@ -68,9 +68,9 @@ def run(
         try:
             outcomes = ensemble(members, directory, executor, processes, threads, REPORT)
         except EnsembleError as error:
-            _tell(error.outcomes)
+            _list_outcomes(error.outcomes)
             raise
-    _tell(outcomes)
+    _list_outcomes(outcomes)
 
 
 def _refuse_edited(checkpoint: Path) -> None:
@@ -90,7 +90,7 @@ def _refuse_edited(checkpoint: Path) -> None:
             )
 
 
-def _tell(outcomes: list[Outcome] | tuple[Outcome, ...]) -> None:
+def _list_outcomes(outcomes: list[Outcome] | tuple[Outcome, ...]) -> None:
     rows = [[o.name, o.error or "complete", str(o.restarts), f"{o.seconds:.1f}"] for o in outcomes]
     table("Members", ("member", "", "restarts", "s"), rows, 2)
 

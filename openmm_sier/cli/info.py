@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import app
 
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.options import OPTIONS
+from openmm_sier.cli.options import OPTIONS, Options
 from openmm_sier.cli.plan import ignored_options
 from openmm_sier.dynamics.species import Species
 from openmm_sier.measure.forcefields import Box
 from openmm_sier.measure.inputs import read_input
+from openmm_sier.measure.pdb_files import box_vectors, extent
 from openmm_sier.observe.conservation import density
 from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import RigidBodies
@@ -41,34 +42,25 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
     return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
 
-def info(
-    box: Path,
-    topology: Path | None = None,
-    forcefield: Sequence[str | Path] | None = None,
-    edges: Sequence[float] | None = None,
-    rigid: Sequence[str] | None = None,
-    constraints: str | None = None,
-) -> None:
+def info(**given: Any) -> None:
     """Print the kinds of rigid body and of point of an input, masses in dalton and moments in dalton nm^2.
 
     Args:
-        box: the coordinates.
-        topology, forcefield, edges: see `inputs.read_input`.
-        rigid: see `rigid_bodies`.
-        constraints: besides those of water, see `forcefields.CONSTRAINTS`; None: as in a run.
+        given: options of a run by name, as for `Options`.
 
     Raises:
         RunError: an option would do nothing with the topology.
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
-    options = {"forcefield": forcefield, "edges": edges, "constraints": constraints}
-    ignored_options(topology, [name for name, value in options.items() if value is not None])
-    read = read_input(box, topology, forcefield, constraints or OPTIONS["constraints"].default, edges=edges)
-    bodies = rigid_bodies(read, rigid)
+    options = Options(**given)
+    ignored_options(options.topology, [name for name, value in given.items() if value is not None])
+    constraints = options.constraints or OPTIONS["constraints"].default
+    read = read_input(options.box, options.topology, options.forcefield, constraints, edges=options.edges)
+    bodies = rigid_bodies(read, options.rigid)
     atoms = list(read.topology.atoms())
     riders = _riders(read.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
-    table(f"{box}, {' '.join(read.files)} ({read.reason})", COLUMNS, rows)
+    table(f"{options.box}, {' '.join(read.files)} ({read.reason})", COLUMNS, rows)
     points = int(np.count_nonzero(bodies.point_particles))
     counts = f"{bodies.n - points} rigid bodies" if bodies.n > points else ""
     if points:
@@ -120,10 +112,7 @@ def _riders(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:
 
 
 def _extent(box: Box) -> str:
-    vectors = box.topology.getPeriodicBoxVectors()
-    if vectors is None:
+    if (vectors := box_vectors(box.topology)) is None:
         return ", no periodic box"
-    edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
-    masses = tables.masses(box.system)
-    volume = abs(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer))))
-    return f", box {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {density(sum(masses), volume):.3f} g/cm3"
+    masses, volume = tables.masses(box.system), abs(np.linalg.det(vectors))
+    return f", box {extent(vectors)}, {density(sum(masses), volume):.3f} g/cm3"

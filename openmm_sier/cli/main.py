@@ -62,9 +62,9 @@ def _execute(command: str, debug: bool, **given: Any) -> None:
 
 #: Functions that carry out commands, by module and name. Their arguments are named like the options.
 FUNCTIONS = {
-    "run": ("run", "run"),
-    "ensemble": ("ensembles", "run"),
+    "run": ("run", "simulate"),
+    "ensemble": ("ensembles", "run_plan"),
     "properties": ("properties", "properties_of"),
-    "tune": ("tune", "run"),
+    "tune": ("tune", "tune_trials"),
     "info": ("info", "info"),
 }

@@ -117,12 +117,12 @@ def ensemble(
             raise ValueError(f"{name} must be at least 1, got {number}")
     place = Path(directory).resolve()
     if executor is not None:
-        return _carry_out(executor, members, place, threads, report)
+        return _run_all(executor, members, place, threads, report)
     processes = processes or max(1, min(cores(), len(members)))
     threads = threads or max(1, cores() // processes)
     with ThreadPoolExecutor(processes) as pool:
         try:
-            return _carry_out(pool, members, place, threads, report)
+            return _run_all(pool, members, place, threads, report)
         except BaseException:
             # Children end before the pool is left; members can go on from their last checkpoints.
             _stop_children()
@@ -132,13 +132,13 @@ def ensemble(
             _STOPPED.clear()
 
 
-def _carry_out(
+def _run_all(
     executor: Executor, members: Sequence[Member], place: Path, threads: int | None, report: Report
 ) -> list[Outcome]:
     """Submit all members. The executor itself replaces workers that are lost, as dask does."""
     found = {m.name: Outcome(m.name, "", 0, 0.0) for m in members if is_complete(m, place)}
     with report.progress(f"{len(members)} members", len(members)) as advance:
-        running = {executor.submit(carry_out, m, str(place), threads): m for m in members if m.name not in found}
+        running = {executor.submit(run_member, m, str(place), threads): m for m in members if m.name not in found}
         while running:
             for future in wait(running, timeout=LOOK, return_when=FIRST_COMPLETED).done:
                 name, error = running.pop(future).name, future.exception()
@@ -206,7 +206,7 @@ def _end(child: subprocess.Popen[bytes]) -> None:
     child.stdin.close()
 
 
-def carry_out(member: Member, place: str, threads: int | None) -> Outcome:
+def run_member(member: Member, place: str, threads: int | None) -> Outcome:
     """Execute a member in a process of its own, and restart it from its checkpoint whenever that process is killed.
 
     Args:

@@ -38,7 +38,7 @@ COLD = 100.0
 ENERGY_TOLERANCE = 1e-4
 
 
-def run(**given: Any) -> None:
+def simulate(**given: Any) -> None:
     """Run `openmm-sier run`.
 
     Args:
@@ -52,10 +52,10 @@ def run(**given: Any) -> None:
     """
     options = Options(**given)
     with FileLocks() as locks, StopRequests() as requests:
-        _run(options, requests, locks)
+        _begin_or_continue(options, requests, locks)
 
 
-def _run(options: Options, requests: StopRequests, locks: FileLocks) -> None:
+def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     if options.restart:
         if options.restart.is_file():
             # Before it is read, so that nobody replaces it from here on.

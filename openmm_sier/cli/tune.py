@@ -6,14 +6,14 @@ import shlex
 from typing import Any
 
 from openmm_sier.cli.beginning import Simulated, read_start
-from openmm_sier.cli.console import note, table
+from openmm_sier.cli.console import note
 from openmm_sier.cli.options import OF_TUNING, OPTIONS
-from openmm_sier.cli.plan import Options, Plan, new_plan
+from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.integrators.tuning import Tuning, tune
 
 
-def run(acceptance: float, trials: int, samples: int, **given: Any) -> None:
+def tune_trials(acceptance: float, trials: int, samples: int, **given: Any) -> None:
     """Run `openmm-sier tune`.
 
     Args:
@@ -34,24 +34,7 @@ def run(acceptance: float, trials: int, samples: int, **given: Any) -> None:
     note(f"this takes some {4 * samples + 4 * trials} trials of {plan.step_time:g} ps")
     found = tune(context, acceptance, trials, samples)
     note(str(found))
-    table(f"{plan.title.rpartition(',')[0]}, tuned", ("", ""), _rows(plan, found))
     note(f"These trials are no samples. A run with this step and length:\n{run_line(options, found)}")
-
-
-def _rows(plan: Plan, found: Tuning) -> list[tuple[str, str]]:
-    chosen = next(each for each in found.lengths if each.steps == found.stepsPerTrial)
-    needed, cost = chosen.needed
-    return [
-        ("scheme", plan.method.name),
-        ("step", f"{1000 * found.stepSize:.4g} fs"),
-        ("steps in a trial", str(found.stepsPerTrial)),
-        ("acceptance", f"{100 * chosen.acceptance:.1f} %"),
-        ("force evaluations per trial", f"{chosen.forces:.1f}"),
-        ("force evaluations per accepted trial", f"{chosen.forces / chosen.acceptance:.1f}"),
-        ("trials for an independent potential energy", needed),
-        ("force evaluations for one", cost),
-        ("force evaluations of the tuning", str(found.forceEvaluations)),
-    ]
 
 
 def run_line(options: Options, found: Tuning) -> str:

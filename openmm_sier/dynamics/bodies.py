@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend.formulas import angular_velocity, body_frame
+from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import RigidityError as RigidityError
@@ -110,11 +110,11 @@ class RigidBodies:
         self.species = tuple(species)
         self.n_particles = n_particles
         self.labels = labels
-        starts = np.cumsum([0] + [s.atoms.shape[0] for s in self.species])
+        counts = [s.atoms.shape[0] for s in self.species]
+        starts = np.cumsum([0, *counts])
         self.n = int(starts[-1])
         self.parts = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
         self._check()
-        counts = [s.atoms.shape[0] for s in self.species]
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self._sites, self._fractions = sites_of(self.species, self.parts)
@@ -169,7 +169,7 @@ class RigidBodies:
             owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
         return owners
 
-    def tied(self: Bodies, links: tuple, molecules: np.ndarray) -> Bodies:
+    def linked(self: Bodies, links: tuple, molecules: np.ndarray) -> Bodies:
         """The same bodies with other links and molecules, see `RigidBodies`."""
         return type(self)(self.species, self.n_particles, self.labels, links, molecules)
 
@@ -307,10 +307,8 @@ class RigidBodies:
     ) -> tuple[np.ndarray, np.ndarray]:
         active = backend.active()
         total, moment = np.empty((2, 3, self.n))
-        finite = True
-        for sites, own in zip(self._sites, weights, strict=True):
-            finite &= active.collect(sites, vectors, A, own, total, moment)
-        if not finite:
+        kinds = zip(self._sites, weights, strict=True)
+        if not all(active.collect(sites, vectors, A, own, total, moment) for sites, own in kinds):
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
 
@@ -323,19 +321,15 @@ class RigidBodies:
             NotFiniteError: a position is not finite. All have been written then.
         """
         active = backend.active()
-        finite = True
-        for sites in self._sites:
-            finite &= active.place(sites, q, A, positions)
-        if not finite:
+        if not all(active.place(sites, q, A, positions) for sites in self._sites):
             raise NotFiniteError(np.concatenate([q, A.reshape(9, -1)]))
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
         active = backend.active()
-        inverses = self.inverse_masses, self.inverse_moments
         for sites in self._sites:
-            active.move(sites, state.p, state.A, state.L, *inverses, velocities)
+            active.move(sites, state.p, state.A, state.L, self._inverses, velocities)
         return velocities
 
     def displaced(
@@ -348,11 +342,7 @@ class RigidBodies:
             A: (3, 3, n).
             shift: half the square of a time, ps^2.
         """
-        return backend.active().displace(q, A, F, tau, shift, self.inverse_masses, self.inverse_moments)
-
-    def angular_velocities(self, state: BodyState) -> np.ndarray:
-        """Angular velocities in the lab frame, (3, n), 1/ps; zero about the axis of a line and for a point."""
-        return angular_velocity(state.A, state.L, self.inverse_moments)
+        return backend.active().displace(q, A, F, tau, shift, self._inverses)
 
     @cached_property
     def inverse_masses(self) -> np.ndarray:
@@ -363,6 +353,10 @@ class RigidBodies:
     def inverse_moments(self) -> np.ndarray:
         """(3, n), 1/(dalton nm^2); zero where the moment is."""
         return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
+
+    @cached_property
+    def _inverses(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.inverse_masses, self.inverse_moments
 
     @cached_property
     def point_particles(self) -> np.ndarray:

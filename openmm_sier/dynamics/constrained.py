@@ -53,7 +53,6 @@ def constrained_operators(
     forces: CachedForces,
     constraints: Constraints,
     rotation: Rotation = exact,
-    composition: Sequence[float] = SUZUKI,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
     """The operators of all schemes without a heat bath, for bodies some of which are constrained to each other.
@@ -63,13 +62,12 @@ def constrained_operators(
         forces: forces and torques on them.
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
-        composition: fractions of a drift that its RATTLE steps take, see `constraints.geodesic`.
         groups: of `DisplacedForces`; None: one for each connected component of the constraints.
     """
     return {
         KICK: operators.kick(forces),
         GRADIENT_KICK: constrained_gradient_kick(bodies, forces, constraints, groups),
-        **operators.drifts(constrained_drift(operators.drift(bodies, rotation), constraints, composition)),
+        **operators.drifts(constrained_drift(operators.drift(bodies, rotation), constraints)),
         AFTER_STEP: projection(constraints),
     }
 
@@ -168,14 +166,14 @@ class DisplacedForces:
 # --- drifts ---
 
 
-def constrained_drift(drift: Operator, constraints: Constraints, composition: Sequence[float] = SUZUKI) -> Operator:
-    """The drift of all bodies, of which constrained ones follow geodesics.
+def constrained_drift(drift: Operator, constraints: Constraints) -> Operator:
+    """The drift of all bodies, of which constrained ones follow geodesics by Suzuki's five RATTLE steps.
 
     The operator raises ConstraintError where momenta are far too large for the time.
     """
 
     def apply(state: BodyState, h: float) -> BodyState:
-        q, p = constraints.drift(state.q, state.p, h, composition)
+        q, p = constraints.drift(state.q, state.p, h, SUZUKI)
         free = drift(state, h)
         return BodyState(q, p, free.A, free.L, free.heat, free.draws)
 
@@ -195,7 +193,7 @@ def point_operators(
     Args:
         constraints: in the numbering of the points, with the masses of all of them.
         forces: on the points, of which only the first array is used.
-        composition: as above, of `constrained_operators`.
+        composition: fractions of a drift that its RATTLE steps take, see `constraints.geodesic`.
         groups: of `DisplacedForces`; None: one for each connected component of the constraints.
     """
     displaced = DisplacedForces(constraints, groups)
@@ -214,12 +212,7 @@ def point_operators(
         (F,) = forces.at(q, state.A)
         return BodyState(state.q, state.p + h * displaced(state.q, q, F), state.A, state.L, state.heat, state.draws)
 
-    return {
-        KICK: kick,
-        GRADIENT_KICK: gradient_kick,
-        DRIFT: drift,
-        AFTER_STEP: projection(constraints),
-    }
+    return {KICK: kick, GRADIENT_KICK: gradient_kick, DRIFT: drift, AFTER_STEP: projection(constraints)}
 
 
 #: (points, time) -> points.

@@ -17,13 +17,7 @@ ENGINES = {engine.name: engine for engine in (ExactEngine, NativeEngine)}
 EXACT_PLATFORMS = ("CPU", "Reference")
 
 
-def engine_for(
-    wanted: str,
-    context: openmm.Context,
-    flow: Flow,
-    bodies: Bodies,
-    program: Program,
-) -> Engine:
+def engine_for(wanted: str, context: openmm.Context, flow: Flow, bodies: Bodies, program: Program) -> Engine:
     """The engine of a Context, "exact", "native" or "auto" as wanted; the program is that of the flow."""
     on_host = context.getPlatform().getName() in EXACT_PLATFORMS
     if wanted == "exact" or (wanted == "auto" and on_host):

@@ -29,7 +29,7 @@ from openmm_sier.prepare.fast_forces import find_fast_groups
 from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import groups_of
-from openmm_sier.system.notices import tell
+from openmm_sier.system.notices import notify
 from openmm_sier.system.runaway import RunawayWatch
 from openmm_sier.system.unchanged import UnchangedSystem
 
@@ -197,7 +197,7 @@ class Binding:
             raise openmm.OpenMMException("The Context of this integrator no longer exists")
         self._system.check(context.getSystem())
         length, bath = self.settings.step * self.ensemble.steps, getattr(self.ensemble, "temperature", 0.0)
-        self.watch.over(partial(self._advance, engine), steps, context, length, bath)
+        self.watch.advance(partial(self._advance, engine), steps, context, length, bath)
 
     def _advance(self, engine: Engine, steps: int) -> None:
         with interrupts.deferred():
@@ -261,7 +261,7 @@ class Binding:
         is_lost = has_parameters and self._engine is not None and not self._engine.repeats_noise
         if is_lost and not self._told_of_noise and BATH in self._flow().scheme.operators:
             self._told_of_noise = True
-            tell(
+            notify(
                 "With the native engine the noise of Langevin dynamics is OpenMM's, which no State holds: the run goes "
                 "on in the same ensemble, but not on the same trajectory. A checkpoint repeats it bit for bit"
             )

@@ -65,18 +65,13 @@ class LengthFound(NamedTuple):
         value, error = self.inefficiency
         return value * self.forces, error * self.forces
 
-    @property
-    def needed(self) -> tuple[str, str]:
-        """Trials, and force evaluations, for an independent potential energy, as text; ? marks an unknown error."""
-        (trials, error), (forces, uncertain) = self.inefficiency, self.cost
-        if not math.isfinite(error):
-            return f"{trials:.1f} ± ?", f"{forces:.0f} ± ?"
-        return f"{trials:.1f} ± {error:.1f}", f"{forces:.0f} ± {uncertain:.0f}"
-
     def __str__(self) -> str:
+        """Trials, and force evaluations, for an independent potential energy; ? marks an unknown error."""
+        (trials, error), (forces, uncertain) = self.inefficiency, self.cost
         if self.refused:
             return f"{self.steps:10}  {self.refused}"
-        return f"{self.steps:10}{self.acceptance:12.3f}  {', '.join(self.needed)}"
+        errors = (f"{error:.1f}", f"{uncertain:.0f}") if math.isfinite(error) else ("?", "?")
+        return f"{self.steps:10}{self.acceptance:12.3f}  {trials:.1f} ± {errors[0]}, {forces:.0f} ± {errors[1]}"
 
 
 @dataclass(frozen=True)

@@ -71,10 +71,8 @@ def _amber(path: str) -> Coordinates:
 def _gro(path: str) -> Coordinates:
     file = app.GromacsGroFile(path)
     box = file.getPeriodicBoxVectors()
-    # A box of zeros is none.
-    return Coordinates(
-        file.getPositions(asNumpy=True), box if np.any(box.value_in_unit(unit.nanometer)) else None, file.atomNames
-    )
+    is_none = not np.any(box.value_in_unit(unit.nanometer))
+    return Coordinates(file.getPositions(asNumpy=True), None if is_none else box, file.atomNames)
 
 
 def _crd(path: str) -> Coordinates:

@@ -92,9 +92,7 @@ LABELS = {
 
 
 def property_curves(
-    samples: Sequence[LiquidSamples],
-    viscosities: tuple[np.ndarray, np.ndarray] | None = None,
-    moving: bool = True,
+    samples: Sequence[LiquidSamples], viscosities: tuple[np.ndarray, np.ndarray] | None = None, moving: bool = True
 ) -> dict[str, Curve]:
     """Curves of a liquid by the keys of `LABELS`, the mean of all runs.
 

@@ -14,7 +14,7 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.measure.pdb_files import ForceFieldError, first_line, read_pdb
+from openmm_sier.measure.pdb_files import ForceFieldError, box_vectors, extent, first_line, read_pdb
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system.molecules import Bonds, joined_by, make_whole
@@ -263,7 +263,7 @@ def read_box(
     pdb = read_pdb(path, edges)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     # What a force field is recognized by, and where it puts virtual sites.
-    lengths = joined_by(Bonds.guessed(pdb.topology), lengths, _box_of(pdb.topology))
+    lengths = joined_by(Bonds.guessed(pdb.topology), lengths, box_vectors(pdb.topology))
     try:
         chosen, reason = (tuple(map(str, files)), "named by the user") if files else pick(path)
         forcefield = load(chosen, Path(path).parent)
@@ -278,19 +278,13 @@ def read_box(
     return Box(topology, whole * unit.nanometer, system, chosen, reason, listed)
 
 
-def _box_of(topology: app.Topology) -> np.ndarray | None:
-    vectors = topology.getPeriodicBoxVectors()
-    return None if vectors is None else np.array(vectors.value_in_unit(unit.nanometer))
-
-
 def describe(box: Box) -> str:
     """Size and treatment of the interactions, in words."""
-    vectors = box.topology.getPeriodicBoxVectors()
+    vectors = box_vectors(box.topology)
     residues, nonbonded = f"{box.topology.getNumResidues()} residues", _described_interactions(box.system)
     if vectors is None:
         return f"{residues} without a periodic box, {nonbonded}"
-    edges = np.linalg.norm(np.array(vectors.value_in_unit(unit.nanometer)), axis=1)
-    return f"{residues} in {' x '.join(f'{edge:.4f}' for edge in edges)} nm, {nonbonded}"
+    return f"{residues} in {extent(vectors)}, {nonbonded}"
 
 
 def _described_interactions(system: openmm.System) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,23 +131,7 @@ def _box(source: _Source, system: openmm.System, topology: app.Topology, files: 
 # --- topologies of other programs ---
 
 
-def _prmtop(path: str, box: Any, files: Sequence[str]) -> tuple[Any, Callable[..., openmm.System]]:
-    file = app.AmberPrmtopFile(path, periodicBoxVectors=box)
-    return file, file.createSystem
-
-
-def _top(path: str, box: Any, files: Sequence[str]) -> tuple[Any, Callable[..., openmm.System]]:
-    file = app.GromacsTopFile(path, periodicBoxVectors=box)
-    return file, file.createSystem
-
-
-def _psf(path: str, box: Any, files: Sequence[str]) -> tuple[Any, Callable[..., openmm.System]]:
-    file = app.CharmmPsfFile(path, periodicBoxVectors=box)
-    # By default OpenMM's other readers add no bonds that constraints hold.
-    return file, partial(file.createSystem, app.CharmmParameterSet(*files), flexibleConstraints=False)
-
-
-_READERS = {PRMTOP: _prmtop, TOP: _top, PSF: _psf}
+_READERS: dict[str, Any] = {PRMTOP: app.AmberPrmtopFile, TOP: app.GromacsTopFile, PSF: app.CharmmPsfFile}
 
 
 def _box_of_topology(
@@ -162,7 +147,11 @@ def _box_of_topology(
         )
     parameters = [forcefields.locate(str(file), path.parent) for file in files]
     try:
-        file, create = _READERS[kind](str(topology), found.box, parameters)
+        file = _READERS[kind](str(topology), periodicBoxVectors=found.box)
+        create = file.createSystem
+        if kind == PSF:
+            # OpenMM's other readers add no bonds that constraints hold by themselves.
+            create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
     except FileNotFoundError:
         raise
     except Exception as error:
@@ -248,18 +237,11 @@ def _topology_of(system: openmm.System) -> app.Topology:
     return topology
 
 
-def _molecules(system: openmm.System) -> Iterator[list[int]]:
+def _molecules(system: openmm.System) -> list[list[int]]:
     """Particles of one molecule each, in their order; one whose particles are not together comes in parts."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     molecule_of = {i: number for number, molecule in enumerate(context.getMolecules()) for i in molecule}
-    part: list[int] = []
-    for i in range(system.getNumParticles()):
-        if part and molecule_of[i] != molecule_of[part[-1]]:
-            yield part
-            part = []
-        part.append(i)
-    if part:
-        yield part
+    return [list(part) for _, part in groupby(range(system.getNumParticles()), molecule_of.__getitem__)]
 
 
 # --- what was read ---

@@ -15,6 +15,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.measure.forcefields import Box
+from openmm_sier.measure.pdb_files import box_vectors
 
 #: Unit of charges.
 CHARGE = unit.elementary_charge
@@ -76,8 +77,7 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
     """
     topology = mdtraj.Topology.from_openmm(box.topology).subset(box.listed)
     first, box_edges = molecules_of_liquid(box)
-    frames, lengths, directions, pairs = [], [], [], []
-    dipoles: list[np.ndarray] = []
+    frames, pairs = [], []
     stride, first_frame, done = max(1, round(APART / interval)), round(skip / interval), 0
     dipole_of = _dipole_of(box)
     chosen = topology.select_pairs(first[:512], first)
@@ -88,28 +88,20 @@ def read_samples(trajectory: Path, box: Box, interval: float, skip: float = 0.0)
         if not finite.all():
             number = first_frame + done + int(np.flatnonzero(~finite)[0]) + 1
             raise ValueError(f"{trajectory}, frame {number}: a position or an edge of the box is not finite")
-        frames.append(chunk.xyz[:, first].astype(float))
-        lengths.append(chunk.unitcell_lengths.astype(float))
         arms = (chunk.xyz[:, first + 2] - chunk.xyz[:, first + 1]).astype(float)
-        directions.append(arms / np.linalg.norm(arms, axis=2, keepdims=True))
-        if dipole_of is not None:
-            dipoles += map(dipole_of, chunk.xyz)
+        directions = arms / np.linalg.norm(arms, axis=2, keepdims=True)
+        dipoles = np.array([] if dipole_of is None else [dipole_of(positions) for positions in chunk.xyz])
+        frames.append((chunk.xyz[:, first].astype(float), chunk.unitcell_lengths.astype(float), directions, dipoles))
         for counted in range(-done % stride, len(chunk), stride):
             distances, found = mdtraj.compute_rdf(chunk[counted], chosen, r_range=(0.0, reach), bin_width=BIN)
             pairs.append(found)
         done += len(chunk)
     if not frames:
         raise ValueError(f"{trajectory} has no frames after {skip:g} ps")
-    edges = np.concatenate(lengths)
-    return LiquidSamples(
-        interval,
-        unwrapped(np.concatenate(frames), edges),
-        np.concatenate(directions),
-        None if dipole_of is None else np.array(dipoles),
-        edges.prod(axis=1),
-        distances,
-        np.array(pairs),
-    )
+    centres, edges, directions, dipoles = map(np.concatenate, zip(*frames, strict=True))
+    centres, volumes = unwrapped(centres, edges), edges.prod(axis=1)
+    given = None if dipole_of is None else dipoles
+    return LiquidSamples(interval, centres, directions, given, volumes, distances, np.array(pairs))
 
 
 @contextmanager
@@ -144,10 +136,8 @@ def molecules_of_liquid(box: Box) -> tuple[np.ndarray, np.ndarray]:
         NoLiquidError: there is more than one kind of molecule, or one of less than three atoms, or no rectangular
             periodic box.
     """
-    vectors = box.topology.getPeriodicBoxVectors()
-    if vectors is None:
+    if (lengths := box_vectors(box.topology)) is None:
         raise NoLiquidError("there is no periodic box")
-    lengths = np.array(vectors.value_in_unit(unit.nanometer))
     edges = np.diag(lengths)
     if (lengths != np.diag(edges)).any():
         raise NoLiquidError("the box is not rectangular: its molecules cannot be followed through it")

@@ -31,8 +31,12 @@ def energy_error(total: np.ndarray, potential: np.ndarray) -> float:
     Returns:
         NaN for fewer than three values, or where the potential energy is constant.
     """
+    return _over_fluctuation(rms(total), potential)
+
+
+def _over_fluctuation(found: float, potential: np.ndarray) -> float:
     spread = rms(potential) if len(potential) > 2 else 0.0
-    return rms(total) / spread if spread > 0 else math.nan
+    return found / spread if spread > 0 else math.nan
 
 
 def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
@@ -49,11 +53,10 @@ def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.
     Returns:
         NaN for fewer than three values, or where the potential energy is constant.
     """
-    spread = rms(potential) if len(potential) > 2 else 0.0
     rest = []
     for t, h in zip(blocks(time, time), blocks(time, total), strict=True):
         rest.append(h - np.polyval(np.polyfit(t - t.mean(), h, 1), t - t.mean()))
-    return rms(np.concatenate(rest)) / spread if spread > 0 else math.nan
+    return _over_fluctuation(rms(np.concatenate(rest)), potential)
 
 
 def blocks(time: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
@@ -73,6 +76,5 @@ def energy_walk(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> f
     Returns:
         NaN for a run of fewer than three blocks, or where the potential energy is constant.
     """
-    spread = rms(potential) if len(potential) > 2 else 0.0
     means = np.array([block.mean() for block in blocks(time, total)])
-    return rms(means) / spread if len(means) > 2 and spread > 0 else math.nan
+    return _over_fluctuation(rms(means), potential) if len(means) > 2 else math.nan

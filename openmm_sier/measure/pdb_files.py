@@ -69,6 +69,17 @@ def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None
     return [Vec3(*row) for row in np.diag(edges).tolist()] * unit.nanometer
 
 
+def box_vectors(topology: app.Topology) -> np.ndarray | None:
+    """Vectors of the periodic box in rows, (3, 3), nm; None without one."""
+    vectors = topology.getPeriodicBoxVectors()
+    return None if vectors is None else np.array(vectors.value_in_unit(unit.nanometer))
+
+
+def extent(vectors: np.ndarray) -> str:
+    """Lengths of the edges of a box, in words."""
+    return f"{' x '.join(f'{edge:.4f}' for edge in np.linalg.norm(vectors, axis=1))} nm"
+
+
 def first_line(error: BaseException) -> str:
     """An error's message on one line."""
     message = " ".join(str(error).split())
@@ -127,10 +138,9 @@ def named_atom(atom: app.topology.Atom) -> str:
 
 
 def _refuse_dense(path: str | Path, topology: app.Topology) -> None:
-    vectors = topology.getPeriodicBoxVectors()
-    if vectors is None:
+    if (vectors := box_vectors(topology)) is None:
         return
-    volume = abs(float(np.linalg.det(np.array(vectors.value_in_unit(unit.nanometer)))))
+    volume = abs(float(np.linalg.det(vectors)))
     elements = [atom.element for atom in topology.atoms() if atom.element is not None]
     mass = sum(element.mass.value_in_unit(unit.dalton) for element in elements)
     if not mass < DENSEST * GRAM_PER_CM3 * volume:

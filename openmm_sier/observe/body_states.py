@@ -126,12 +126,7 @@ class BodyStateFile:
     """
 
     def __init__(
-        self,
-        path: str | Path,
-        bodies: RigidBodies,
-        periodic: bool,
-        unwrapped: bool = True,
-        append: bool = False,
+        self, path: str | Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True, append: bool = False
     ) -> None:
         """
         Args:

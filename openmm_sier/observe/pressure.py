@@ -26,12 +26,7 @@ COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 STRAIN = 1e-3
 
 #: Columns of a file of pressure tensors.
-COLUMNS = (
-    "Step",
-    "Time (ps)",
-    *(f"Pressure {'xyz'[i]}{'xyz'[j]} (bar)" for i, j in COMPONENTS),
-    "Box Volume (nm^3)",
-)
+COLUMNS = ("Step", "Time (ps)", *(f"Pressure {'xyz'[i]}{'xyz'[j]} (bar)" for i, j in COMPONENTS), "Box Volume (nm^3)")
 
 
 class MolecularPressure:

@@ -77,10 +77,6 @@ class _TableReporter(_Reporter):
         """Close the file."""
         self._out.close()
 
-    def __del__(self) -> None:
-        if hasattr(self, "_out"):
-            self._out.close()
-
 
 class ConservationReporter(_TableReporter):
     """Writes conserved quantities and the temperatures of translation and rotation as CSV.

@@ -45,7 +45,7 @@ class StockIntegrator(openmm.Integrator):
     #: Whether a bath or barostat of OpenMM gives heat that is not counted.
     _bathed = False
 
-    def attend(self, context: openmm.Context, bodies: RigidBodies) -> None:
+    def bind(self, context: openmm.Context, bodies: RigidBodies) -> None:
         """Tell the integrator about its Context and the bodies in it."""
         self.bodies = bodies
         # The Context holds the integrator.

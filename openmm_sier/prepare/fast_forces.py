@@ -10,8 +10,8 @@ from openmm_sier.prepare.close_pairs import NAME, OPPOSITE, fast_force_groups, o
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
-from openmm_sier.system.find_bodies import BodyPlan, tied
-from openmm_sier.system.notices import tell
+from openmm_sier.system.find_bodies import BodyPlan, linked
+from openmm_sier.system.notices import notify
 
 
 class FastForces:
@@ -80,7 +80,7 @@ def find_fast_groups(system: openmm.System, bodies: Bodies, says: bool = False) 
     groups = {force.getForceGroup() for force in fast.values()} - taken
     mask = sum(1 << group for group in groups)
     if says and (left := [force.getName() for force in fast.values() if force.getForceGroup() in taken]):
-        tell(
+        notify(
             f"Force groups were changed after prepare_system: {', '.join(left)} now share a group with slow forces and "
             f"act in the kicks, where they limit the step (fast force groups: {groups_of(mask) or 'none'}). Set force "
             "groups first and call prepare_system(system) after that, or give these Forces groups of their own"
@@ -114,7 +114,7 @@ def _groups(force: openmm.Force) -> set[int]:
 def _owners(system: openmm.System, bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
     """For each particle the number of its body, and whether that is a point."""
     if isinstance(bodies, RigidBodies):
-        found = tied(system, bodies)
+        found = linked(system, bodies)
         return found.owners.copy(), found.point_particles
     owner, point = np.full(system.getNumParticles(), -1), np.zeros(system.getNumParticles(), dtype=bool)
     number = 0

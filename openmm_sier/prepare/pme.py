@@ -7,7 +7,7 @@ import math
 import openmm
 from openmm import unit
 
-from openmm_sier.system.notices import tell
+from openmm_sier.system.notices import notify
 
 #: Ratio of the mesh's tolerance to that of the direct sum. By OpenMM's rule it is 1, and the error of the direct sum is
 #: 15 to 25 times that of the mesh. In water the forces are most accurate with 10 to 20, for tolerances from 1e-5 to
@@ -61,7 +61,7 @@ def tell_of_pme(system: openmm.System, scheme: str) -> None:
     per_length = unit.nanometer**-1
     loose = [each for each in meshed_forces(system) if not each.getPMEParameters()[0].value_in_unit(per_length)]
     if loose:
-        tell(
+        notify(
             f"PME is split as OpenMM does it, and its jump at the cut-off limits {scheme}: at OpenMM's defaults "
             "the energy error of water within 1 ps is 1.2 to 1.6 %, hardly better than with Verlet. After "
             "prepare_system(system) it is 0.1 % at the same cost "

@@ -8,6 +8,7 @@ import operator
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
 import openmm
 from openmm import unit
 
@@ -51,6 +52,20 @@ def checked_system(system: Any) -> openmm.System:
     if hasattr(system, "system") or hasattr(system, "getSystem"):
         remedy = ": OpenMM reads a System when it makes a Context, so give simulation.system before that is made"
     raise TypeError(f"system must be an openmm.System, got a {type(system).__name__}{remedy}")
+
+
+def checked_positions(positions: Any, n: int) -> np.ndarray:
+    """Positions, a quantity or numbers in nm, as an array of shape (n, 3) of their own.
+
+    Raises:
+        ValueError: they have another shape.
+    """
+    if unit.is_quantity(positions):
+        positions = positions.value_in_unit(unit.nanometer)
+    found = np.array(positions, dtype=float)
+    if found.shape != (n, 3):
+        raise ValueError(f"positions must have the shape ({n}, 3) of the System's particles, got {found.shape}")
+    return found
 
 
 def checked_scheme(scheme: Any) -> Scheme:

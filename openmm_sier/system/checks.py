@@ -14,22 +14,13 @@ from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES, TERMS
 from openmm_sier.system.geometries import RESOLUTION
-from openmm_sier.system.notices import tell
+from openmm_sier.system.notices import notify
 
 #: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
 PASSIVE_FORCES = (
-    *TERMS,
-    openmm.NonbondedForce,
-    openmm.GBSAOBCForce,
-    openmm.GayBerneForce,
-    openmm.RMSDForce,
-    openmm.CustomExternalForce,
-    openmm.CustomCompoundBondForce,
-    openmm.CustomCentroidBondForce,
-    openmm.CustomNonbondedForce,
-    openmm.CustomGBForce,
-    openmm.CustomHbondForce,
-    openmm.CustomManyParticleForce,
+    *(*TERMS, openmm.CustomExternalForce, openmm.CustomCompoundBondForce, openmm.CustomCentroidBondForce),
+    *(openmm.NonbondedForce, openmm.GBSAOBCForce, openmm.GayBerneForce, openmm.RMSDForce),
+    *(openmm.CustomNonbondedForce, openmm.CustomGBForce, openmm.CustomHbondForce, openmm.CustomManyParticleForce),
     # It has an effect, which the exact engine takes over: a sum over bodies is cheaper than reading atoms back.
     openmm.CMMotionRemover,
 )
@@ -121,7 +112,7 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
 def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
     """Warn of a barostat of OpenMM in a System with frozen atoms, which it moves too."""
     if barostats(system) and (frozen := tables.frozen_atoms(system)).size:
-        tell(
+        notify(
             f"{type(barostats(system)[0]).__name__} moves all molecules with the box, also those of frozen atoms (of "
             f"the mass 0, such as atom {frozen[0]}), and counts them among those that share the heat. To hold atoms in "
             "place at constant pressure, restrain them by forces"
@@ -135,7 +126,7 @@ def tell_of_other_temperatures(system: openmm.System, temperature: float) -> Non
             continue
         theirs = force.getDefaultTemperature().value_in_unit(unit.kelvin)
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
-            tell(
+            notify(
                 f"The {type(force).__name__} has {theirs:g} K and the heat bath of the integrator {temperature:g} K: "
                 "averages are those of neither temperature. Give both the same"
             )
@@ -174,7 +165,7 @@ def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
     if not off:
         return False
     worst = int(misfit.argmax())
-    tell(
+    notify(
         f"{off} of {bodies.n} bodies are not quite in the shape of their constraints, or of the geometry that they "
         f"were given, and are moved onto it: an atom by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. "
         "Is it the force field that the positions were made with?"

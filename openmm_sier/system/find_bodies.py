@@ -9,17 +9,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
-from openmm_sier.system.arguments import Bodies, checked_system
+from openmm_sier.system.arguments import Bodies, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
-from openmm_sier.system.notices import tell
+from openmm_sier.system.notices import notify
 
 #: The value of `rigid` that makes each heavy atom and its hydrogens one body.
 HYDROGEN_GROUPS = "heavy atoms with hydrogens"
@@ -27,7 +26,7 @@ HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 #: Forces whose terms join their atoms into a molecule, besides bonds.
 _JOINING = (openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce)
 
-Tied = TypeVar("Tied", bound=dynamics.RigidBodies)
+Linked = TypeVar("Linked", bound=dynamics.RigidBodies)
 
 #: Values of the argument `rigid`.
 Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
@@ -69,12 +68,8 @@ class RigidBodies(dynamics.RigidBodies):
                 empty; it needs the topology; or positions have another shape.
             TypeError: `system` is something else, such as a Topology.
         """
-        if unit.is_quantity(positions):
-            positions = positions.value_in_unit(unit.nanometer)
         n = checked_system(system).getNumParticles()
-        found = None if positions is None else np.array(positions, dtype=float)
-        if found is not None and found.shape != (n, 3):
-            raise ValueError(f"positions must have the shape ({n}, 3) of the System's particles, got {found.shape}")
+        found = None if positions is None else checked_positions(positions, n)
         return BodyPlan(system, topology, rigid).bodies(found)
 
 
@@ -131,7 +126,7 @@ class BodyPlan:
             else:
                 species.append(kind.model)
         self._say(shared)
-        return self._links.tie(RigidBodies(species, self._n, self._labels))
+        return self._links.link(RigidBodies(species, self._n, self._labels))
 
     def _say(self, shared: list[Sharing]) -> None:
         shared = [some for some in shared if some.deviations.max() > geometries.ROUNDING]
@@ -140,7 +135,7 @@ class BodyPlan:
         first = max(shared, key=lambda some: some.deviations.max())
         others = sum(len(some.clusters) for some in shared) - len(first.clusters)
         more = f"; {others} bodies of {len(shared) - 1} more kinds do alike, with less deviation" if others else ""
-        tell(
+        notify(
             f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} share one geometry, the average of "
             f"theirs, from which they differ by up to {first.deviations.max():.1g} nm "
             f"({self._describe(first.clusters[first.deviations.argmax()])}){more}"
@@ -212,10 +207,10 @@ def known_or_planned(system: openmm.System, given: Bodies) -> dynamics.RigidBodi
 
     Raises:
         ValueError: the System has another number of particles or other masses.
-        RigidityError: see `BodyPlan` and `tied`.
+        RigidityError: see `BodyPlan` and `linked`.
     """
     if isinstance(given, dynamics.RigidBodies):
-        return tied(system, given)
+        return linked(system, given)
     plan = BodyPlan(system, rigid=given)
     return plan if plan.needs_positions else plan.bodies()
 
@@ -288,7 +283,7 @@ def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Clus
     return zip(clusters, (complete & ~links.leave(clusters)).tolist(), strict=True)
 
 
-def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
+def linked(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
     """Bodies that a user gave, with a System's constraints between them and its molecules.
 
     Raises:
@@ -307,7 +302,7 @@ def tied(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidB
                 f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
                 f"{atom}, the System has {masses[atom]}: make the bodies anew"
             )
-    return Links(system).tie(bodies)
+    return Links(system).link(bodies)
 
 
 # --- what joins atoms into molecules ---------------------------------------------------------------------------------
@@ -342,7 +337,7 @@ class Links:
         leaving[ends[ends[:, 0] != ends[:, 1]]] = True
         return leaving[:-1]
 
-    def tie(self, bodies: Tied) -> Tied:
+    def link(self, bodies: Linked) -> Linked:
         """The bodies with the constraints between them, and with their molecules.
 
         Raises:
@@ -358,7 +353,7 @@ class Links:
                 raise joins_a_body(*pair)
         edges = bodies.owners[np.concatenate([pairs, self.bonds, self.terms, self.custom])]
         molecules = joined(bodies.n, edges[(edges >= 0).all(axis=1)])
-        return bodies.tied((ends[between], lengths[between]), molecules)
+        return bodies.linked((ends[between], lengths[between]), molecules)
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:

@@ -11,7 +11,7 @@ from openmm import app, unit
 
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import checked_system
+from openmm_sier.system.arguments import checked_positions, checked_system
 from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.boxes import wrapped
 
@@ -118,12 +118,7 @@ def make_whole(system: openmm.System, positions: Any, topology: app.Topology | N
             a constraint that is 0.1 nm too long, or a bond of the topology alone of more than 0.4 nm. The message names
             the worst.
     """
-    system = checked_system(system)
-    if unit.is_quantity(positions):
-        positions = positions.value_in_unit(unit.nanometer)
-    x, n = np.array(positions, dtype=float), system.getNumParticles()
-    if x.shape != (n, 3):
-        raise ValueError(f"positions must have the shape ({n}, 3), got {x.shape}")
+    x = checked_positions(positions, checked_system(system).getNumParticles())
     bonds = Bonds.of_system(system)
     if topology is not None:
         bonds = Bonds.together(bonds, Bonds.of_topology(topology))

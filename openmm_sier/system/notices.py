@@ -17,7 +17,7 @@ _PACKAGES = (
 )
 
 
-def tell(message: str) -> None:
+def notify(message: str) -> None:
     """Warn of behaviour that a user may not expect; the warning names the line that called the package."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGES):

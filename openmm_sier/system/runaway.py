@@ -72,7 +72,7 @@ class RunawayWatch:
         self._start: float | None = None
         self._steps, self._pause = 0, FIRST_LOOK
 
-    def over(
+    def advance(
         self, make: Callable[[int], None], steps: int, context: openmm.Context, step: float, bath: float = 0.0
     ) -> None:
         """Make steps by a function of their number, and look.

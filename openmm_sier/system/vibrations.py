@@ -24,7 +24,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
 from openmm_sier.system.curvature import EXPRESSIONS, fastest_vibration
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
-from openmm_sier.system.notices import tell
+from openmm_sier.system.notices import notify
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
@@ -287,7 +287,7 @@ class Vibrations:
         words = re.sub(r"[\d.]+", "", message)
         if words not in self._told:
             self._told.add(words)
-            tell(message)
+            notify(message)
 
 
 def _limits(scheme: Scheme, period: float) -> tuple[float, float]:

@@ -23,7 +23,7 @@ def box():
 def simulated(box, name, around=NVE):
     system, integrator = stock.make_stock(box[0], name, 0.002, *around)
     context = context_at(system, integrator, box[1])
-    integrator.attend(context, RigidBodies.from_system(box[0]))
+    integrator.bind(context, RigidBodies.from_system(box[0]))
     return context
 
 

@@ -208,3 +208,9 @@ def many(*kinds, apart=0.7):
 def mixture():
     """Stars of every size and graphs, out of order."""
     return many(rotor(1), rotor(2), rotor(3), ring(), rotor(3), cage(), rotor(4), ring(5), rotor(1), rotor(2))
+
+
+def residual(constraints, q):
+    """Largest relative deviation of a constrained length at positions (3, n)."""
+    found = np.linalg.norm(q[:, constraints.pairs[:, 0]] - q[:, constraints.pairs[:, 1]], axis=0)
+    return np.abs(found / constraints.lengths - 1).max(initial=0.0)

@@ -131,7 +131,7 @@ def test_the_watch_looks_after_a_few_steps_and_knows_what_is_no_number(velocity)
         context.setVelocities(np.full((100, 3), velocity))
 
     with pytest.raises(runaway.RunawayError, match="Steps of 2 fs have raised the temperature to"):
-        integrator.binding.watch.over(make, runaway.FIRST_LOOK, context, 0.002)
+        integrator.binding.watch.advance(make, runaway.FIRST_LOOK, context, 0.002)
 
 
 def test_copies_have_a_watch_of_their_own(liquid):

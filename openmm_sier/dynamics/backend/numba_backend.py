@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from openmm_sier.dynamics.backend import numba_loops
 from openmm_sier.dynamics.backend.numba_compile import compiled
-from openmm_sier.dynamics.backend.numpy_backend import Kinds, NumpyBackend, rotated
+from openmm_sier.dynamics.backend.numpy_backend import Inverses, Kinds, NumpyBackend, rotated
 from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.backend.threads import shared
 
@@ -64,46 +64,18 @@ class NumbaBackend(NumpyBackend):
         return new_p, new_L
 
     def displace(
-        self,
-        q: ndarray,
-        A: ndarray,
-        F: ndarray,
-        tau: ndarray,
-        shift: float,
-        inverse_masses: ndarray,
-        inverse_moments: ndarray,
+        self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Inverses
     ) -> tuple[ndarray, ndarray]:
-        new_q, new_A = np.empty(q.shape), np.empty(A.shape)
-        _shared(numba_loops.displace)(
-            slice(0, q.shape[1]), q, A, F, tau, shift, inverse_masses, inverse_moments, new_q, new_A
-        )
+        new_q, new_A, every = np.empty(q.shape), np.empty(A.shape), slice(0, q.shape[1])
+        _shared(numba_loops.displace)(every, q, A, F, tau, shift, *inverses, new_q, new_A)
         return new_q, new_A
 
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
         return not _shared(numba_loops.place)(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
 
-    def move(
-        self,
-        sites: Sites,
-        p: ndarray,
-        A: ndarray,
-        L: ndarray,
-        inverse_masses: ndarray,
-        inverse_moments: ndarray,
-        velocities: ndarray,
-    ) -> None:
-        _shared(numba_loops.move)(
-            sites.part,
-            sites.part.start,
-            p,
-            A,
-            L,
-            inverse_masses,
-            inverse_moments,
-            sites.places,
-            sites.atoms,
-            velocities,
-        )
+    def move(self, sites: Sites, p: ndarray, A: ndarray, L: ndarray, inverses: Inverses, velocities: ndarray) -> None:
+        part, places, atoms = sites.part, sites.places, sites.atoms
+        _shared(numba_loops.move)(part, part.start, p, A, L, *inverses, places, atoms, velocities)
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray

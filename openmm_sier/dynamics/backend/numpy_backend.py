@@ -30,6 +30,9 @@ ROTATED = 4096
 #: Inverse moments of each kind of body, and which bodies are of it, see `NumpyBackend.rotate`.
 Kinds = Sequence[tuple[ndarray | None, slice]]
 
+#: Inverse masses, (n,), and inverse moments, (3, n), of bodies.
+Inverses = tuple[ndarray, ndarray]
+
 
 class NumpyBackend:
     """Execution of formulas that are written for scalars and for arrays alike."""
@@ -84,14 +87,7 @@ class NumpyBackend:
         return p + h * F, L + h * torque
 
     def displace(
-        self,
-        q: ndarray,
-        A: ndarray,
-        F: ndarray,
-        tau: ndarray,
-        shift: float,
-        inverse_masses: ndarray,
-        inverse_moments: ndarray,
+        self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Inverses
     ) -> tuple[ndarray, ndarray]:
         """Centres and attitudes of bodies displaced by `shift` times their accelerations.
 
@@ -99,9 +95,9 @@ class NumpyBackend:
             q, F, tau: centres, forces and torques, (3, n).
             A: attitudes, (3, 3, n).
             shift: half the square of a time.
-            inverse_masses: (n,).
-            inverse_moments: (3, n).
+            inverses: of masses and moments.
         """
+        inverse_masses, inverse_moments = inverses
         rows = displacing_rotation(A[0], A[1], A[2], tau, inverse_moments, shift)
         return q + (shift * inverse_masses) * F, turned(rows, A)
 
@@ -112,22 +108,11 @@ class NumpyBackend:
                 positions[column] = (q[:, sites.part] + arm).T
         return bool(np.isfinite(q[:, sites.part]).all() and np.isfinite(A[:, :, sites.part]).all())
 
-    def move(
-        self,
-        sites: Sites,
-        p: ndarray,
-        A: ndarray,
-        L: ndarray,
-        inverse_masses: ndarray,
-        inverse_moments: ndarray,
-        velocities: ndarray,
-    ) -> None:
+    def move(self, sites: Sites, p: ndarray, A: ndarray, L: ndarray, inverses: Inverses, velocities: ndarray) -> None:
         """Write the velocities (N, 3) of the atoms of bodies with momenta and angular momenta, (3, n)."""
-        part = sites.part
-        v, omega = (
-            p[:, part] * inverse_masses[part],
-            angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part]),
-        )
+        part, (inverse_masses, inverse_moments) = sites.part, inverses
+        omega = angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part])
+        v = p[:, part] * inverse_masses[part]
         for column, arm in sites.arms(A):
             velocities[column] = (v + cross(omega, arm)).T
 

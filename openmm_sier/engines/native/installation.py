@@ -9,15 +9,7 @@ import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.native.program import (
-    CONSTRAIN_V,
-    CONSTRAIN_X,
-    FRICTION,
-    THERMAL,
-    UPDATE,
-    VECTORS,
-    Program,
-)
+from openmm_sier.engines.native.program import CONSTRAIN_V, CONSTRAIN_X, FRICTION, THERMAL, UPDATE, VECTORS, Program
 from openmm_sier.engines.variables import PART, PREFIX
 
 #: Global variable that is 1 if only the exact engine can do what the integrator was made for.

@@ -14,7 +14,7 @@ from openmm_sier.dynamics.constraints import ConstraintError, Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.operators import drift
 from openmm_sier.dynamics.species import Species
-from tests.support.flexible import KAHAN_LI, cage, many, mixture, repeated, ring, rotor
+from tests.support.flexible import KAHAN_LI, cage, many, mixture, repeated, residual, ring, rotor
 
 
 def gradients(system, q):
@@ -84,8 +84,8 @@ def test_positions_are_put_onto_the_constraints(rng, executed_by):
     system = mixture()
     constraints = system.constraints()
     q = constraints.satisfied(system.x + 1e-4 * rng.normal(size=system.x.shape))
-    assert constraints.residual(system.x) < 1e-9
-    assert constraints.residual(q) < 1e-13
+    assert residual(constraints, system.x) < 1e-9
+    assert residual(constraints, q) < 1e-13
     again = constraints.satisfied(q)
     assert np.abs(again - q).max() < 1e-15
 
@@ -142,7 +142,7 @@ def test_geodesics_conserve_and_reverse(rng, executed_by):
     assert np.abs((p - p0).sum(axis=1)).max() < 1e-13 * size
     turned = (np.cross(q, p, axis=0) - np.cross(q0, p0, axis=0)).sum(axis=1)
     assert np.abs(turned).max() < 1e-12 * size
-    assert constraints.residual(q) < 1e-13
+    assert residual(constraints, q) < 1e-13
     # Not exactly conserved: fourth order of 0.1 rad a drift, as in the table of `geodesic`.
     kinetic = [(v**2 / system.masses).sum() for v in (p0, p)]
     assert kinetic[1] == pytest.approx(kinetic[0], rel=1e-6)
@@ -285,31 +285,18 @@ def describe(body):
 
 
 @pytest.mark.parametrize(
-    ("pairs", "lengths", "masses", "message"),
+    ("pairs", "lengths", "message"),
     [
-        ([(0, 0)], [0.1], [1.0, 1.0], "joins the bodies 0 and 0; it must join two different ones of 2"),
-        ([(0, 2)], [0.1], [1.0, 1.0], "joins the bodies 0 and 2"),
-        ([(0, 1)], [-0.1], [1.0, 1.0], "the constraint of atom 100, atom 101 has the length -0.1"),
-        ([(0, 1)], [np.nan], [1.0, 1.0], "has the length nan"),
-        ([(0, 1)], [0.1], [1.0, 0.0], "atom 101 is constrained and has the mass 0.0"),
-        (
-            [(0, 1), (1, 0)],
-            [0.1, 0.2],
-            [1.0, 1.0],
-            r"atom 101, atom 100 contradict each other: 0.100000 and 0.200000 nm",
-        ),
-        ([(0, 1)], [0.1, 0.2], [1.0, 1.0], "1 constraints need as many lengths"),
+        ([(0, 0)], [0.1], "atom 100, atom 100 joins a body to itself"),
+        ([(0, 1), (1, 2)], [0.1, -0.1], "atom 101, atom 102 .* no positive length, got -0.1"),
+        ([(0, 1)], [0.0], "got 0.0"),
+        ([(0, 1)], [np.nan], "got nan"),
+        ([(1, 2), (0, 1), (1, 0)], [0.1, 0.2, 0.2], "atom 101, atom 100 .* is there twice"),
     ],
 )
-def test_constraints_that_make_no_sense_are_refused(pairs, lengths, masses, message):
+def test_constraints_that_make_no_sense_are_refused(pairs, lengths, message):
     with pytest.raises(ConstraintError, match=message):
-        Constraints(pairs, lengths, masses, describe)
-
-
-def test_a_pair_given_twice_is_one_constraint():
-    constraints = Constraints([(0, 1), (1, 0)], [0.1, 0.1 + 1e-9], [1.0, 1.0])
-    assert constraints.pairs.tolist() == [[0, 1]]
-    assert constraints.rank() == 1
+        Constraints(pairs, lengths, np.ones(3), describe)
 
 
 def test_contradictory_lengths_raise(executed_by):
@@ -364,6 +351,5 @@ def test_no_constraints_at_all(rng):
     free = Constraints([], [], [1.0, 2.0])
     q, p = rng.normal(size=(2, 3, 2))
     assert free.rank(q) == 0
-    assert free.residual(q) == 0.0
     assert np.array_equal(free.project(q, p), p)
     assert np.array_equal(free.drift(q, p, 0.5)[0], q + 0.5 * p / [1.0, 2.0])
