@@ -15,6 +15,7 @@ from openmm_sier.dynamics.metropolis import spread_at
 from openmm_sier.dynamics.statistics import inefficiency_and_error
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.system.arguments import whole_number
+from openmm_sier.system.vibrations import Vibrations
 
 #: Trajectory lengths to compare, as multiples of the one that the integrator had.
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
@@ -122,6 +123,8 @@ def tune(
     the least sum of cost and standard error is taken. Costs that differ by less than their errors cannot be told apart;
     take more samples.
 
+    No step is tried that resonates with fast forces.
+
     All of this is part of the equilibration: while step and length depend on the outcome of trials, these are not
     samples, and must not enter averages. Equilibrate roughly beforehand. Afterwards step and length are fixed, and
     `trials` and `accepted` count from zero. An interrupt or error restores the step and length that the integrator had.
@@ -160,7 +163,7 @@ def tune(
     if not (length := before[0].value_in_unit(unit.picosecond) * before[1]):
         raise ValueError("the integrator's step must be above zero, got 0")
     try:
-        tried, step = _find_step(integrator, acceptance, trials)
+        tried, step = _find_step(integrator, acceptance, trials, _longest_step(context))
         compared, steps = _find_length(integrator, step, samples, counts, length)
         _set(integrator, step, steps)
     except BaseException:
@@ -194,12 +197,25 @@ def _chances(errors: Sequence[float]) -> float:
     return float(np.exp(-np.maximum(errors, 0)).mean())
 
 
-def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tuple[tuple[StepFound, ...], float]:
-    """The steps that were tried, and the one with the wanted acceptance."""
+def _longest_step(context: openmm.Context) -> float:
+    """The longest step whose kicks do not resonate with fast forces, ps."""
+    integrator = context.getIntegrator()
+    fast = sum(1 << group for group in integrator.fastForceGroups)
+    if not fast:
+        return math.inf
+    vibrations = Vibrations(context.getSystem(), integrator.bodies)
+    vibrations.measure(context)
+    return vibrations.longest_beside(fast)
+
+
+def _find_step(
+    integrator: SIERHMCIntegrator, wanted: float, trials: int, most: float
+) -> tuple[tuple[StepFound, ...], float]:
+    """The steps that were tried, and the one with the wanted acceptance, or `most` if that is less."""
     step = integrator.getSchemeStepSize().value_in_unit(unit.picosecond)
     time, order = step * integrator.getStepsPerTrial(), integrator.scheme.order
     tried: list[StepFound] = []
-    longest, refusal = math.inf, None
+    longest, refusal, step = math.inf, None, min(step, most)
     for _ in range(ATTEMPTS):
         try:
             found = _try_step(integrator, step, max(1, round(time / step)), trials)
@@ -209,7 +225,7 @@ def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int) -> tup
         tried.append(found)
         # Of errors that are all zero, a longer step is tried.
         factor = (spread_at(wanted) / found.spread) ** (1 / order) if found.spread else LONGER
-        following = min(step * min(LONGER, max(SHORTER, factor)), 0.9 * longest)
+        following = min(step * min(LONGER, max(SHORTER, factor)), 0.9 * longest, most)
         if abs(following / step - 1) < SETTLED:
             return tuple(tried), following if refusal is None else step
         step = following

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.engines.temperature import temperatures
+from openmm_sier.engines.temperature import Temperatures, temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.stock import StockIntegrator
 
@@ -67,9 +68,9 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     thermostat and volume moves of this package gave, with velocities of whole steps
     (`SIERIntegrator.getWholeStepState`). Thermostats and barostats of OpenMM do not count their heat:
     with OpenMM's integrators the conserved energy is then NaN, with integrators of this package it lacks that heat.
-    Temperatures follow the rule of `openmm_sier.engines.temperature`. Angular momentum is about the origin, with
-    positions as they are in the Context; periodic boundaries do not conserve it. Volume and density are NaN for a
-    System without periodic boundaries.
+    Temperatures follow the rule of `openmm_sier.engines.temperature`; those of an integrator of this package are what
+    its `computeTemperatures` gives. Angular momentum is about the origin, with positions as they are in the Context;
+    periodic boundaries do not conserve it. Volume and density are NaN for a System without periodic boundaries.
 
     Args:
         context: of an integrator of this package, or of a `StockIntegrator`.
@@ -95,7 +96,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         kinetic,
         potential + kinetic,
         potential + conserved - motion.heat,
-        *temperatures(bodies, motion, integrator.conservesMomentum),
+        *_temperatures(integrator, motion),
         *momentum,
         *angular_momentum,
         volume,
@@ -103,6 +104,12 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         *integrator.reported().values(),
     )
     return (observed.getStepCount(), *(float(value) for value in values))
+
+
+def _temperatures(integrator: Any, motion: BodyState) -> Temperatures:
+    if isinstance(integrator, SIERIntegrator):
+        return integrator.computeTemperatures()
+    return temperatures(integrator.bodies, motion, integrator.conservesMomentum)
 
 
 def csv_line(values: Iterable[str | float]) -> str:

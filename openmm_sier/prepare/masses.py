@@ -6,6 +6,7 @@ make the hydrogens of water heavier too.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import openmm
@@ -60,7 +61,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
     Returns:
         What was done, in a sentence.
     """
-    masses, partners, lighter, count = tables.masses(system), _partners(system), 0, 0
+    masses, partners, given = tables.masses(system), _partners(system), Counter[float]()
     for centre, found in hydrogens(system).items():
         total = masses[centre] + masses[found].sum()
         spared = (total - LIGHTEST_CENTRE) / len(found)
@@ -68,16 +69,15 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         if spared < LIGHTEST_HYDROGEN < mass:
             continue
         share = min(most, max(spared, LIGHTEST_HYDROGEN))
-        count += len(found)
-        lighter += len(found) * (share < mass)
+        given[round(share, 2)] += len(found)
         masses[found] = share
         masses[centre] = total - share * len(found)
         for atom in (centre, *found):
             system.setParticleMass(int(atom), float(masses[atom]))
-    if not count:
+    if not given:
         return "there are no hydrogens whose mass could be changed."
-    less = f", {lighter} of them less for the sake of the atoms that they are bonded to" if lighter else ""
-    return f"{count} hydrogens have {mass:g} dalton{less}: averages stay, motion changes."
+    said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(given.items()))
+    return f"{said}: averages stay, motion changes."
 
 
 def hydrogens(system: openmm.System) -> dict[int, list[int]]:

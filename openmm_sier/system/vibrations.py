@@ -97,6 +97,7 @@ KNOWN = (
 
 SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
 MORE_SUBSTEPS = "Take more substeps or a shorter step"
+HEAVIER = "make all hydrogens heavy, for averages alone, by prepare_system(system, hydrogenMass=4*dalton)"
 CONSTRAIN = (
     "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
     f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)'
@@ -183,7 +184,7 @@ class Vibrations:
         described = (
             f"other molecules can make {body} swing with a period of {_fs(libration.period)}. {scheme.name} follows "
             f"that accurately with steps of up to {_fs(accurate)}, and liquids heat up from about "
-            f"{_fs(max(accurate, HEATING * stable))} on. Take a shorter step"
+            f"{_fs(max(accurate, HEATING * stable))} on. Take a shorter step, or {HEAVIER}"
         )
         slip = f". A number is a time in ps: for {h:g} fs give {h:g}*unit.femtoseconds" if h >= SLIP else ""
         self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described + slip)
@@ -208,7 +209,7 @@ class Vibrations:
         message = (
             f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
             f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
-            f"{_fs(RESONANCE * bond.period)}, or {CONSTRAIN}"
+            f"{_fs(RESONANCE * bond.period)}, or {HEAVIER}, or {CONSTRAIN}"
         )
         angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
         stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
@@ -242,9 +243,13 @@ class Vibrations:
         Infinite where no bond vibrates. Both groups are bit masks.
         """
         slow = _fastest(self._bonds + self._librations, groups)
+        accurate = _limits(scheme, slow.period)[1] if slow else math.inf
+        return min(accurate, self.longest_beside(fast))
+
+    def longest_beside(self, fast: int) -> float:
+        """The longest step whose kicks do not resonate with fast forces, ps; infinite without them."""
         within = _fastest(self._bonds, fast)
-        limits = [_limits(scheme, slow.period)[1]] if slow else []
-        return min([*limits, *([RESONANCE * within.period] if within else [])], default=math.inf)
+        return RESONANCE * within.period if within else math.inf
 
     def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
         bond = _fastest(self._bonds, groups)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 
 import numpy as np
 import openmm
@@ -109,6 +110,23 @@ def test_steps_stay_below_what_a_bond_bears():
     # Stable up to 2/sqrt(2e4/0.5) = 0.01 ps.
     assert found.stepSize < 0.01
     integrator.step(1)
+
+
+def test_steps_stay_where_kicks_do_not_resonate_with_fast_forces():
+    """Without slow forces there is no energy error but that of inner steps, and the step grows to 0.45 periods."""
+    system, bond, period = openmm.System(), openmm.HarmonicBondForce(), 0.024
+    bond.setForceGroup(1)
+    for _ in range(2):
+        system.addParticle(12.0)
+    bond.addBond(0, 1, 0.15, (2 * math.pi / period) ** 2 * 6)
+    system.addForce(bond)
+    integrator = SIERHMCIntegrator(TEMPERATURE, 0.004, stepsPerTrial=3, fastForceGroups={1})
+    integrator.setRandomNumberSeed(5)
+    context = context_at(system, integrator, (np.array([[0.0, 0, 0], [0.15, 0, 0]]), np.zeros((2, 3))))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = tune(context, 0.05, trials=10, samples=10)
+    assert found.stepSize == pytest.approx(0.45 * period)
 
 
 @pytest.mark.parametrize("after", [5, 60])
