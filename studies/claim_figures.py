@@ -10,9 +10,6 @@ from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from studies.records import Record
 from studies.trust import one
 
-#: Its step is for boxes in which all molecules are rigid.
-WATER_ALONE = "SIER2 in a bath, 10 fs"
-
 #: Of SIER4G at constant energy, and of SIER2 in a bath with heavy hydrogens, fs.
 USUAL, IN_A_BATH = 1e3 * (SIER4G.constant_energy_step or 0), 1e3 * (SIER2.heavy_bath_step or 0)
 
@@ -79,8 +76,8 @@ def equipartition(record: Record) -> Mapping[str, float]:
 
 def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
     rows = record.tables["speeds"]
-    water = rows[(rows["name"] == WATER_ALONE) & rows["box"].str.startswith("water")]["over_middle"]
     own = f"SIER2 in a bath, {IN_A_BATH:g} fs"
+    water = rows[(rows["name"] == own) & rows["box"].str.startswith("water")]["over_middle"]
     solute = {box: one(rows, name=own, box=box)["over_middle"] for box in ("peptide", "dhfr")}
     return {"least": water.min(), "most": water.max(), **solute}
 

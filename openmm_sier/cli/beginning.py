@@ -155,10 +155,16 @@ class Simulated:
         try:
             context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
             context.setPositions(state.getPositions())
-            context.setVelocities(state.getVelocities())
+            if drawn := origin is not None and origin.hydrogen_mass != self.plan.hydrogen_mass:
+                context.setVelocitiesToTemperature(self.plan.temperature, self.plan.seed)
+            else:
+                context.setVelocities(state.getVelocities())
             context.getIntegrator().getBodyState()
         except (RigidityError, openmm.OpenMMException) as error:
             raise RunError(f"{start} does not fit {self.options.box}: {first_line(error)}") from error
+        if drawn:
+            note(f"starts from the positions and box of {start}; hydrogens had another mass: velocities are drawn anew")
+            return
         if origin is not None and origin.method.leapfrog:
             stock.shift_velocities(context, origin.dt / 2000)
         note(f"starts from the positions, velocities and box of {start}")

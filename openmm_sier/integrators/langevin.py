@@ -52,7 +52,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
             temperature: of the bath, a quantity or a number in K.
             frictionCoeff: coupling to the bath, a quantity or a number in 1/ps.
             stepSize: step, a time quantity or a number in ps. With SIER2 4 fs are usual for rigid water, and 9 fs on a
-                System with heavy hydrogens, `prepare_system(system, hydrogenMass=4)`, pure water 10 fs.
+                System with heavy hydrogens, `prepare_system(system, hydrogenMass=4)`.
             scheme: splitting scheme or its name; one without a bath gets one by `Scheme.with_bath`. SIER2 takes one
                 force a step, and has the longest step for each: see `stepSize`.
             bodies: see `SIERIntegrator`.

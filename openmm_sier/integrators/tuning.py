@@ -150,6 +150,8 @@ def tune(
         ValueError: an argument is out of its range.
         openmm.OpenMMException: no step or length could be tried; the message gives the last reason.
     """
+    if not isinstance(context, openmm.Context):
+        raise TypeError(f"tune needs a Context, such as simulation.context, got a {type(context).__name__}")
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERHMCIntegrator):
         raise TypeError(f"tune needs a Context with a SIERHMCIntegrator, got a {type(integrator).__name__}")

@@ -7,6 +7,9 @@ from typing import Any
 import openmm
 from openmm import unit
 
+#: Particles whose masses are looked at, at each call of `step`.
+LOOKED_AT = 3
+
 
 class UnchangedSystem:
     """The System of a Context, to be compared with what it was."""
@@ -19,7 +22,7 @@ class UnchangedSystem:
         self._then, self._seen = _outline(system), self._glance(system)
 
     def check(self, system: openmm.System) -> None:
-        """Compare particles, constraints, Forces, their groups and the parameters of PME.
+        """Compare particles, a few masses, constraints, Forces, their groups and the parameters of PME.
 
         Raises:
             openmm.OpenMMException: the System was changed after its Context was made.
@@ -36,8 +39,15 @@ class UnchangedSystem:
                 )
         self._seen = seen
 
-    def _glance(self, system: openmm.System) -> tuple[int, ...]:
-        return self.changes, system.getNumParticles(), system.getNumConstraints(), system.getNumForces()
+    def _glance(self, system: openmm.System) -> tuple[float, ...]:
+        counts = system.getNumParticles(), system.getNumConstraints(), system.getNumForces()
+        return self.changes, *counts, *_first_masses(system).values()
+
+
+def _first_masses(system: openmm.System) -> dict[str, float]:
+    """Masses of the first particles, dalton, by names for messages: heavy hydrogens are seen in a few."""
+    few = range(min(LOOKED_AT, system.getNumParticles()))
+    return {f"mass of particle {i}, in dalton,": system.getParticleMass(i).value_in_unit(unit.dalton) for i in few}
 
 
 def _outline(system: openmm.System) -> dict[str, Any]:
@@ -46,7 +56,7 @@ def _outline(system: openmm.System) -> dict[str, Any]:
         "number of particles": system.getNumParticles(),
         "number of constraints": system.getNumConstraints(),
         "number of Forces": system.getNumForces(),
-    }
+    } | _first_masses(system)
     for number, force in enumerate(system.getForces()):
         found[f"Force {number}"] = kind = type(force).__name__
         found[f"force group of Force {number}, a {kind},"] = force.getForceGroup()

@@ -97,6 +97,12 @@ KNOWN = (
 
 SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
 MORE_SUBSTEPS = "Take more substeps or a shorter step"
+#: x = pi h/T up to which x/tan(x) is 0.9 or more: slow forces stretch a bond of period T by at least that share.
+STIFFENED = 0.54
+
+#: Dalton, up to which an atom counts as a hydrogen, heavy ones included.
+HYDROGEN = 4.5
+
 HEAVIER = "make all hydrogens heavy, for averages alone, by prepare_system(system, hydrogenMass=4*dalton)"
 CONSTRAIN = (
     "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
@@ -203,6 +209,8 @@ class Vibrations:
         """
         self._check_bonds("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
         self._tell_of_unknown("An inner step", inner, inner_step, groups)
+        if scheme.bath_divides_drift:
+            self._tell_of_stiffness(h, groups)
         bond = _fastest(self._bonds, groups)
         if bond is None or h <= RESONANCE * bond.period:
             return
@@ -216,6 +224,23 @@ class Vibrations:
         if h >= DESTROYED * bond.period or not stable:
             raise openmm.OpenMMException(f"{message}. No number of inner steps helps")
         self._tell_once(message)
+
+    def _tell_of_stiffness(self, h: float, groups: int) -> None:
+        """Say, once, where kicks come too seldom for slow forces to stretch a fast bond to hydrogen as they should.
+
+        A constant force in kicks every h, beside a spring that is followed exactly, moves the mean length of the bond
+        by x/tan(x) of what it should, x = pi h/T with the period T: averages shift, at the right temperature.
+        """
+        light = [bond for bond in self._bonds if self._mobility[list(bond.atoms)].max() * HYDROGEN >= 1]
+        bond = _fastest(light, groups)
+        if bond is None or (x := math.pi * h / bond.period) <= STIFFENED:
+            return
+        left = max(0.0, x / math.tan(x)) if x < math.pi / 2 else 0.0
+        self._tell_once(
+            f"With kicks every {_fs(h)} slow forces stretch {self._name(bond)}, of a period of {_fs(bond.period)}, by "
+            f"{100 * left:.0f} % of what they should, so that averages of its molecule are wrong. Take a step of up to "
+            f"{_fs(STIFFENED * bond.period / math.pi)}, or {CONSTRAIN}"
+        )
 
     def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
         """Say, once, where a step at constant energy is so long that the energy walks at random over a run.

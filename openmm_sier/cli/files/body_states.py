@@ -16,6 +16,10 @@ from openmm_sier.observe.body_states import BodyStateFile, body_frame, frame_typ
 CHUNK = 100
 
 
+#: Of files of body states.
+ENDINGS = (".h5", ".hdf5")
+
+
 class BodyStates(records.GrowingFile):
     """An HDF5 file in the layout of `openmm_sier.observe.body_states`, whose centres follow continuous paths.
 

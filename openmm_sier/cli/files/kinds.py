@@ -13,7 +13,7 @@ from openmm import app, unit
 
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.files import body_states, trajectories
-from openmm_sier.cli.files.records import GrowingFile, Log, Noted
+from openmm_sier.cli.files.records import GrowingFile, Log, Noted, RecordError
 from openmm_sier.cli.plan import Plan
 from openmm_sier.observe import conservation, pressure
 from openmm_sier.observe.body_states import import_h5py
@@ -54,6 +54,8 @@ class Output(ABC):
         self.file = make(self.path, *self._layout(simulated, context), noted)
 
     def _format(self) -> type[GrowingFile]:
+        if self.path.suffix in (*trajectories.FORMATS, *body_states.ENDINGS):
+            raise RecordError(f"{self.path} is to be a table: name a file that ends in .csv")
         return Log
 
     @abstractmethod
@@ -122,6 +124,8 @@ class BodyStateOutput(Output):
     name, option, every = "bodies", "bodies", "bodies_every"
 
     def _format(self) -> type[GrowingFile]:
+        if self.path.suffix not in body_states.ENDINGS:
+            raise RecordError(f"{self.path} is to hold body states: name a file that ends in .h5")
         import_h5py()
         return body_states.BodyStates
 
