@@ -75,7 +75,7 @@ def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
     lines = Path(path).read_text(errors="replace").splitlines()
     if not (named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK))):
         raise ForceFieldError(
-            "no force field is named: give its files with --forcefield (here: `files` of `read_box`), such as "
+            "no force field is named: give its files with --forcefield (`files` in a script), such as "
             f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
         )
     return named, "named in the PDB file"
