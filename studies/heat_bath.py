@@ -335,7 +335,8 @@ def averaged(runs: pd.DataFrame) -> pd.DataFrame:
     for (box, at, method), mine in runs.groupby(["box", "at", "method"], sort=False):
         row = {"box": box, "at": at, "method": method, "time": mine["time"].sum()}
         row["hydrogens"] = mine.iloc[0]["hydrogens"]
-        row |= {key: mine[key].mean() if key in mine else np.nan for key in ("cost", "trials", "accepted")}
+        row |= {key: mine[key].mean() if key in mine else np.nan for key in ("cost", "accepted")}
+        row["trials"] = mine["trials"].sum() if "trials" in mine else 0
         for key in AVERAGED:
             known = mine.dropna(subset=[key, f"{key}_error"]) if key in mine else mine[:0]
             estimates = [Estimate(value, error) for value, error in zip(known[key], known[f"{key}_error"], strict=True)]
