@@ -108,10 +108,8 @@ def test_no_output_is_the_checkpoint_that_a_run_starts_from(box, capsys):
 @pytest.mark.parametrize(
     "options",
     [
-        ["--report", "x.dcd"],
         ["--report", "x.chk"],
         ["--report", "linked.csv"],
-        ["--bodies", "x.dcd"],
         ["--report", "x.csv", "--pressure-tensor", "x.csv"],
         ["--bodies", "y.h5", "--report", "y.h5.frames"],
     ],
@@ -124,6 +122,19 @@ def test_no_output_is_another_one(box, capsys, no_equilibration, options):
 
 
 # --- what cannot be written is found at once ---
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "message"),
+    [
+        ("--report", "x.dcd", "x.dcd is to be a table: name a file that ends in .csv"),
+        ("--pressure-tensor", "x.h5", "x.h5 is to be a table: name a file that ends in .csv"),
+        ("--bodies", "x.csv", "x.csv is to hold body states: name a file that ends in .h5"),
+    ],
+)
+def test_endings_that_belong_to_other_kinds_are_refused(box, capsys, option, name, message):
+    assert message in complaint(capsys, "run", box, *SMALL, "--out", "y.dcd", option, name)
+    assert not Path(name).exists()
 
 
 def test_paths_that_are_refused(box, capsys, no_equilibration):

@@ -7,7 +7,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import SIER2, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier import SIER2, SIER4G, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.constants import BAR
 from tests.support.cages import cage, cage_in_water
 from tests.support.flexible_systems import total_energy
@@ -82,7 +82,7 @@ def test_a_large_body_in_water_at_constant_pressure(barostat):
         moves = openmm.MonteCarloBarostat(1.0, 300, 2)
         moves.setRandomNumberSeed(3)
         system.addForce(moves)
-    made = langevin(0.002, bodies, **options)
+    made = langevin(0.002, bodies, scheme=SIER4G, **options)
     context = context_at(system, made, point, "CPU")
     made.step(1)
     expected, volumes, conserved = shape_of(context, atoms), set(), []

@@ -150,10 +150,12 @@ def schemes_by_step(found):
 def speeds(found):
     rows = found["speeds"]
     assert rows.groupby("box", sort=False)["atoms"].first().to_dict() == {"water-27": 81, "peptide": 2538}
-    assert list(rows["fs_per_force"]) == [1, 2, 2, 4, 2, 4, 2, 1, 2, 2, 4, 2, 3, 2]
+    alone, solute = ([1, 2, 2, longest / 3, 4 / 3, 2, 4, 5] for longest in (12, 9))
+    assert list(rows["fs_per_force"]) == pytest.approx([*alone, 6, 8, 9, 10, *solute, 8, 8, 9, 10])
     assert set(rows["platform"]) == {"CPU"}
-    assert list(rows["engine"][:7]) == ["", "", "", "", "exact", "exact", "exact"]
+    assert list(rows["engine"][:8]) == ["", "", "exact", "exact", "exact", "", "", ""]
     assert (rows.loc[rows["name"] == speed.REFERENCE, "over"] == 1).all()
+    assert (rows.loc[rows["name"] == speed.BATH_REFERENCE, "over_middle"] == 1).all()
     # Speed at equal energy error is for water alone.
     assert set(found["equal"]["box"]) == {"water-27"}
     assert set(found["points"]["method"]) == {"OpenMM Verlet", "SIER2", "SIER2P3", "SIER4G"}
