@@ -397,7 +397,7 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
     for i in range(system.getNumParticles()):
         system.setParticleMass(i, 3 * system.getParticleMass(i))
     before = phase_point(context)
-    with pytest.raises(openmm.OpenMMException, match="mass of particle 0, in dalton, was 15.99943 and is 47.99829"):
+    with pytest.raises(openmm.OpenMMException, match=r"mass of particle 0, in dalton, was 15.99943 and is 47.99829"):
         integrator.step(0)
     light = integrator.bodies.masses.copy()
     context.reinitialize(preserveState=preserve)
