@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +53,27 @@ def test_code_of_the_notebook_of_exact_averages_runs(monkeypatch):
         exec(compile(block.replace("range(350)", "range(60)"), "exact-averages.ipynb", "exec"), names)
     assert names["integrator"].trials == 60
     assert np.isfinite(names["free"]).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("of", ["systems of this project", "openmmtools"])
+def test_code_of_the_gallery_runs(of, monkeypatch):
+    """With a few steps, and without pictures; the protein is the one section that needs openmmtools."""
+    monkeypatch.chdir(ROOT / "docs" / "notebooks")
+    monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
+    pictures = types.ModuleType("pictures")
+    shown = []
+    pictures.panel = lambda simulation, title, steps=0: (simulation.step(FEWER), shown.append(title))
+    monkeypatch.setitem(sys.modules, "pictures", pictures)
+    cells = json.loads(Path("gallery.ipynb").read_text())["cells"]
+    first, *sections = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    needs = [section for section in sections if "openmmtools" in section]
+    if of == "openmmtools":
+        pytest.importorskip("openmmtools", reason="install the extra validation")
+    names = {"__name__": "__main__"}
+    for section in (first, *(needs if of == "openmmtools" else [one for one in sections if one not in needs])):
+        exec(compile(re.sub(r"\.step\(\d+\)", f".step({FEWER})", section), "gallery.ipynb", "exec"), names)
+    assert len(shown) == (1 if of == "openmmtools" else 6)
 
 
 def test_pages_with_code_are_found():
