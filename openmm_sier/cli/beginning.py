@@ -152,17 +152,18 @@ class Simulated:
     def _start_from(self, context: openmm.Context, state: openmm.State, origin: Plan | None) -> None:
         """Take positions, velocities and box of a checkpoint."""
         start = self.options.start
+        redraws = origin is not None and origin.hydrogen_mass != self.plan.hydrogen_mass
         try:
             context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
             context.setPositions(state.getPositions())
-            if drawn := origin is not None and origin.hydrogen_mass != self.plan.hydrogen_mass:
+            if redraws:
                 context.setVelocitiesToTemperature(self.plan.temperature, self.plan.seed)
             else:
                 context.setVelocities(state.getVelocities())
             context.getIntegrator().getBodyState()
         except (RigidityError, openmm.OpenMMException) as error:
             raise RunError(f"{start} does not fit {self.options.box}: {first_line(error)}") from error
-        if drawn:
+        if redraws:
             note(f"starts from the positions and box of {start}; hydrogens had another mass: velocities are drawn anew")
             return
         if origin is not None and origin.method.leapfrog:

@@ -20,7 +20,7 @@ from openmm_sier.measure.coordinates import Coordinates, read_coordinates, refus
 from openmm_sier.measure.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.measure.forcefields import USUAL, Box, Interactions
 from openmm_sier.measure.pdb_files import ForceFieldError, check_positions, first_line, named_atom
-from openmm_sier.prepare.masses import HEAVIEST_HYDROGEN, hydrogens
+from openmm_sier.prepare.masses import hydrogens
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 from openmm_sier.system.molecules import make_whole
@@ -209,7 +209,7 @@ def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology,
         if atom.element is None or mass == 0:
             continue
         is_hydrogen = atom.element.atomic_number == 1
-        if mass > HEAVIEST_HYDROGEN if is_hydrogen else mass < LIGHTEST_OTHER:
+        if mass > tables.HEAVIEST_HYDROGEN if is_hydrogen else mass < LIGHTEST_OTHER:
             raise ForceFieldError(
                 f"{path} has {named_atom(atom)} where {topology} has a particle of {mass:.4g} dalton: are the atoms "
                 "in another order?"

@@ -15,9 +15,7 @@ from openmm import unit
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
 from openmm_sier.system.bonded_terms import bonded_terms
-
-#: Dalton. The most that hydrogens may weigh, also those that were made heavier before.
-HEAVIEST_HYDROGEN = 4.5
+from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: Dalton. The most that hydrogens get whose atom is bonded to another heavy atom, to which its loss matters. With 4
 #: the bonds of aromatic carbons would have a period of 21.3 fs in place of 22.4, and bear no kicks every 10 fs; those

@@ -32,6 +32,9 @@ class Constraints(NamedTuple):
         return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
 
 
+#: Dalton. The most that hydrogens may weigh, also those that were made heavier before.
+HEAVIEST_HYDROGEN = 4.5
+
 #: Units of the parameters of atoms, and of exceptions, in a NonbondedForce: charge, sigma and epsilon.
 ATOM_UNITS = (unit.elementary_charge, unit.nanometer, unit.kilojoule_per_mole)
 PAIR_UNITS = (unit.elementary_charge**2, unit.nanometer, unit.kilojoule_per_mole)

@@ -41,13 +41,13 @@ class UnchangedSystem:
 
     def _glance(self, system: openmm.System) -> tuple[float, ...]:
         counts = system.getNumParticles(), system.getNumConstraints(), system.getNumForces()
-        return self.changes, *counts, *_first_masses(system).values()
+        return self.changes, *counts, *_first_masses(system)
 
 
-def _first_masses(system: openmm.System) -> dict[str, float]:
-    """Masses of the first particles, dalton, by names for messages: heavy hydrogens are seen in a few."""
+def _first_masses(system: openmm.System) -> list[float]:
+    """Masses of the first particles, dalton: heavy hydrogens are seen in a few."""
     few = range(min(LOOKED_AT, system.getNumParticles()))
-    return {f"mass of particle {i}, in dalton,": system.getParticleMass(i).value_in_unit(unit.dalton) for i in few}
+    return [system.getParticleMass(i).value_in_unit(unit.dalton) for i in few]
 
 
 def _outline(system: openmm.System) -> dict[str, Any]:
@@ -56,7 +56,9 @@ def _outline(system: openmm.System) -> dict[str, Any]:
         "number of particles": system.getNumParticles(),
         "number of constraints": system.getNumConstraints(),
         "number of Forces": system.getNumForces(),
-    } | _first_masses(system)
+    }
+    for number, mass in enumerate(_first_masses(system)):
+        found[f"mass of particle {number}, in dalton,"] = mass
     for number, force in enumerate(system.getForces()):
         found[f"Force {number}"] = kind = type(force).__name__
         found[f"force group of Force {number}, a {kind},"] = force.getForceGroup()

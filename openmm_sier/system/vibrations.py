@@ -95,14 +95,12 @@ KNOWN = (
     *(openmm.AmoebaWcaDispersionForce, openmm.AmoebaTorsionTorsionForce, openmm.HippoNonbondedForce),
 )
 
-SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
-MORE_SUBSTEPS = "Take more substeps or a shorter step"
 #: x = pi h/T up to which x/tan(x) is 0.9 or more: slow forces stretch a bond of period T by at least that share.
 STIFFENED = 0.54
 
-#: Dalton, up to which an atom counts as a hydrogen, heavy ones included.
-HYDROGEN = 4.5
-
+#: Remedies, for messages.
+SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
+MORE_SUBSTEPS = "Take more substeps or a shorter step"
 HEAVIER = "make all hydrogens heavy, for averages alone, by prepare_system(system, hydrogenMass=4*dalton)"
 CONSTRAIN = (
     "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
@@ -231,7 +229,7 @@ class Vibrations:
         A constant force in kicks every h, beside a spring that is followed exactly, moves the mean length of the bond
         by x/tan(x) of what it should, x = pi h/T with the period T: averages shift, at the right temperature.
         """
-        light = [bond for bond in self._bonds if self._mobility[list(bond.atoms)].max() * HYDROGEN >= 1]
+        light = [bond for bond in self._bonds if self._mobility[list(bond.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1]
         bond = _fastest(light, groups)
         if bond is None or (x := math.pi * h / bond.period) <= STIFFENED:
             return

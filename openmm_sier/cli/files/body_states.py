@@ -15,8 +15,7 @@ from openmm_sier.observe.body_states import BodyStateFile, body_frame, frame_typ
 #: Frames converted at a time.
 CHUNK = 100
 
-
-#: Of files of body states.
+#: Endings of the names of files of body states.
 ENDINGS = (".h5", ".hdf5")
 
 

@@ -316,19 +316,24 @@ class NativeEngine(Engine):
 
         Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
         """
-        conserved, now, thermal = self.conserves_momentum(), Snapshot(self._context), None
-        if self._follows_bath and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
-            thermal = np.array(self._integrator.getPerDofVariableByName(V0))
+        conserved, thermal = self.conserves_momentum(), self._velocities_after_bath()
         if not isinstance(self._found, RigidityError):
             bodies, state = self.bodies, self.state()
             if thermal is not None:
                 p, _ = bodies.momenta(thermal, state.A)
                 state = replace(state, p=np.where(bodies.flexible, p, state.p))
             return temperatures(bodies, state, conserved)
-        bodies, velocities = self.movers.bodies, now.velocities if thermal is None else thermal
-        state = replace(self.point, p=bodies.masses * velocities[self._atoms].T)
+        bodies, state = self.movers.bodies, self.point
+        if thermal is not None:
+            state = replace(state, p=bodies.masses * thermal[self._atoms].T)
         kinetic = sum(thermal_energies(bodies, state, conserved))
         return Temperatures(temperature(kinetic, self.degrees_of_freedom()), math.nan, math.nan)
+
+    def _velocities_after_bath(self) -> np.ndarray | None:
+        """Velocities of all particles just after the bath in the middle of the last step, if there was one, nm/ps."""
+        if self._follows_bath and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
+            return np.array(self._integrator.getPerDofVariableByName(V0))
+        return None
 
     def degrees_of_freedom(self) -> float:
         if not isinstance(self._found, RigidityError):

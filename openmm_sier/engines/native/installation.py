@@ -61,8 +61,7 @@ def rewrite(integrator: openmm.CustomIntegrator, program: Program) -> None:
     gets another OpenMM object, from the XML of its present one with other computations. This is possible until a
     Context is created, which holds the OpenMM object.
     """
-    donor = openmm.CustomIntegrator(1.0)
-    install(program, donor)
+    donor = _alone(program)
     root, other = (ElementTree.fromstring(openmm.XmlSerializer.serialize(one)) for one in (integrator, donor))
     computations = [child.tag for child in root].index("Computations")
     root[computations] = other[[child.tag for child in other].index("Computations")]
@@ -77,9 +76,7 @@ def refuse_additions(integrator: openmm.CustomIntegrator, program: Program) -> N
     Raises:
         openmm.OpenMMException: somebody added some.
     """
-    donor = openmm.CustomIntegrator(1.0)
-    install(program, donor)
-    if (count := integrator.getNumComputations()) != (own := donor.getNumComputations()):
+    if (count := integrator.getNumComputations()) != (own := _alone(program).getNumComputations()):
         raise openmm.OpenMMException(
             f"This integrator has {own} computations of its own and {count} now: a step of it is its scheme, and "
             "addComputePerDof and the like cannot add to it. Use an openmm.CustomIntegrator for steps of your own"
@@ -98,6 +95,13 @@ def set_variables(integrator: openmm.CustomIntegrator, bath: Thermostat | None, 
     for name, value in ((EXACT_ONLY, float(is_guarded)), (PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
         if integrator.getGlobalVariableByName(name) != value:
             integrator.setGlobalVariableByName(name, value)
+
+
+def _alone(program: Program) -> openmm.CustomIntegrator:
+    """An integrator that has nothing but a program."""
+    integrator = openmm.CustomIntegrator(1.0)
+    install(program, integrator)
+    return integrator
 
 
 def _add_guard(integrator: openmm.CustomIntegrator) -> None:

@@ -4,9 +4,9 @@ The program runs where the forces run, and XML carries it to interpreters withou
 `Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
 
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it.
-A step of the scheme is therefore divided into several steps of OpenMM, here called
-native steps, each of which computes forces at the positions that it starts from and nowhere else. All are h/n long,
-so that OpenMM's clock is right after every n of them.
+A step of the scheme is therefore divided into several steps of OpenMM, here called native steps, each of which computes
+forces at the positions that it starts from and nowhere else. All are h/n long, so that OpenMM's clock is right after
+every n of them.
 """
 
 from __future__ import annotations
