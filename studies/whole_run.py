@@ -335,7 +335,8 @@ def energies(record: Record, path: Path) -> None:
             label = f"{method}, {step:.3g} fs: energy error {run['percent']:#.2g} %"
             axes.plot(at, means, color=colour, lw=1.2, label=label)
         axes.set(xlabel="time (ps)", ylabel="energy, from its mean\n(% of rms(V))", xlim=(0, len(means)))
-        axes.set_ylim(-1.0, 0.75)
+        least, most = axes.get_ylim()
+        axes.set_ylim(least - 0.3 * (most - least), most)  # room for the legend
         lines = axes.legend(loc="lower left", fontsize=13, title_fontsize=12, alignment="left")
         lines.set_title(f"{pair['liquid']}, {pair['molecules']} molecules; lines: means over 1 ps, bands: ± rms within")
         for line in lines.get_lines():

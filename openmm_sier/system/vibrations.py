@@ -328,7 +328,8 @@ def _fs(time: float) -> str:
 
 
 def _percent(fraction: float) -> str:
-    return f"{100 * fraction:.1g} %"
+    """One digit, without an exponent: 20 % and not 2e+01 %."""
+    return f"{float(f'{100 * fraction:.1g}'):g} %"
 
 
 def _is_expression(force: openmm.Force) -> bool:

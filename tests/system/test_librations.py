@@ -77,6 +77,12 @@ def test_a_step_at_which_the_energy_walks(engine):
     silently(system, SIER4GIntegrator(0.008, engine=engine))
 
 
+def test_a_large_energy_error_is_told_without_an_exponent():
+    _, _, system = cluster_system(3)
+    with pytest.warns(UserWarning, match=r"rms\(V\) of some \d0 % over a whole run"):
+        openmm.Context(system, SIER4GIntegrator(0.012), platform())
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_picoseconds_in_place_of_femtoseconds(engine):
     _, positions, system = cluster_system(3)
