@@ -224,13 +224,6 @@ class Options:
     every: float = _option(TIME, "between frames", 0.1)
     report_every: float = _option(TIME, "between rows of the log", 0.04)
     checkpoint_every: float = _option(TIME, "between checkpoints", 1.0)
-    bodies: Path | None = _option(
-        file("FILE.h5", "output"),
-        "write centres, quaternions and momenta of the bodies there",
-        otherwise="they are not written",
-        empty=True,
-    )
-    bodies_every: float = _option(TIME, "between them", otherwise="as --every")
     pressure_tensor: Path | None = _option(
         file("CSV", "output"),
         "write the molecular pressure tensor there, for viscosity",

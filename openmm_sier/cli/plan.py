@@ -122,7 +122,6 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     )
     values.setdefault("out", Path(f"{options.box.stem}.dcd"))
     values.setdefault("report", values["out"].with_suffix(".csv"))
-    values.setdefault("bodies_every", values["every"])
     plan = Plan(**values)
     _check(plan)
     return plan
@@ -173,7 +172,6 @@ def _check_given(options: Options, ensemble: str) -> None:
         ("friction", "--ensemble nvt, npt or hmc", ensemble != "nve"),
         ("pressure", "--ensemble npt or hmc", ensemble in ("npt", "hmc")),
         ("steps_per_trial", "--ensemble hmc", ensemble == "hmc"),
-        ("bodies_every", "--bodies FILE.h5", options.bodies),
         ("pressure_tensor_every", "--pressure-tensor FILE.csv", options.pressure_tensor),
     ):
         if getattr(options, name) is not None and not there:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import openmm
 
 from openmm_sier.cli.console import note
-from openmm_sier.cli.files.records import RecordError
 from openmm_sier.cli.options import Options
 from openmm_sier.cli.plan import RunError
 
@@ -25,20 +23,18 @@ def platform_of(context: openmm.Context) -> dict[str, str]:
     return {NAME: platform.getName(), **{name: platform.getPropertyValue(context, name) for name in known}}
 
 
-def keep_platform(options: Options, checkpoint: Path, notes: Mapping[str, Any]) -> Options:
+def keep_platform(options: Options, checkpoint: Path, noted: Mapping[str, str]) -> Options:
     """The options of a restart, on the platform of its checkpoint unless another is asked for.
 
     Args:
         options: of the command.
         checkpoint: its path.
-        notes: of the checkpoint; those of an early version have no platform.
+        noted: by the checkpoint, as `platform_of` gave it.
 
     Raises:
-        RecordError: the checkpoint notes what is no platform.
         RunError: OpenMM does not have the platform here.
     """
-    noted = _noted(checkpoint, notes)
-    if options.platform is not None or not noted:
+    if options.platform is not None:
         return options
     here = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
     if noted[NAME] not in here:
@@ -49,22 +45,14 @@ def keep_platform(options: Options, checkpoint: Path, notes: Mapping[str, Any]) 
     return replace(options, platform=noted[NAME])
 
 
-def tell_of_another_platform(context: openmm.Context, checkpoint: Path, notes: Mapping[str, Any]) -> None:
+def tell_of_another_platform(context: openmm.Context, checkpoint: Path, noted: Mapping[str, str]) -> None:
     """Say in one line where a run goes on with another platform, precision or number of threads than before."""
-    before, now = _noted(checkpoint, notes), platform_of(context)
-    if before and before != now:
+    now = platform_of(context)
+    if noted != now:
         note(
-            f"{checkpoint} was written on {_described(before)}, the run goes on on {_described(now)}: both differ by "
+            f"{checkpoint} was written on {_described(noted)}, the run goes on on {_described(now)}: both differ by "
             "the rounding of forces"
         )
-
-
-def _noted(checkpoint: Path, notes: Mapping[str, Any]) -> dict[str, str]:
-    noted = notes.get("platform", {})
-    are_texts = isinstance(noted, dict) and all(isinstance(text, str) for text in noted.values())
-    if not are_texts or (noted and NAME not in noted):
-        raise RecordError(f"{checkpoint}: platform: expected its name and properties, got {noted!r}")
-    return noted
 
 
 def _described(platform: Mapping[str, str]) -> str:

@@ -17,7 +17,7 @@ from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import ProgressBar, clock, note, table
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
-from openmm_sier.cli.files.outputs import OutputFiles, Outputs
+from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.methods import HEAVY
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
@@ -63,38 +63,38 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
             locks.hold([options.restart])
         state, notes = checkpoints.read_checkpoint(options.restart)
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
-        options = replace(keep_platform(options, checkpoint, notes), box=plan.box)
+        options = replace(keep_platform(options, checkpoint, notes["platform"]), box=plan.box)
     else:
         notes, (state, origin) = None, read_start(options.start)
         plan = new_plan(options, origin)
         checkpoint = plan.out.with_suffix(".chk")
-    files = OutputFiles(plan, checkpoint)
+    outputs = Outputs(plan, checkpoint)
     if 0 < plan.temperature < COLD:
         note(f"{plan.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
     if plan.ensemble == "nve" and (plan.hydrogen_mass or 0) >= HEAVY:
         note(f"hydrogens of {plan.hydrogen_mass:g} dalton slow motion; at constant energy leave their mass as it is")
     simulated = Simulated.read(options, plan)
-    files.check([*simulated.box.sources.values(), *([options.start] if options.start else [])])
-    locks.hold(files.everything)
+    outputs.check([*simulated.box.sources.values(), *([options.start] if options.start else [])])
+    locks.hold(outputs.paths)
     if not (notes or options.overwrite):
-        files.refuse_existing()
+        outputs.refuse_existing()
     if notes:
-        _check_unfinished(plan, checkpoint, notes["step"], files.are_finished)
-        files.check_noted(notes)
+        outputs.check_noted(notes)
+        _check_unfinished(plan, checkpoint, notes["step"])
     context = _restored(simulated, state, notes) if notes else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
     if not notes:
-        files.remove()
+        outputs.remove()
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
     if notes:
-        tell_of_another_platform(context, checkpoint, notes)
-    outputs = Outputs(files, simulated, context, notes)
+        tell_of_another_platform(context, checkpoint, notes["platform"])
+    outputs.open(simulated, context, notes)
     bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
-    outputs.finish()
+    outputs.close()
     _report(plan, outputs, cost)
-    note(f"wrote {files}")
+    note(f"wrote {outputs}")
 
 
 def _length(plan: Plan, steps: int) -> str:
@@ -112,12 +112,10 @@ def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
 # --- the continuation ---
 
 
-def _check_unfinished(plan: Plan, checkpoint: Path, step: int, finished: bool) -> None:
+def _check_unfinished(plan: Plan, checkpoint: Path, step: int) -> None:
     """Refuse to go on with a run that has nothing left to do."""
-    # The file of body states is made last: a run that was killed before that still has to be finished.
-    at_end = step == plan.steps and finished
-    if at_end or step > plan.steps:
-        raise (NothingLeft if at_end else RunError)(
+    if step >= plan.steps:
+        raise (NothingLeft if step == plan.steps else RunError)(
             f"{checkpoint} is at step {_length(plan, step)}, the run is to end at step {plan.steps}; "
             "ask for more with --steps or --time"
         )
@@ -137,14 +135,14 @@ def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) 
             f"the positions of {checkpoint} have the energy {energy:.6g} kJ/mol in the system of {box}, "
             f"in the run they had {notes['potential_energy']:.6g}: it is another system or force field"
         )
-    _refuse_other_inputs(simulated, notes.get("inputs", {}))
+    _refuse_other_inputs(simulated, notes["inputs"])
     return context
 
 
 def _refuse_other_inputs(simulated: Simulated, noted: Mapping[str, str]) -> None:
     """Refuse to go on with files that are not those of the run, which may hold another system of nearly its energy."""
     for use, path in simulated.box.sources.items():
-        if noted and simulated.inputs[use] != noted.get(use):
+        if simulated.inputs[use] != noted.get(use):
             raise RunError(
                 f"{path} is not the file that the run of {simulated.options.restart} read, or was edited. Give that, "
                 "or begin a new run with --start"

@@ -9,7 +9,7 @@ attribute, the root has the conventions (`CONVENTIONS`), and q says whether its 
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,12 +24,9 @@ from openmm_sier.system.boxes import wrapped
 if TYPE_CHECKING:
     import h5py
 
-#: Version of the layout.
-LAYOUT = 2
-
 #: Attributes of the root.
 CONVENTIONS = {
-    "layout": LAYOUT,
+    "layout": 2,
     "program": "openmm_sier",
     "frame": "lab: q, p and L have components along the axes of the laboratory",
     "quaternion": "(w, x, y, z), w >= 0, of the rotation R that turns the principal axes of a body into the lab frame: "
@@ -38,30 +35,25 @@ CONVENTIONS = {
     "bodies": "numbered species by species: body i is of species[i]; its atoms are one row of species_K/atoms",
 }
 
+#: Units of datasets by the last part of their names; numbers have the unit "1".
 UNITS = {
-    "step": "1",
     "time": "ps",
     "q": "nm",
-    "quaternion": "1",
     "p": "dalton nm/ps",
     "L": "dalton nm^2/ps",
     "heat": "kJ/mol",
     "box": "nm",
+    "masses": "dalton",
+    "moments": "dalton nm^2",
+    "sites": "nm",
 }
 
 #: Size of a chunk in numbers, 64 kB.
 CHUNK = 8192
 
 
-def frame_type(n: int, periodic: bool) -> np.dtype:
-    """The numbers of one frame of n bodies; the names are those of the datasets."""
-    fields: list[tuple] = [("step", "<i8"), ("time", "<f8"), ("q", "<f8", (n, 3)), ("quaternion", "<f8", (n, 4))]
-    fields += [("p", "<f8", (n, 3)), ("L", "<f8", (n, 3)), ("heat", "<f8")]
-    return np.dtype([*fields, ("box", "<f8", (3, 3))] if periodic else fields)
-
-
-def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = True) -> np.ndarray:
-    """The bodies of a Context at its last completed step, (1,) of `frame_type`.
+def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = True) -> dict[str, np.ndarray]:
+    """The bodies of a Context at its last completed step, by the names of the datasets over frames.
 
     Args:
         context: of an integrator of this package, or of a `StockIntegrator`.
@@ -72,129 +64,75 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
         TypeError: the Context has another integrator.
     """
     motion = conservation.sier_integrator(context).getBodyState()
-    periodic = context.getSystem().usesPeriodicBoundaryConditions()
-    frame = np.zeros(1, frame_type(motion.q.shape[1], periodic))
-    frame["step"] = state.getStepCount()
-    frame["time"] = state.getTime().value_in_unit(unit.picosecond)
-    frame["q"], frame["p"], frame["L"], frame["heat"] = motion.q.T, motion.p.T, motion.L.T, motion.heat
     # SciPy, which MDTraj brings, is slow to import.
     from scipy.spatial.transform import Rotation
 
     turns = Rotation.from_matrix(motion.A.transpose(2, 1, 0))
-    frame["quaternion"] = turns.as_quat(canonical=True, scalar_first=True)
-    if periodic:
-        frame["box"] = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
+    found: dict[str, ArrayLike] = {
+        "step": state.getStepCount(),
+        "time": state.getTime().value_in_unit(unit.picosecond),
+        "q": motion.q.T,
+        "quaternion": turns.as_quat(canonical=True, scalar_first=True),
+        "p": motion.p.T,
+        "L": motion.L.T,
+        "heat": motion.heat,
+    }
+    if context.getSystem().usesPeriodicBoundaryConditions():
+        box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
+        found["box"] = box
         if not unwrapped:
-            frame["q"] = wrapped(motion.q.T, frame["box"][0])
-    return frame
+            found["q"] = wrapped(motion.q.T, box)
+    return {name: np.asarray(values) for name, values in found.items()}
 
 
-def _create_datasets(file: h5py.File, bodies: RigidBodies, periodic: bool, unwrapped: bool) -> None:
-    """Put empty datasets over frames, and all that does not change, into an open, empty HDF5 file."""
-    for name, (kind, *_) in (frame_type(bodies.n, periodic).fields or {}).items():
-        frames = max(1, CHUNK // max(1, int(np.prod(kind.shape))))
-        size = {"shape": (0, *kind.shape), "maxshape": (None, *kind.shape), "chunks": (frames, *kind.shape)}
-        dataset = file.create_dataset(name, dtype=kind.base, **size)
-        dataset.attrs["unit"] = UNITS[name]
-    file.attrs.update(CONVENTIONS)
-    file["q"].attrs["wrapped"] = _wrapping(periodic, unwrapped)
-    sizes = [len(species.atoms) for species in bodies.species]
-    _constant(file, "species", np.repeat(np.arange(len(sizes)), sizes), "1")
-    _constant(file, "masses", bodies.masses, "dalton")
-    _constant(file, "moments", bodies.moments.T, "dalton nm^2")
-    for number, species in enumerate(bodies.species):
-        group = file.create_group(f"species_{number}")
-        _constant(group, "atoms", species.atoms, "1")
-        _constant(group, "masses", species.masses, "dalton")
-        _constant(group, "sites", species.sites.T, "nm")
-        _constant(group, "moments", species.moments, "dalton nm^2")
+def begin(file: h5py.File, bodies: RigidBodies, frame: Mapping[str, np.ndarray], unwrapped: bool) -> None:
+    """Describe the bodies in an empty file, or check that a file with frames goes on with these.
 
-
-def _wrapping(periodic: bool, unwrapped: bool) -> str:
-    return "no" if unwrapped or not periodic else "into the box"
-
-
-def _constant(group: h5py.Group, name: str, values: ArrayLike, unit: str) -> None:
-    group[name] = values
-    group[name].attrs["unit"] = unit
-
-
-class BodyStateFile:
-    """An HDF5 file that grows by frames.
-
-    What is written is flushed, so that the file of a run that was killed can be read; the last frame may be damaged.
-    """
-
-    def __init__(
-        self, path: str | Path, bodies: RigidBodies, periodic: bool, unwrapped: bool = True, append: bool = False
-    ) -> None:
-        """
-        Args:
-            path: of the HDF5 file.
-            bodies: the bodies whose states are written.
-            periodic: whether there is a box.
-            unwrapped: see `body_frame`.
-            append: continue after the last frame of an existing file, instead of replacing it.
-
-        Raises:
-            ModuleNotFoundError: h5py is missing.
-            ValueError: the file to be continued has another layout or wrapping, or is of other bodies.
-        """
-        h5py = import_h5py()
-        # The oldest file format does not mark files as open for writing; the mark would lock readers out after a kill.
-        self._file = h5py.File(path, "r+" if append else "w", libver="earliest")
-        if append:
-            try:
-                self._check_same(bodies, _wrapping(periodic, unwrapped))
-            except ValueError as error:
-                self._file.close()
-                raise ValueError(f"{path} cannot be continued: {error}") from None
-        else:
-            _create_datasets(self._file, bodies, periodic, unwrapped)
-        self._file.flush()
-
-    def _check_same(self, bodies: RigidBodies, wrapping: str) -> None:
-        file = self._file
-        if (layout := file.attrs.get("layout")) != LAYOUT:
-            raise ValueError(f"it has body states in layout {layout}, expected {LAYOUT}")
-        if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
-            raise ValueError(f"its {len(file['masses'])} bodies are not those of this System")
-        if (there := file["q"].attrs["wrapped"]) != wrapping:
-            raise ValueError(f"its centres are wrapped: {there}, expected: {wrapping}")
-
-    def append(self, frames: np.ndarray) -> None:
-        """Write frames, (T,) of `frame_type`, and flush them."""
-        count = len(self._file["step"])
-        for name in frames.dtype.names or ():
-            self._file[name].resize(count + len(frames), axis=0)
-            self._file[name][count:] = frames[name]
-        self._file.flush()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-
-def read_frames(file: h5py.File, first: int, last: int) -> np.ndarray:
-    """Frames of a file from one number up to another, (T,) of `frame_type`.
+    Args:
+        file: open for writing.
+        bodies: the bodies of the frames.
+        frame: the first one that will be appended.
+        unwrapped: see `body_frame`.
 
     Raises:
-        KeyError: the file has no body states.
+        ValueError: the file has another layout or wrapping, or is of other bodies.
     """
-    found = np.zeros(max(0, min(last, len(file["step"])) - first), frame_type(file["q"].shape[1], "box" in file))
-    for name in found.dtype.names or ():
-        found[name] = file[name][first:last]
+    wrapping = "no" if unwrapped or "box" not in frame else "into the box"
+    constants = _constants(bodies)
+    if not len(file):
+        file.attrs.update(CONVENTIONS)
+        for name, values in constants.items():
+            _create(file, name, data=values)
+        for name, values in frame.items():
+            chunk = (max(1, CHUNK // values.size), *values.shape)
+            shape = {"shape": (0, *values.shape), "maxshape": (None, *values.shape), "chunks": chunk}
+            _create(file, name, dtype=values.dtype, **shape)
+        file["q"].attrs["wrapped"] = wrapping
+    if (layout := file.attrs.get("layout")) != CONVENTIONS["layout"]:
+        raise ValueError(f"it has body states in layout {layout}, expected {CONVENTIONS['layout']}")
+    if not all(np.array_equal(file[name], constants[name]) for name in ("masses", "moments")):
+        raise ValueError(f"its {len(file['masses'])} bodies are not those of this System")
+    if (there := file["q"].attrs["wrapped"]) != wrapping:
+        raise ValueError(f"its centres are wrapped: {there}, expected: {wrapping}")
+
+
+def append(file: h5py.File, frame: Mapping[str, np.ndarray]) -> None:
+    """Write a frame, and flush it: the file of a run that was killed can be read; the last frame may be damaged."""
+    for name, values in frame.items():
+        file[name].resize(len(file[name]) + 1, axis=0)
+        file[name][-1] = values
+    file.flush()
+
+
+def _constants(bodies: RigidBodies) -> dict[str, np.ndarray]:
+    """What does not change, by the names of datasets."""
+    sizes = [len(species.atoms) for species in bodies.species]
+    found = {"species": np.repeat(np.arange(len(sizes)), sizes), "masses": bodies.masses, "moments": bodies.moments.T}
+    for number, species in enumerate(bodies.species):
+        parts = {"atoms": species.atoms, "masses": species.masses, "sites": species.sites.T, "moments": species.moments}
+        found |= {f"species_{number}/{name}": values for name, values in parts.items()}
     return found
 
 
-def import_h5py() -> Any:
-    """The module h5py.
-
-    Raises:
-        ModuleNotFoundError: it is missing.
-    """
-    try:
-        import h5py
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("body states need h5py: pip install 'openmm-sier[hdf5]'") from error
-    return h5py
+def _create(file: h5py.File, name: str, **options: Any) -> None:
+    file.create_dataset(name, **options).attrs["unit"] = UNITS.get(name.split("/")[-1], "1")

@@ -8,8 +8,7 @@ from pathlib import Path
 import openmm
 from openmm import app
 
-from openmm_sier.observe import conservation, pressure
-from openmm_sier.observe.body_states import BodyStateFile, body_frame, import_h5py
+from openmm_sier.observe import body_states, conservation, pressure
 
 
 class _Reporter:
@@ -149,23 +148,26 @@ class BodyStateReporter(_Reporter):
             ModuleNotFoundError: h5py is missing.
         """
         super().__init__(reportInterval)
-        h5py = import_h5py()
-        self._path, self._unwrapped = Path(file), unwrapped
-        # An unwritable path fails here, before the run.
-        with h5py.File(self._path, "a" if append else "w", libver="earliest") as there:
-            # A run that ended before its first report left an empty file.
-            self._append = len(there) > 0
-        self._file: BodyStateFile | None = None
+        try:
+            import h5py
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError("body states need h5py: pip install 'openmm-sier[hdf5]'") from error
+        self._path, self._unwrapped, self._begun = Path(file), unwrapped, False
+        # The oldest file format does not mark files as open for writing; the mark would lock readers out after a kill.
+        self._file = h5py.File(self._path, "a" if append else "w", libver="earliest")
+        self._file.flush()
 
     def report(self, simulation: app.Simulation, state: openmm.State) -> None:
         """Write one frame, and flush it."""
-        if self._file is None:
-            bodies = conservation.sier_integrator(simulation.context).bodies
-            periodic = simulation.system.usesPeriodicBoundaryConditions()
-            self._file = BodyStateFile(self._path, bodies, periodic, self._unwrapped, self._append)
-        self._file.append(body_frame(simulation.context, state, self._unwrapped))
+        frame = body_states.body_frame(simulation.context, state, self._unwrapped)
+        if not self._begun:
+            try:
+                body_states.begin(self._file, simulation.integrator.bodies, frame, self._unwrapped)
+            except ValueError as error:
+                raise ValueError(f"{self._path} cannot be continued: {error}") from None
+            self._begun = True
+        body_states.append(self._file, frame)
 
     def close(self) -> None:
         """Close the file."""
-        if self._file is not None:
-            self._file.close()
+        self._file.close()

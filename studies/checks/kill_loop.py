@@ -2,10 +2,9 @@
 
     python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--ensemble npt] [--signals KILL TERM]
 
-At the end the trajectory must have every frame once, in order. Trajectory, log and body states must be those of an
-undisturbed run: byte for byte, and body states number by number. A signal that can be handled
-must give its exit code and, after the first step, leave a checkpoint of the step that the message names. The status is
-1 if not.
+At the end the trajectory must have every frame once, in order. Trajectory and log must be those of an undisturbed run,
+byte for byte. A signal that can be handled must give its exit code and, after the first step, leave a checkpoint of the
+step that the message names. The status is 1 if not.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import h5py
 import mdtraj
 import numpy as np
 
@@ -29,9 +27,8 @@ from studies.boxes import write_lattice
 from studies.command import Settings, command
 from studies.report import SILENT, Report
 
-#: A frame every 4 steps, a row every 6, body states every 5 and a checkpoint every 10, so that many kills come while
-#: something is written.
-EVERY, ROWS, BODIES, CHECKPOINTS = 4, 6, 5, 10
+#: A frame every 4 steps, a row every 6 and a checkpoint every 10, so that many kills come while something is written.
+EVERY, ROWS, CHECKPOINTS = 4, 6, 10
 
 #: The command, with signals handled as when a terminal starts it, since background jobs of a script ignore SIGINT.
 LAUNCH = """
@@ -44,7 +41,6 @@ sys.exit(main())
 COMMAND = [sys.executable, "-c", LAUNCH, "run", "box.pdb", "--platform", "Reference"]
 PLAN = ["--scheme", "sier2", "--dt", "1", "--equilibrate", "0.05"]
 PLAN += ["--every", "0.004", "--report-every", "0.006", "--checkpoint-every", "0.01"]
-PLAN += ["--bodies-every", "0.005"]
 
 #: Signals by the names that `kill` uses.
 SIGNALS: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = ("KILL", "TERM", "INT", "HUP")
@@ -67,14 +63,9 @@ class Lost(ValueError):
 def line_of(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
     """The command that begins a run, or goes on from its checkpoint if there is one."""
     checkpoint = Path(out).with_suffix(".chk")
-    begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out, "--bodies", bodies_of(out)]
+    begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out]
     way = ["--restart", str(checkpoint)] if (directory / checkpoint).exists() else begin
     return [*COMMAND, *way, "--steps", str(steps)]
-
-
-def bodies_of(out: str) -> str:
-    """Name of the body states' file of a run."""
-    return f"{Path(out).stem}-bodies.h5"
 
 
 def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, ensemble: str, name: str) -> None:
@@ -138,19 +129,8 @@ def compare(directory: Path, one: str, two: str, steps: int) -> None:
             raise Lost(f"{name} is not {other}")
     frames = mdtraj.load(str(directory / one), top=str(directory / "box.pdb")).n_frames
     rows = (directory / one).with_suffix(".csv").read_bytes().count(b"\n") - 2
-    ours, theirs = (_datasets(directory / bodies_of(name)) for name in (one, two))
-    if any(not np.array_equal(ours[key], theirs[key]) for key in theirs):
-        raise Lost(f"the body states of {one} are not those of {two}")
-    if (frames, rows, len(ours["step"])) != (steps // EVERY, steps // ROWS, steps // BODIES):
-        raise Lost(f"after {steps} steps {one} has {frames} frames, {rows} rows and {len(ours['step'])} body states")
-
-
-def _datasets(path: Path) -> dict[str, np.ndarray]:
-    """All datasets of an HDF5 file by name, those in groups too."""
-    found: dict[str, np.ndarray] = {}
-    with h5py.File(path) as file:
-        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
-    return found
+    if (frames, rows) != (steps // EVERY, steps // ROWS):
+        raise Lost(f"after {steps} steps {one} has {frames} frames and {rows} rows")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from openmm_sier.cli import console, main
 from openmm_sier.cli import run as command
 from openmm_sier.cli.files import checkpoints
-from tests.support.commands import SMALL, SYSTEMS, complaint, datasets, frames, log, run
+from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, run
 
 #: A rigid ring of six united atoms with charges that alternate; no bonds, since nothing is to hold it but rigidity.
 RING = """<ForceField>
@@ -163,15 +163,6 @@ def test_info_of_named_residues(rings, capsys):
     field = ["--forcefield", str(rings / "ring.xml")]
     message = complaint(capsys, "info", rings / "rings.pdb", *field, "--rigid", "BNZ")
     assert "BNZ" in message
-
-
-# --- body states ---
-
-
-def test_body_states_without_a_frame(box):
-    pytest.importorskip("h5py")
-    run("run", box, *SMALL, "--steps", "1", "--bodies", "states.h5")
-    assert datasets("states.h5")["q"].shape == (0, 27, 3)
 
 
 # --- wrapped and unwrapped frames ---

@@ -7,9 +7,7 @@ import pytest
 
 from tests.support.commands import SMALL, complaint, contents, run, write_lattice
 
-h5py = pytest.importorskip("h5py")
-
-FILES = ["--bodies", "states.h5", "--pressure-tensor", "p.csv", "--pressure-tensor-every", "0.04"]
+FILES = ["--pressure-tensor", "p.csv", "--pressure-tensor-every", "0.04"]
 AGAIN = ["run", "box.pdb", "--platform", "Reference", "--restart", "box.chk"]
 
 
@@ -34,7 +32,7 @@ def one(two_runs, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["box.chk", "box.dcd", "box.csv", "states.h5", "p.csv"])
+@pytest.mark.parametrize("name", ["box.chk", "box.dcd", "box.csv", "p.csv"])
 def test_file_of_another_run_is_refused(one, two_runs, capsys, name):
     """The lengths are those of this run, except that of the log."""
     shutil.copyfile(two_runs / "two" / name, name)

@@ -80,7 +80,11 @@ def test_single_values_in_a_table_are_options_of_its_members(plan):
         ("dt = [4]", "steps = [4]", "steps and time exclude each other"),
         ("dt = [4]", "pressure = [1]", "--pressure needs --ensemble npt or hmc"),
         ("dt = [4]", "report = ['../a.csv']", "report: outputs lie in the directory of each member"),
-        ("dt = [4]", "bodies = ['there/a.h5']", "bodies: outputs lie in the directory of each member"),
+        (
+            "dt = [4]",
+            "pressure_tensor = ['there/a.csv']",
+            "pressure_tensor: outputs lie in the directory",
+        ),
         ("dt = [4]", "rigid = [['A', 3]]", "rigid: expected a name, got 3"),
         ('box = ["box.pdb"]', "", "box is missing"),
         ("time = 0.4", "time = ", "is no TOML file"),

@@ -51,7 +51,7 @@ def test_the_declaration_agrees_with_what_it_is_about():
     # Every scheme that users can name has its usual steps.
     assert all(scheme.constant_energy_step and scheme.bath_step for scheme in CATALOGUE.values())
     assert pytest.approx(5 / 6) == forcefields.SWITCH / forcefields.CUTOFF
-    assert (set(FILES), set(OUTPUTS)) == ({"box", "topology", *OUTPUTS}, {"out", "report", "bodies", "pressure_tensor"})
+    assert (set(FILES), set(OUTPUTS)) == ({"box", "topology", *OUTPUTS}, {"out", "report", "pressure_tensor"})
 
 
 def commands():

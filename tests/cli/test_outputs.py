@@ -7,12 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from openmm import app
 
 from openmm_sier.cli import main
-from openmm_sier.cli.files import body_states, checkpoints
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.options import OPTIONS
 from openmm_sier.cli.plan import OUTPUTS
@@ -65,10 +64,9 @@ def hard_link(original, name):
         (None, ["--report", "../{here}/box.pdb"]),
         (link, ["--out", "other.dcd"]),
         (hard_link, ["--out", "other.dcd"]),
-        (hard_link, ["--bodies", "other.h5"]),
-        # The checkpoint, and what the file of body states is made of.
+        (hard_link, ["--pressure-tensor", "other.csv"]),
+        # The checkpoint.
         (link, ["--out", "x.dcd", "other.chk"]),
-        (hard_link, ["--bodies", "x.h5", "other.h5.frames"]),
     ],
 )
 def test_no_output_is_the_pdb_file(box, tmp_path, capsys, lattice, no_equilibration, make, options):
@@ -111,7 +109,6 @@ def test_no_output_is_the_checkpoint_that_a_run_starts_from(box, capsys):
         ["--report", "x.chk"],
         ["--report", "linked.csv"],
         ["--report", "x.csv", "--pressure-tensor", "x.csv"],
-        ["--bodies", "y.h5", "--report", "y.h5.frames"],
     ],
 )
 def test_no_output_is_another_one(box, capsys, no_equilibration, options):
@@ -128,8 +125,7 @@ def test_no_output_is_another_one(box, capsys, no_equilibration, options):
     ("option", "name", "message"),
     [
         ("--report", "x.dcd", "x.dcd is to be a table: name a file that ends in .csv"),
-        ("--pressure-tensor", "x.h5", "x.h5 is to be a table: name a file that ends in .csv"),
-        ("--bodies", "x.csv", "x.csv is to hold body states: name a file that ends in .h5"),
+        ("--pressure-tensor", "x.xtc", "x.xtc is to be a table: name a file that ends in .csv"),
     ],
 )
 def test_endings_that_belong_to_other_kinds_are_refused(box, capsys, option, name, message):
@@ -142,7 +138,7 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
     Path("full.csv").write_text("mine\n")
     for options, expected in (
         (["--out", "there.dcd"], ": there.dcd is no regular file"),
-        (["--bodies-every", "1"], "--bodies-every needs --bodies"),
+        (["--pressure-tensor-every", "1"], "--pressure-tensor-every needs --pressure-tensor"),
         # A root who overwrites it would lose the device.
         (["--report", "/dev/null", "--overwrite"], "/dev/null is no regular file"),
         (["--out", "none/a.dcd"], "there is no directory none"),
@@ -157,15 +153,13 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
 
 @pytest.mark.slow
 def test_files_that_are_missing_at_a_restart(box, capsys):
-    pytest.importorskip("h5py")
-    assert main.main(["run", str(box), *SMALL, "--steps", "10", "--bodies", "states.h5"]) == 0
+    assert main.main(["run", str(box), *SMALL, "--steps", "10"]) == 0
     capsys.readouterr()
     again = ["run", box, "--platform", "Reference", "--steps", "20", "--restart", "box.chk"]
-    for name in ("box.dcd", "box.csv", "states.h5"):
+    for name in ("box.dcd", "box.csv"):
         content = Path(name).read_bytes()
         Path(name).unlink()
-        missing = "states.h5.frames" if name == "states.h5" else name
-        assert f"{missing}: No such file or directory" in complaint(capsys, *again)
+        assert f"{name}: No such file or directory" in complaint(capsys, *again)
         Path(name).write_bytes(content)
     assert main.main([str(argument) for argument in again]) == 0
 
@@ -210,33 +204,25 @@ def file_size_limit():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["box.dcd", "states.h5.frames"])
-def test_file_that_cannot_grow(box, capsys, file_size_limit, name):
+def test_file_that_cannot_grow(box, capsys, file_size_limit):
     """The run ends with the file's name, keeps its last checkpoint, and goes on when there is room."""
-    h5py = pytest.importorskip("h5py")
-    # One of them is written at every step, the other and the log at every hundredth.
-    often, rare = ("--every", "--bodies-every") if name == "box.dcd" else ("--bodies-every", "--every")
     options = ["--dt", "4", "--platform", "Reference", "--equilibrate", "0", "--checkpoint-every", "0.02"]
-    options += ["--bodies", "states.h5", often, "0.004", rare, "0.4", "--report-every", "0.4"]
-    assert main.main(["run", str(box), *options, "--steps", "1", "--out", "first.dcd", "--bodies", "first.h5"]) == 0
+    options += ["--every", "0.004", "--report-every", "0.4"]
+    assert main.main(["run", str(box), *options, "--steps", "1", "--out", "first.dcd"]) == 0
     # Checkpoints fit, which differ a little in size.
     room = round(1.3 * Path("first.chk").stat().st_size)
     capsys.readouterr()
     file_size_limit(room)
     message = complaint(capsys, "run", box, *options, "--steps", "400")
     file_size_limit(resource.RLIM_INFINITY)
-    assert message.startswith(f"openmm-sier: {name}: File too large, at step ")
+    assert message.startswith("openmm-sier: box.dcd: File too large, at step ")
     assert "The last checkpoint is box.chk" in message
     notes = checkpoints.read_checkpoint(Path("box.chk"))[1]
     assert f"of step {notes['step']};" in message
     assert not list(Path().glob("*.tmp"))
     more = notes["step"] + 5
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", str(more)]) == 0
-    if name == "box.dcd":
-        assert frames(Path(name), box).n_frames == more
-    else:
-        with h5py.File("states.h5") as file:
-            np.testing.assert_array_equal(file["step"], np.arange(1, more + 1))
+    assert frames(Path("box.dcd"), box).n_frames == more
 
 
 @pytest.mark.slow
@@ -253,44 +239,6 @@ def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
     assert not Path("box.chk.tmp").exists()
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", "40"]) == 0
     assert frames(Path("box.dcd"), box).n_frames == 8
-
-
-def write_half(path, _):
-    path.write_bytes(b"half")
-    raise RuntimeError("HDF5 error back trace\n ... No space left on device")
-
-
-def spoil_the_last_frame(path, h5py):
-    """As on a disk that fills, where HDF5 gives zeros for what was never written."""
-    with h5py.File(path, "r+") as file:
-        file["q"][-1] = 0
-
-
-def cut_off(path, _):
-    """As on a disk that fills while the file is closed."""
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("damage", "expected"),
-    [(write_half, "HDF5 error back trace"), (spoil_the_last_frame, "only"), (cut_off, "it cannot be read back")],
-)
-def test_body_states_that_do_not_fit_keep_their_frames(box, capsys, monkeypatch, damage, expected):
-    h5py = pytest.importorskip("h5py")
-    make = body_states.BodyStates._make
-
-    def damaged(self, path):
-        make(self, path)
-        damage(path, h5py)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(body_states.BodyStates, "_make", damaged)
-        message = complaint(capsys, "run", box, *SMALL, "--steps", "10", "--bodies", "made.h5")
-    assert f"made.h5 could not be written. Its frames are kept in made.h5.frames: {expected}" in message
-    assert [path.name for path in Path().glob("made.*")] == ["made.h5.frames"]
-    assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk"]) == 0
-    assert [path.name for path in Path().glob("made.*")] == ["made.h5"]
 
 
 @pytest.mark.slow

@@ -69,16 +69,3 @@ def test_a_platform_that_is_not_here_must_be_replaced_by_name(box, part, capsys)
     assert "part.chk is of a run on the Abacus platform, which OpenMM does not have here: choose one of" in message
     assert "Reference" in message
     run("run", box, "--restart", part, "--steps", 11, "--platform", "Reference")
-
-
-def test_an_early_checkpoint_without_a_platform_goes_on(box, part, capsys):
-    rewrite_notes(part, lambda notes: notes.pop("platform"))
-    run("run", box, "--restart", part, "--steps", 11, "--platform", "Reference")
-    assert differences(capsys) == []
-
-
-@pytest.mark.parametrize("noted", [None, 3, ["CPU"], {"Platform": 1}, {"Threads": "1"}], ids=repr)
-def test_notes_that_name_no_platform_are_refused(box, part, capsys, noted):
-    rewrite_notes(part, lambda notes: notes.update(platform=noted))
-    message = complaint(capsys, "run", box, "--restart", part, "--steps", 11)
-    assert f"part.chk: platform: expected its name and properties, got {noted!r}" in message

@@ -83,7 +83,7 @@ def signal_after_rows(monkeypatch, number, rows):
 
 @pytest.mark.slow
 def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsys):
-    options = ["run", str(box), *SMALL, "--bodies", "cut.h5"]
+    options = ["run", str(box), *SMALL]
     with monkeypatch.context() as patch:
         signal_after_rows(patch, signum, 4)
         assert main.main([*options, "--time", "0.4", "--out", "cut.dcd"]) == 128 + signum
@@ -94,7 +94,7 @@ def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsy
     )
     assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == 30
     assert frames(Path("cut.dcd"), box).n_frames == 6
-    assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.dcd", "cut.h5.frames"]
+    assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.dcd"]
     # The handlers are those of before.
     assert signal.getsignal(signum).__module__ == __name__
 

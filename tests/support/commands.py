@@ -46,14 +46,6 @@ def log(path):
     return records.read_log(Path(path))
 
 
-def datasets(path):
-    """All datasets of an HDF5 file by name, those in groups too."""
-    found = {}
-    with pytest.importorskip("h5py").File(path) as file:
-        file.visititems(lambda name, item: found.update({name: item[()]} if hasattr(item, "shape") else {}))
-    return found
-
-
 def complaint(capsys, *arguments, code=1):
     """The one line on standard error with which a command line fails."""
     if code == main.MISUSED:

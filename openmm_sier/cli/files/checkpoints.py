@@ -6,7 +6,6 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,8 @@ import openmm
 
 from openmm_sier.cli.files.records import RecordError, replacing
 
-#: Version of what a checkpoint holds.
-FORMAT = 3
+#: Version of what a checkpoint holds. Those of version 3 may be of runs with files of body states.
+FORMAT = 4
 
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
@@ -44,26 +43,21 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
         RecordError: the file is no checkpoint of this command, or of another version of it.
         FileNotFoundError: there is no such file.
     """
-    found: list[openmm.State] = []
-    notes = read_notes(path, lambda text: found.append(openmm.XmlSerializer.deserialize(text)))
-    return found[0], notes
-
-
-def read_notes(path: Path, take_state: Callable[[str], None] | None = None) -> dict[str, Any]:
-    """The notes of a checkpoint, with the errors of `read_checkpoint`.
-
-    Args:
-        path: of the file.
-        take_state: gets the State in XML.
-    """
     try:
         with zipfile.ZipFile(path) as archive:
             notes: dict[str, Any] = json.loads(archive.read("notes.json"))
             version = notes.get("format")
-            if take_state is not None:
-                take_state(archive.read("state.xml").decode())
+            state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
         raise RecordError(f"{path} is no checkpoint of openmm-sier run") from error
     if version != FORMAT:
-        raise RecordError(f"{path} was written by another version of openmm-sier, in format {version}")
-    return notes
+        raise RecordError(
+            f"{path} was written by another version of openmm-sier, in format {version} in place of {FORMAT}: finish "
+            "the run with that version, or begin a new one"
+        )
+    return state, notes
+
+
+def read_notes(path: Path) -> dict[str, Any]:
+    """The notes of a checkpoint, with the errors of `read_checkpoint`."""
+    return read_checkpoint(path)[1]

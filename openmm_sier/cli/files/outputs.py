@@ -12,45 +12,42 @@ from typing import Any
 import openmm
 
 from openmm_sier.cli.beginning import Simulated
-from openmm_sier.cli.files import checkpoints
-from openmm_sier.cli.files.kinds import outputs_of
-from openmm_sier.cli.files.records import Log, Noted
+from openmm_sier.cli.files import checkpoints, records
+from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.cli.platforms import platform_of
 
 
-class OutputFiles:
-    """The files that a run writes, before any is opened.
+class Outputs:
+    """The files of a run. They are open from `open` on.
 
     Attributes:
-        checkpoint: path of the checkpoint.
-        outputs: those that grow, by the names of their kinds.
-        everything: all files, also the one of which body states are made, the checkpoint first.
+        checkpoint: its path.
+        paths: of all files, the checkpoint first.
+        saved_step: of the last checkpoint; None before the first.
     """
 
     def __init__(self, plan: Plan, checkpoint: Path):
         """
         Raises:
-            RecordError: a name has the wrong ending, or a package that its format needs is missing.
-            ModuleNotFoundError: a package that body states need is missing.
+            RecordError: a name has the wrong ending.
         """
-        self.checkpoint, self.outputs = checkpoint, outputs_of(plan)
-        self._named = [checkpoint, *(output.path for output in self.outputs.values())]
-        growing = [(output.format.growing(output.path), output.path) for output in self.outputs.values()]
-        self.everything = [*self._named, *(place for place, path in growing if place != path)]
+        self.checkpoint, self.saved_step = checkpoint, None
+        self._plan = plan
+        self._outputs = {kind.name: kind(plan) for kind in KINDS if getattr(plan, kind.option)}
+        self.paths = [checkpoint, *(output.path for output in self._outputs.values())]
+        self._intervals = {name: output.interval for name, output in self._outputs.items()}
+        self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
 
     def __str__(self) -> str:
-        return ", ".join(str(path) for path in self._named)
+        return ", ".join(map(str, self.paths))
 
     @property
-    def are_finished(self) -> bool:
-        """Whether all outputs are there and nothing is left to be done for them."""
-        return not any(output.format.unfinished(output.path) for output in self.outputs.values())
+    def log(self) -> records.Log:
+        """The open log."""
+        return self._outputs["log"].file
 
-    def remove(self) -> None:
-        """Remove the outputs, the checkpoint first, so that it is never left with files that are not its own."""
-        for path in self._named:
-            Path(os.path.realpath(path)).unlink(missing_ok=True)
+    # --- before any is opened ---
 
     def check(self, inputs: Collection[Path]) -> None:
         """Refuse outputs that cannot be written, and any that would destroy an input or another output.
@@ -61,13 +58,13 @@ class OutputFiles:
         Raises:
             RunError: naming the file.
         """
-        for path, other in product(self.everything, inputs):
+        for path, other in product(self.paths, inputs):
             if same_file(path, other):
                 raise RunError(f"{path} would destroy the input {other}: name another file")
-        for path, other in combinations(self.everything, 2):
+        for path, other in combinations(self.paths, 2):
             if same_file(path, other):
                 raise RunError(f"{path} and {other} are the same: outputs must be different files")
-        for path in self.everything:
+        for path in self.paths:
             # For example a device: /dev/null would be replaced by a file.
             if path.exists() and not path.is_file():
                 raise RunError(f"{path} is no regular file")
@@ -80,7 +77,7 @@ class OutputFiles:
         Raises:
             RunError: naming the file that is in the way.
         """
-        for path in filter(os.path.lexists, self.everything):
+        for path in filter(os.path.lexists, self.paths):
             raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
 
     def check_noted(self, notes: Mapping[str, Any]) -> None:
@@ -90,45 +87,28 @@ class OutputFiles:
             RecordError: an output is of another run.
             OSError: one is missing.
         """
-        for name, output in self.outputs.items():
-            output.format.check(output.path, Noted(**notes[name]))
+        for name, output in self._outputs.items():
+            records.check(output.path, records.Noted(**notes[name]))
 
+    def remove(self) -> None:
+        """Remove all files, the checkpoint first, so that it is never left with files that are not its own."""
+        for path in self.paths:
+            Path(os.path.realpath(path)).unlink(missing_ok=True)
 
-def same_file(one: Path, two: Path) -> bool:
-    """Whether two names lead to the same file, also through symbolic or hard links; neither has to exist."""
-    try:
-        return os.path.samefile(one, two)
-    except OSError:
-        return os.path.realpath(one) == os.path.realpath(two)
+    # --- during the run ---
 
+    def open(self, simulated: Simulated, context: openmm.Context, notes: Mapping[str, Any] | None) -> None:
+        """Open the files, new or cut back to the lengths that a checkpoint notes.
 
-class Outputs:
-    """The open files of a run, new or cut back to the lengths that a checkpoint notes.
-
-    Attributes:
-        checkpoint: its path.
-        log: of the run.
-        saved_step: of the last checkpoint; None before the first.
-    """
-
-    def __init__(
-        self, files: OutputFiles, simulated: Simulated, context: openmm.Context, notes: Mapping[str, Any] | None
-    ):
-        """
         Args:
-            files: of the run.
             simulated: what is simulated.
             context: at the start, or at the checkpoint.
-            notes: of the checkpoint of a run that is continued, for which `OutputFiles.check_noted` has passed; None
-                for a new run.
+            notes: of the checkpoint of a run that is continued, for which `check_noted` has passed; None for a new run.
         """
-        self.checkpoint, self.saved_step = files.checkpoint, notes["step"] if notes else None
-        self._plan, self._inputs, self._outputs = simulated.plan, simulated.inputs, files.outputs
+        self._inputs = simulated.inputs
+        self.saved_step = notes["step"] if notes else None
         for name, output in self._outputs.items():
-            output.open(simulated, context, Noted(**notes[name]) if notes else None)
-        self._intervals = {name: output.interval for name, output in self._outputs.items()}
-        self._intervals["checkpoint"] = self._plan.interval(self._plan.checkpoint_every)
-        self.log: Log = self._outputs["log"].file
+            output.open(simulated, context, records.Noted(**notes[name]) if notes else None)
 
     def next_due(self, step: int) -> int:
         """The next step after this one at which a file is due."""
@@ -166,7 +146,15 @@ class Outputs:
         checkpoints.write_checkpoint(self.checkpoint, state, notes)
         self.saved_step = step
 
-    def finish(self) -> None:
-        """Close all files and write those that are made at the end of a run."""
-        for output in reversed(self._outputs.values()):
-            output.file.finish()
+    def close(self) -> None:
+        """Close all files at the end of the run."""
+        for output in self._outputs.values():
+            output.file.close()
+
+
+def same_file(one: Path, two: Path) -> bool:
+    """Whether two names lead to the same file, also through symbolic or hard links; neither has to exist."""
+    try:
+        return os.path.samefile(one, two)
+    except OSError:
+        return os.path.realpath(one) == os.path.realpath(two)

@@ -101,34 +101,6 @@ class GrowingFile:
             self._file.truncate(self.size)
             self._file.seek(self.size)
 
-    @classmethod
-    def check(cls, path: Path, noted: Noted) -> None:
-        """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
-
-        Args:
-            path: of the output.
-            noted: of it by the checkpoint.
-
-        Raises:
-            OSError: the output is missing.
-            RecordError: it does not begin with the noted bytes.
-        """
-        if noted.size and _fingerprint(path, noted.size) != noted.fingerprint:
-            raise RecordError(
-                f"{path} is not the file that the checkpoint belongs to, or was edited: its first {noted.size} bytes "
-                "are not those of the checkpoint"
-            )
-
-    @classmethod
-    def growing(cls, path: Path) -> Path:
-        """Path of the file that grows for the output at a path."""
-        return path
-
-    @classmethod
-    def unfinished(cls, path: Path) -> bool:
-        """Whether something is left to be done for the output at this path at the end of its run."""
-        return not path.exists()
-
     def append(self, record: bytes, counts: bool = True) -> None:
         """Write a record. What a kill or a full disk leaves of it is cut off by the restart.
 
@@ -155,9 +127,27 @@ class GrowingFile:
             os.fsync(self._file.fileno())
         return Noted(self.size, self.count, _fingerprint(self.path, self.size))
 
-    def finish(self) -> None:
+    def close(self) -> None:
         """Close the file at the end of its run."""
         self._file.close()
+
+
+def check(path: Path, noted: Noted) -> None:
+    """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
+
+    Args:
+        path: of the output.
+        noted: of it by the checkpoint.
+
+    Raises:
+        OSError: the output is missing.
+        RecordError: it does not begin with the noted bytes.
+    """
+    if noted.size and _fingerprint(path, noted.size) != noted.fingerprint:
+        raise RecordError(
+            f"{path} is not the file that the checkpoint belongs to, or was edited: its first {noted.size} bytes "
+            "are not those of the checkpoint"
+        )
 
 
 def _fingerprint(path: Path, size: int) -> str:

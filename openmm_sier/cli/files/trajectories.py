@@ -13,7 +13,7 @@ from typing import Any
 from openmm import app
 from openmm.unit import Quantity
 
-from openmm_sier.cli.files.records import CHANGING, GrowingFile, Noted, RecordError
+from openmm_sier.cli.files.records import CHANGING, GrowingFile, Noted
 
 #: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
 DCD_HEADER, DCD_TIME = 276, slice(180, 260)
@@ -92,15 +92,5 @@ def _is_frame(path: Path, atoms: int) -> bool:
         return False
 
 
+#: Formats by the endings of names.
 FORMATS: dict[str, type[Trajectory]] = {".dcd": DCDTrajectory, ".xtc": XTCTrajectory}
-
-
-def trajectory_format(path: Path) -> type[Trajectory]:
-    """The class for a file name.
-
-    Raises:
-        RecordError: the ending is unknown.
-    """
-    if path.suffix not in FORMATS:
-        raise RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
-    return FORMATS[path.suffix]
