@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from openmm_sier.cli.options import OF_TUNING, OPTIONS, Option, add_options
+from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.cli.values import COUNT, SWITCH, file, number, several, whole, word
-
-PROGRAM = "openmm-sier"
 
 #: Exit code for wrong arguments.
 MISUSED = 2

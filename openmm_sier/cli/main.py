@@ -21,8 +21,7 @@ FAILED, SIGNALLED = 1, 128
 
 def main(arguments: list[str] | None = None) -> int:
     """Execute a command line, that of this process unless given, and return the exit code."""
-    streams.spell_out(sys.stdout)
-    streams.spell_out(sys.stderr)
+    streams.escape(sys.stdout)
     options = parse(arguments)
     if sys.stdout is None:
         streams.complain("standard output is closed; send it to a file, or to /dev/null")

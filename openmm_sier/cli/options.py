@@ -50,7 +50,6 @@ class Option:
         default: the value without it; None where that depends on others.
         otherwise: the default in words, where there is no single value.
         restart: see `Restart`.
-        empty: whether a run may have none.
         positional: whether the command line has the value alone.
     """
 
@@ -60,7 +59,6 @@ class Option:
     default: Any = None
     otherwise: str = ""
     restart: Restart = "keeps"
-    empty: bool = False
     positional: bool = False
 
     @property
@@ -111,7 +109,6 @@ class Options:
         "with --topology an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM, or a State of "
         "OpenMM in XML",
         restart="may change",
-        empty=True,
         positional=True,
     )
     topology: Path | None = _option(
@@ -120,48 +117,41 @@ class Options:
         "file of CHARMM, or a System of OpenMM in XML",
         otherwise="none, for PDB and PDBx/mmCIF files with --forcefield",
         restart="may change",
-        empty=True,
     )
-    forcefield: list[Path] | None = _option(several(file()), FORCEFIELD_HELP, empty=True)
+    forcefield: list[Path] | None = _option(several(file()), FORCEFIELD_HELP)
     edges: list[float] | None = _option(
         several(number("nm", 0.1, 1e4), 3),
         "edges of a rectangular periodic box, for coordinates without one, as crd files are",
         otherwise="the box of the coordinates",
-        empty=True,
     )
     rigid: list[str] | None = _option(
         several(word("RESIDUE")),
         "names of residues, besides water, to be held rigid in the geometry that they have in the coordinates, but for "
         "bonds that constraints hold",
         otherwise="none",
-        empty=True,
     )
     constraints: str | None = _option(
         choice(*CONSTRAINTS),
         "constraints besides those of water: of bonds to hydrogen, of all bonds, or of bonds and angles of hydrogens",
         "hbonds",
-        empty=True,
     )
     cutoff: float | None = _option(
         number("nm", 0.2, 10),
         "where the direct sum of PME and Lennard-Jones end",
         otherwise=f"{CUTOFF:g}, less in a box that is too small for it",
-        empty=True,
     )
     switch: float | None = _option(
         number("nm", 0, 10),
         "where Lennard-Jones starts to be switched off; 0 for a jump at the cut-off",
         otherwise="five sixths of the cut-off",
-        empty=True,
     )
     tolerance: float | None = _option(
-        number("", 1e-10, 1e-3), "error tolerance of the sums of PME, which are balanced", EWALD_TOLERANCE, empty=True
+        number("", 1e-10, 1e-3), "error tolerance of the sums of PME, which are balanced", EWALD_TOLERANCE
     )
     hydrogen_mass: float | None = _option(
         number("dalton", 1, 4),
         "mass of hydrogens, in water too, taken from the atoms that they are bonded to; it slows motion, not averages",
         otherwise="that of the force field",
-        empty=True,
     )
     scheme: str = _option(
         choice(*METHODS),
@@ -182,13 +172,11 @@ class Options:
         number("bar", -5000, 50000, hint=" (1 bar is 100000 Pa)"),
         "with npt or hmc",
         otherwise="1 with npt, constant volume with hmc",
-        empty=True,
     )
     steps_per_trial: int = _option(
         whole(most=10**6),
         "of the scheme in a trial of hmc, which is then a step of the run",
         otherwise="10",
-        empty=True,
     )
     steps: int = _option(
         whole(most=MOST_STEPS),
@@ -228,7 +216,6 @@ class Options:
         file("CSV", "output"),
         "write the molecular pressure tensor there, for viscosity",
         otherwise="it is not written",
-        empty=True,
     )
     # Sums over tensors mistake oscillations of the period of their interval, or a fraction of it, for slow ones; in
     # rigid water such oscillations have a thousandth of the power of the slow ones at 0.02 ps.
@@ -261,6 +248,9 @@ OPTIONS = {option.name: option for option in (Option(entry.name, **entry.metadat
 #: Options that a restart keeps, and all those that stand in a checkpoint.
 CONTINUED = tuple(name for name, option in OPTIONS.items() if option.restart == "keeps")
 NOTED = tuple(name for name, option in OPTIONS.items() if option.restart != "not noted")
+
+#: Options of which a run may have none.
+MAY_LACK = tuple(entry.name for entry in fields(Options) if "None" in str(entry.type))
 
 #: Options that make the System. A run with `--start` takes them from the other run unless they are given.
 OF_THE_SYSTEM = (
@@ -327,7 +317,7 @@ def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:
     found = {}
     for name, value in table.items():
         try:
-            found[name] = None if value is None and OPTIONS[name].empty else OPTIONS[name].kind.check(value)
+            found[name] = None if value is None and name in MAY_LACK else OPTIONS[name].kind.check(value)
         except WrongValueError as error:
             raise OptionError(f"{source}: {name}: {error}") from None
     return found

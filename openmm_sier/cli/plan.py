@@ -75,7 +75,7 @@ class Plan(Options):
     @property
     def step_time(self) -> float:
         """Time of a step, ps; a step of hybrid Monte Carlo is a trial."""
-        return self.dt / 1000 * (self.steps_per_trial or 1)
+        return self.dt / 1000 * self.steps_per_trial
 
     def interval(self, time: float) -> int:
         """Number of steps nearest to a time, at least 1."""
@@ -115,11 +115,8 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     values.setdefault("friction", 0.0 if ensemble == "hmc" else 1.0)
     if ensemble == "npt":
         values.setdefault("pressure", 1.0)
-    if ensemble == "hmc":
-        values.setdefault("steps_per_trial", TRIAL)
-    values.setdefault(
-        "steps", _steps(values.get("time", DEFAULT_TIME), values["dt"] * values.get("steps_per_trial", 1))
-    )
+    values.setdefault("steps_per_trial", TRIAL if ensemble == "hmc" else 1)
+    values.setdefault("steps", _steps(values.get("time", DEFAULT_TIME), values["dt"] * values["steps_per_trial"]))
     values.setdefault("out", Path(f"{options.box.stem}.dcd"))
     values.setdefault("report", values["out"].with_suffix(".csv"))
     plan = Plan(**values)
@@ -166,8 +163,6 @@ def _check(plan: Plan) -> None:
 
 def _check_given(options: Options, ensemble: str) -> None:
     """Refuse options that would do nothing."""
-    if options.start and options.restart:
-        raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
     for name, needed, there in (
         ("friction", "--ensemble nvt, npt or hmc", ensemble != "nve"),
         ("pressure", "--ensemble npt or hmc", ensemble in ("npt", "hmc")),
@@ -200,7 +195,7 @@ def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, objec
     """
     plan = noted_plan(checkpoint, saved)
     if options.start:
-        _check_given(options, plan.ensemble)
+        raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
     for name in CONTINUED:
         given, noted = getattr(options, name), getattr(plan, name)
         if given is not None and not _same(given, noted):

@@ -124,18 +124,15 @@ def _check_unfinished(plan: Plan, checkpoint: Path, step: int) -> None:
 def _restored(simulated: Simulated, state: openmm.State, notes: dict[str, Any]) -> openmm.Context:
     """A Context in the state of a checkpoint, which must belong to this system."""
     box, checkpoint = simulated.options.box, simulated.options.restart
+    _refuse_other_inputs(simulated, notes["inputs"])
     context = simulated.context(notes["step"])
-    try:
-        context.setState(state)
-    except openmm.OpenMMException as error:
-        raise RunError(f"{checkpoint} does not fit {box}: {first_line(error)}") from error
+    context.setState(state)
     energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     if abs(energy - notes["potential_energy"]) > ENERGY_TOLERANCE * (abs(energy) + 1):
         raise RunError(
             f"the positions of {checkpoint} have the energy {energy:.6g} kJ/mol in the system of {box}, "
             f"in the run they had {notes['potential_energy']:.6g}: it is another system or force field"
         )
-    _refuse_other_inputs(simulated, notes["inputs"])
     return context
 
 

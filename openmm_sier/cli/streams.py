@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import contextlib
 import io
 import os
@@ -21,31 +20,11 @@ AS_OPTIONS = {
 }
 
 
-#: Signs in what the commands print, and how they are spelled where a stream has no such letters, as with LC_ALL=C.
-SPELLED = {"±": "+-", "≥": ">=", "²": "2", "³": "3", "⁹": "9", "⁻": "-", "Å": "A"}
-
-
-def spell_out(stream: TextIO | None) -> None:
-    """Let a stream take every text: letters that it does not have are spelled by others, and the rest by "?"."""
+def escape(stream: TextIO | None) -> None:
+    """Let a stream take every text, as Python's standard error does: letters that it does not have are escaped."""
     # There may be none, or one of a program that calls the command, which is not ours to change.
-    if not isinstance(stream, io.TextIOWrapper):
-        return
-    try:
-        "".join(SPELLED).encode(stream.encoding)
-    except UnicodeEncodeError:
-        codecs.register_error("openmm_sier.spelled", _spelled)
-        stream.reconfigure(errors="openmm_sier.spelled")
-
-
-def _spelled(error: UnicodeError) -> tuple[bytes, int]:
-    """What stands for text that cannot be encoded, and where to go on: an error handler of `codecs`."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    letters = error.object[error.start : error.end]
-    # Bytes of a file's name that are no text are themselves.
-    raw = [os.fsencode(letter) if "\udc80" <= letter <= "\udcff" else None for letter in letters]
-    spelled = [SPELLED.get(letter, "?").encode() for letter in letters]
-    return b"".join(one if one is not None else two for one, two in zip(raw, spelled, strict=True)), error.end
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(errors="backslashreplace")
 
 
 def discard(stream: TextIO) -> None:

@@ -20,10 +20,6 @@ def _same(value: Any) -> Any:
     return value
 
 
-def _nothing(_value: Any) -> str:
-    return ""
-
-
 @dataclass(frozen=True)
 class Kind:
     """What an option takes.
@@ -35,7 +31,7 @@ class Kind:
         parse: what a word of the command line would be in a file; a ValueError where it is nothing of the kind.
         metavar: stands for a value in `--help`.
         file: "input" or "output" for the name of a file that a command reads or writes.
-        remark: what to say after a value that is not accepted.
+        remark: what to say after a value that is not accepted, if anything.
         each: the kind of each of several values, for which a command line has a word each; None for a single one.
         count: how many these are; 0 for one or more.
     """
@@ -43,21 +39,26 @@ class Kind:
     expected: str
     accepts: Callable[[Any], bool]
     made: Callable[[Any], Any] = _same
-    parse: Callable[[str], Any] = _same
+    parse: Callable[[str], Any] = str
     metavar: str = "VALUE"
     file: str = ""
-    remark: Callable[[Any], str] = _nothing
+    remark: Callable[[Any], str] | None = None
     each: Kind | None = None
     count: int = 0
 
-    def check(self, value: object) -> Any:
+    def check(self, value: object, got: object = None) -> Any:
         """The value that a file holds.
+
+        Args:
+            value: in the file.
+            got: the word of a command line that it comes from.
 
         Raises:
             WrongValueError: it is not of this kind.
         """
         if not self.accepts(value):
-            raise WrongValueError(self.expected, value, self.remark(value))
+            remark = self.remark(value) if self.remark else ""
+            raise WrongValueError(self.expected, value if got is None else got, remark)
         return self.made(value)
 
     def read(self, text: str) -> Any:
@@ -70,12 +71,7 @@ class Kind:
             value = self.parse(text)
         except ValueError:
             raise WrongValueError(self.expected, text) from None
-        if not self.accepts(value):
-            raise WrongValueError(self.expected, text, self.remark(value))
-        try:
-            return self.made(value)
-        except ValueError:
-            raise WrongValueError(self.expected, text) from None
+        return self.check(value, text)
 
 
 def number(unit: str, least: float, most: float, beyond: bool = False, hint: str = "") -> Kind:

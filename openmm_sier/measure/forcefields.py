@@ -292,5 +292,5 @@ def _described_interactions(system: openmm.System) -> str:
     if force is None or force.getNonbondedMethod() == force.NoCutoff:
         return "no cut-off"
     names = ("NoCutoff", "CutoffNonPeriodic", "CutoffPeriodic", "Ewald", "PME", "LJPME")
-    name = next(name for name in names if getattr(force, name) == force.getNonbondedMethod())
-    return f"{name} with a cut-off of {force.getCutoffDistance().value_in_unit(unit.nanometer):.3g} nm"
+    cutoff = force.getCutoffDistance().value_in_unit(unit.nanometer)
+    return f"{names[force.getNonbondedMethod()]} with a cut-off of {cutoff:.3g} nm"

@@ -231,7 +231,8 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
         assert f"{option} " in message
         assert "differs from" in message
     one = SYSTEMS / "tip4p-1.pdb"
-    assert "whole.chk does not fit" in complaint(capsys, "run", one, *platform, "--restart", chk, "--time", "1")
+    message = complaint(capsys, "run", one, *platform, "--restart", chk, "--time", "1")
+    assert f"{one} is not the file that the run of {chk} read" in message
 
 
 def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys):
@@ -246,8 +247,18 @@ def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys):
 def test_continuation_with_another_force_field_is_refused(whole_run, box, capsys):
     other = Path("box.pdb")
     other.write_text(box.read_text().replace("tip3p.xml", "spce.xml"))
-    command = "run", other, "--restart", whole_run / "whole.chk", "--time", "1", "--platform", "Reference"
-    assert "another system or force field" in complaint(capsys, *command)
+    chk = whole_run / "whole.chk"
+    command = "run", other, "--restart", chk, "--time", "1", "--platform", "Reference"
+    assert f"box.pdb is not the file that the run of {chk} read, or was edited" in complaint(capsys, *command)
+
+
+def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
+    """As where OpenMM's own force field has changed, which is none of the files that are noted."""
+    for path in whole_run.glob("whole.*"):
+        shutil.copy(path, Path())
+    rewrite_notes("whole.chk", lambda notes: notes.update(potential_energy=1.001 * notes["potential_energy"]))
+    command = "run", box, "--restart", "whole.chk", "--time", "1", "--platform", "Reference"
+    assert "it is another system or force field" in complaint(capsys, *command)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Files of a run: none destroys an input or another, and what cannot be written is said in one line."""
 
+import io
 import os
 import resource
 import stat
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 from openmm import app
 
-from openmm_sier.cli import main
+from openmm_sier.cli import main, streams
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.options import OPTIONS
@@ -177,6 +178,13 @@ def test_closed_standard_output(box):
     code, _, err = run_process("$RUN run box.pdb >&-")
     assert (code, err) == (1, "openmm-sier: standard output is closed; send it to a file, or to /dev/null\n")
     assert [path.name for path in Path().iterdir()] == ["box.pdb"]
+
+
+def test_letters_that_standard_output_does_not_have_are_escaped():
+    printed = io.TextIOWrapper(io.BytesIO(), "ascii")
+    streams.escape(printed)
+    print("1 ± 2", file=printed, end="", flush=True)
+    assert printed.buffer.getvalue() == b"1 \\xb1 2"
 
 
 @pytest.mark.slow

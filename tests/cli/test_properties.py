@@ -1,6 +1,5 @@
 """Properties of a liquid from finished runs."""
 
-import io
 import math
 import re
 from pathlib import Path
@@ -16,7 +15,6 @@ from openmm_sier.cli.files.checkpoints import read_checkpoint
 from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.main import main
 from openmm_sier.cli.plan import Options, new_plan
-from openmm_sier.cli.streams import SPELLED
 from openmm_sier.measure import liquid_samples
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.measure.liquid_samples import LiquidSamples, NoLiquidError, read_samples, unwrapped
@@ -140,25 +138,6 @@ def test_a_box_that_is_no_liquid_has_its_density(capsys):
     for name in ("flexible", "per mol of molecules", "vaporization", "dielectric", "diffusion", "pair distribution"):
         assert name not in out
     assert not Path("out").exists()
-
-
-def test_signs_are_spelled_where_a_stream_has_no_such_letters(monkeypatch):
-    """As with LC_ALL=C, where a finished run ended with exit code 1 on "±"."""
-    time = np.arange(100) * 0.1
-    write_run("å", {"Time (ps)": time, "Density (g/mL)": np.sin(7 * time)}, box=SYSTEMS / "tip3p-nacl-512.pdb")
-    printed = io.TextIOWrapper(io.BytesIO(), "ascii", "surrogateescape")
-    monkeypatch.setattr("sys.stdout", printed)
-    assert main(["properties", "å"]) == 0
-    printed.flush()
-    said = printed.buffer.getvalue().decode("ascii")
-    assert re.search(r"density, g/cm3 +\| +-?[\d.]+ \+- ", said)
-    assert "potential energy of the box, kJ/mol" in said
-    # What has no spelling, and bytes of a file's name that are no letters.
-    printed.write("ø \udcff")
-    printed.flush()
-    assert printed.buffer.getvalue().endswith(b"? \xff")
-    every = "".join(row.name for row in properties.ROWS) + str(Estimate(1.0, 0.1, 3))
-    assert {letter for letter in every if not letter.isascii()} <= set(SPELLED)
 
 
 def test_places_are_followed_through_faces():
