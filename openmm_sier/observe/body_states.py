@@ -3,14 +3,14 @@
 Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3), L (T, n, 3),
 heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies: species (n,),
 masses (n,) and moments (n, 3). For each species K a group species_K with atoms (m, k), the particle indices of its m
-bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). Each dataset has its unit as an
-attribute, the root has the conventions (`CONVENTIONS`), and q says whether its centres are wrapped into the box.
+bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). Attributes of the root are the
+conventions and units (`CONVENTIONS`), and `wrapped`: whether centres are wrapped into the box.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import openmm
@@ -24,28 +24,17 @@ from openmm_sier.system.boxes import wrapped
 if TYPE_CHECKING:
     import h5py
 
-#: Attributes of the root.
+#: Attributes of the root, besides `wrapped`.
 CONVENTIONS = {
-    "layout": 2,
+    "layout": 3,
     "program": "openmm_sier",
     "frame": "lab: q, p and L have components along the axes of the laboratory",
     "quaternion": "(w, x, y, z), w >= 0, of the rotation R that turns the principal axes of a body into the lab frame: "
     "an atom is at q + R r, where r is its site in the principal frame; R is the transpose of the attitude matrix A",
     "angular_momentum": "about the centre of mass of the body",
     "bodies": "numbered species by species: body i is of species[i]; its atoms are one row of species_K/atoms",
-}
-
-#: Units of datasets by the last part of their names; numbers have the unit "1".
-UNITS = {
-    "time": "ps",
-    "q": "nm",
-    "p": "dalton nm/ps",
-    "L": "dalton nm^2/ps",
-    "heat": "kJ/mol",
-    "box": "nm",
-    "masses": "dalton",
-    "moments": "dalton nm^2",
-    "sites": "nm",
+    "units": "time in ps; q, box and sites in nm; masses in dalton; moments in dalton nm^2; p in dalton nm/ps; L in "
+    "dalton nm^2/ps; heat in kJ/mol",
 }
 
 #: Size of a chunk in numbers, 64 kB.
@@ -97,23 +86,20 @@ def begin(file: h5py.File, bodies: RigidBodies, frame: Mapping[str, np.ndarray],
     Raises:
         ValueError: the file has another layout or wrapping, or is of other bodies.
     """
-    wrapping = "no" if unwrapped or "box" not in frame else "into the box"
-    constants = _constants(bodies)
+    conventions = CONVENTIONS | {"wrapped": "no" if unwrapped or "box" not in frame else "into the box"}
     if not len(file):
-        file.attrs.update(CONVENTIONS)
-        for name, values in constants.items():
-            _create(file, name, data=values)
+        file.attrs.update(conventions)
+        for name, values in _constants(bodies).items():
+            file[name] = values
         for name, values in frame.items():
-            chunk = (max(1, CHUNK // values.size), *values.shape)
-            shape = {"shape": (0, *values.shape), "maxshape": (None, *values.shape), "chunks": chunk}
-            _create(file, name, dtype=values.dtype, **shape)
-        file["q"].attrs["wrapped"] = wrapping
-    if (layout := file.attrs.get("layout")) != CONVENTIONS["layout"]:
-        raise ValueError(f"it has body states in layout {layout}, expected {CONVENTIONS['layout']}")
-    if not all(np.array_equal(file[name], constants[name]) for name in ("masses", "moments")):
+            chunks = (max(1, CHUNK // values.size), *values.shape)
+            growing = {"maxshape": (None, *values.shape), "chunks": chunks}
+            file.create_dataset(name, (0, *values.shape), values.dtype, **growing)
+    for name, expected in conventions.items():
+        if (there := file.attrs.get(name)) != expected:
+            raise ValueError(f"{name} is {there}, expected {expected}")
+    if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
         raise ValueError(f"its {len(file['masses'])} bodies are not those of this System")
-    if (there := file["q"].attrs["wrapped"]) != wrapping:
-        raise ValueError(f"its centres are wrapped: {there}, expected: {wrapping}")
 
 
 def append(file: h5py.File, frame: Mapping[str, np.ndarray]) -> None:
@@ -132,7 +118,3 @@ def _constants(bodies: RigidBodies) -> dict[str, np.ndarray]:
         parts = {"atoms": species.atoms, "masses": species.masses, "sites": species.sites.T, "moments": species.moments}
         found |= {f"species_{number}/{name}": values for name, values in parts.items()}
     return found
-
-
-def _create(file: h5py.File, name: str, **options: Any) -> None:
-    file.create_dataset(name, **options).attrs["unit"] = UNITS.get(name.split("/")[-1], "1")
