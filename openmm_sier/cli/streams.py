@@ -22,7 +22,7 @@ AS_OPTIONS = {
 
 
 #: Signs in what the commands print, and how they are spelled where a stream has no such letters, as with LC_ALL=C.
-SPELLED = {"±": "+-", "≥": ">=", "²": "2", "³": "3", "⁹": "9", "⁻": "-", "Å": "A"}
+SPELLED = {"±": "+-", "≥": ">="}
 
 
 def spell_out(stream: TextIO | None) -> None:

@@ -6,7 +6,6 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,26 +43,13 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
         RecordError: the file is no checkpoint of this command, or of another version of it.
         FileNotFoundError: there is no such file.
     """
-    found: list[openmm.State] = []
-    notes = read_notes(path, lambda text: found.append(openmm.XmlSerializer.deserialize(text)))
-    return found[0], notes
-
-
-def read_notes(path: Path, take_state: Callable[[str], None] | None = None) -> dict[str, Any]:
-    """The notes of a checkpoint, with the errors of `read_checkpoint`.
-
-    Args:
-        path: of the file.
-        take_state: gets the State in XML.
-    """
     try:
         with zipfile.ZipFile(path) as archive:
             notes: dict[str, Any] = json.loads(archive.read("notes.json"))
             version = notes.get("format")
-            if take_state is not None:
-                take_state(archive.read("state.xml").decode())
+            state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
         raise RecordError(f"{path} is no checkpoint of openmm-sier run") from error
     if version != FORMAT:
         raise RecordError(f"{path} was written by another version of openmm-sier, in format {version}")
-    return notes
+    return state, notes
