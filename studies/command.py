@@ -14,14 +14,13 @@ import openmm
 import tyro
 from tyro.conf import Positional
 
-from openmm_sier.cli.pool import EnsembleError
 from studies.report import PrintedReport, Report
 
 #: The boxes of the repository.
 SYSTEMS = Path(__file__).parents[1] / "systems"
 
 #: What a study says in one line; any other exception is a fault of the program and shows where.
-EXPECTED = (ValueError, OSError, ImportError, openmm.OpenMMException, EnsembleError)
+EXPECTED = (ValueError, OSError, ImportError, openmm.OpenMMException)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER2
-from studies import acceptance, crowding, equipartition, liquid_figure, records, step_study, style, whole_run
+from studies import acceptance, crowding, equipartition, records, step_study, style, whole_run
 from studies.bench import accuracy
 from studies.command import Settings, chosen, command
 from studies.paper import water
@@ -99,7 +99,6 @@ FIGURES = {
     "energy": Drawn(whole_run.energies, "whole-run.json"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json"),
     "paper-water": Drawn(water.figure, "paper-water.json"),
-    "properties": Drawn(liquid_figure.figure, "properties.json"),
     "speed": Drawn(accuracy.figure, "cost.json"),
     "step-study": Drawn(step_study.figure, "step-study.json"),
     "walk": Drawn(whole_run.figure, "whole-run.json"),

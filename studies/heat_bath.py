@@ -31,7 +31,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import Estimate, mean_and_error, pooled
+from openmm_sier.measure.statistics import mean_and_error
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes
@@ -337,10 +337,7 @@ def averaged(runs: pd.DataFrame) -> pd.DataFrame:
         row["hydrogens"] = mine.iloc[0]["hydrogens"]
         row |= {key: mine[key].mean() if key in mine else np.nan for key in ("cost", "accepted")}
         row["trials"] = mine["trials"].sum() if "trials" in mine else 0
-        for key in AVERAGED:
-            known = mine.dropna(subset=[key, f"{key}_error"]) if key in mine else mine[:0]
-            estimates = [Estimate(value, error) for value, error in zip(known[key], known[f"{key}_error"], strict=True)]
-            row[key], row[f"{key}_error"] = pooled(estimates)[:2] if estimates else (np.nan, np.nan)
+        row |= records.pooled(mine, AVERAGED)
         speeds = mine["fs_per_second"] if "fs_per_second" in mine else pd.Series(dtype=float)
         rows.append(row | {"speed": speeds.mean(), "broken": next((each for each in mine["broken"] if each), "")})
     frame = pd.DataFrame(rows)

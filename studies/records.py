@@ -21,6 +21,7 @@ import pandas as pd
 
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
+from openmm_sier.measure import statistics
 from openmm_sier.measure.statistics import Estimate
 from openmm_sier.version import __version__
 from studies.report import Table
@@ -147,6 +148,18 @@ def make_missing(
         for made in as_completed([pool.submit(run, task) for task in missing]):
             keep_run(path, made.result())
             yield made.result()
+
+
+def pooled(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
+    """Means over runs of one kind, with errors; NaN where no run has a value."""
+    found = {}
+    for name in names:
+        known = runs.dropna(subset=[name, f"{name}_error"]) if name in runs else runs[:0]
+        estimates = (
+            [Estimate(*pair) for pair in zip(known[name], known[f"{name}_error"], strict=True)] if len(known) else []
+        )
+        found[name], found[f"{name}_error"] = statistics.pooled(estimates)[:2] if estimates else (math.nan, math.nan)
+    return found
 
 
 # --- as text ---

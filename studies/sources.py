@@ -16,10 +16,7 @@ COMMANDS = {
     "cost.json": ("OPENMM_CPU_THREADS=1 python -m studies.bench.accuracy --platform CPU",),
     "crowding.json": ("OPENMM_CPU_THREADS=1 python -m studies.crowding --platform CPU",),
     "defaults.json": ("python -m studies.defaults",),
-    "dipeptide-samples.json": (
-        "openmm-sier ensemble systems/dipeptide-samples.toml --out samples",
-        "python -m studies.hmc.members samples/*",
-    ),
+    "dipeptide-samples.json": ("python -m studies.hmc.costs",),
     "equipartition.json": ("python -m studies.equipartition",),
     "equipartition-long-steps.json": (
         "python -m studies.equipartition --ensemble nvt --friction 20 --time 24 --equilibrate 3 --methods sier2p3 "
@@ -28,8 +25,11 @@ COMMANDS = {
     "exactness.json": ("python -m studies.hmc.exactness",),
     "heat-bath.json": ("python -m studies.heat_bath",),
     "long-steps.json": (
-        "openmm-sier ensemble systems/long-steps.toml --out long-steps",
-        "python -m studies.step_study long-steps/* --skip 5",
+        "python -m studies.step_study --boxes tip3p-512 --methods langevinmiddle sier2p3 --per-force 5 4 --times 50 40 "
+        "--out long-steps",
+        "python -m studies.step_study --boxes tip3p-512 --methods sier2p3 sier2v2 --per-force 3 --times 30 "
+        "--out long-steps",
+        "python -m studies.step_study --boxes tip3p-512 --methods verlet --per-force 2 --times 20 --out long-steps",
     ),
     "mesh.json": ("OPENMM_CPU_THREADS=1 python -m studies.mesh --platform CPU",),
     "mesh-110592.json": (
@@ -54,10 +54,6 @@ COMMANDS = {
     "paper-free-rotation.json": ("python -m studies.paper free-rotation --quick",),
     "paper-water.json": ("python -m studies.paper water",),
     "processed.json": ("python -m studies.processed --time 50 --starts 1",),
-    "properties.json": (
-        "openmm-sier ensemble systems/motion.toml --out motion",
-        "python -m studies.liquid_figure motion/*",
-    ),
     "samples.json": (
         "python -m studies.hmc.samples --length 120 --time 80 --out samples",
         "python -m studies.hmc.samples --table samples/*.json",
@@ -77,8 +73,8 @@ COMMANDS = {
     ),
     "speed.json": ("OPENMM_CPU_THREADS=1 python -m studies.speed --platform CPU",),
     "step-study.json": (
-        "openmm-sier ensemble systems/step-study.toml --out step-study",
-        "python -m studies.step_study step-study/* --skip 5",
+        "python -m studies.step_study",
+        "python -m studies.step_study --methods hmc --per-force 3 2 --times 44 30",
     ),
     "whole-run.json": ("python -m studies.whole_run",),
 }

@@ -1,37 +1,35 @@
-"""Properties of a liquid against the step, from the members of an ensemble.
+"""Properties of a liquid against the step, from runs of `openmm-sier run` at constant pressure.
 
-    openmm-sier ensemble systems/step-study.toml --out step-study
-    python -m studies.step_study step-study/* --skip 5 --out step-study-figure
     python -m studies.step_study
+    python -m studies.step_study --methods hmc --per-force 3 2 --times 44 30
+    python -m studies.step_study --boxes tip3p-512 --methods sier2p3 --per-force 5 --times 50 --out long-steps
 
 Density, energy, diffusion and temperatures by box, method and step, with standard errors, and how far density and
-energy are from the exact averages of hybrid Monte Carlo, and diffusion from that at the shortest step. Runs that differ
-in their seeds alone count as one; unfinished runs are left out. Writes step-study.json and step-study.png. Without runs
-the numbers are those in `studies/data`.
+energy are from the exact averages of hybrid Monte Carlo, and diffusion from that at the shortest step. Each run has a
+directory in `--out`, and its numbers are kept in step-study.jsonl: it is not repeated, and runs of other calls count in
+the same tables. Runs that differ in their seeds alone count as one. Runs take turns on `--processes` processes of one
+thread each. Writes step-study.json and step-study.png.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
+import mdtraj
 import numpy as np
 import pandas as pd
-from tyro.conf import Positional
 
-from openmm_sier.cli.finished_runs import FinishedRun, check_alike, open_runs
-from openmm_sier.cli.plan import RunError
-from openmm_sier.cli.properties import ROWS, estimated, read_runs
-from openmm_sier.measure.figures import context
-from openmm_sier.measure.statistics import Estimate, pooled
-from studies import records, style
-from studies.command import Settings, command
+from openmm_sier.cli.methods import METHODS
+from openmm_sier.measure import transport
+from openmm_sier.measure.statistics import Estimate, mean_and_error
+from studies import command_runs, records, style
+from studies.command import SYSTEMS, Settings, chosen, claim, command
 from studies.records import Record
 from studies.report import SILENT, Report, Table
-from studies.sources import DATA
 
 #: Properties by their keys in rows, with their names in the table and labels in the figure.
 PROPERTIES = {
@@ -52,6 +50,32 @@ COLUMNS = {
     "ps": "{time:.4g}",
 } | {heading: f"{{{key}_text}}" for key, heading in MEASURED.items()}
 
+#: Columns of the log.
+LOGGED = {
+    "translation": "Translational Temperature (K)",
+    "rotation": "Rotational Temperature (K)",
+    "density": "Density (g/mL)",
+    "energy": "Potential Energy (kJ/mole)",
+}
+
+#: What makes a point; its runs differ in their seeds alone.
+POINT = ["box", "method", "step"]
+
+#: ps between frames.
+EVERY = 0.5
+
+#: Options of all runs.
+OPTIONS = {
+    "pressure": 1.0,
+    "every": EVERY,
+    "report_every": 0.1,
+    "checkpoint_every": 2.0,
+    "platform": "CPU",
+}
+
+#: The method that is hybrid Monte Carlo, and its scheme.
+TRIALS, SCHEME = "hmc", "sier4g"
+
 #: What the figure says.
 TITLE = "Verlet with AndersenThermostat leaves the exact averages;\nthe others stay near them (grey: two errors)"
 
@@ -64,33 +88,126 @@ HEATED = "OpenMM Verlet"
 #: fs by which the points of different methods are shifted apart.
 APART = 0.06
 
-#: Settings that must be the same in all runs, so that points differ in box, method and step alone.
-SHARED = ("temperature", "pressure")
-
 
 @dataclass(frozen=True)
 class StepSettings(Settings):
-    """What is read.
+    """What is run.
 
     Attributes:
-        runs: checkpoints, or directories of an ensemble's members; none: the numbers of the documentation.
+        boxes: of the repository, by name.
+        methods: schemes of `openmm-sier run` at constant pressure, or hmc, by SIER4G.
+        per_force: simulated times for a force evaluation, fs.
+        times: of runs at each of them, ps.
+        starts: runs of each kind, whose seeds follow `seed`.
         skip: ps to leave out at the beginning of each run.
+        processes: that make runs at the same time.
     """
 
-    runs: Positional[tuple[Path, ...]] = ()
-    skip: float = 0.0
+    boxes: tuple[str, ...] = ("spce-512", "tip3p-512", "tip4p2005-512")
+    methods: tuple[str, ...] = ("langevinmiddle", "verlet", "sier2", "sier4g")
+    per_force: tuple[float, ...] = (4.0, 3.0, 2.0, 1.0)
+    times: tuple[float, ...] = (60.0, 44.0, 30.0, 20.0)
+    starts: int = 1
+    skip: float = 5.0
+    processes: int = 1
 
     ANY_SIGN: ClassVar[tuple[str, ...]] = ("skip",)
 
 
+class Task(NamedTuple):
+    """One run."""
+
+    settings: StepSettings
+    box: str
+    method: str
+    per_force: float
+    length: float
+    seed: int
+
+    @property
+    def scheme(self) -> str:
+        return SCHEME if self.method == TRIALS else self.method
+
+    @property
+    def step(self) -> float:
+        """fs."""
+        scheme = METHODS[self.scheme].scheme
+        return self.per_force * (scheme.force_evaluations if scheme else 1)
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """What identifies the run."""
+        name = METHODS[self.scheme].name + (EXACT if self.method == TRIALS else "")
+        return {"box": self.box, "method": name, "step": self.step, "seed": self.seed, "length": self.length}
+
+    @property
+    def directory(self) -> Path:
+        return self.settings.out / f"{self.box}-{self.method}-{self.step:g}fs-seed{self.seed}"
+
+    @property
+    def options(self) -> dict[str, Any]:
+        ensemble = "hmc" if self.method == TRIALS else "npt"
+        mine = {"scheme": self.scheme, "ensemble": ensemble, "dt": self.step, "time": self.length, "seed": self.seed}
+        return mine | OPTIONS
+
+
+def tasks(settings: StepSettings) -> Iterator[Task]:
+    """All runs that the settings ask for, seed by seed, long steps first."""
+    chosen(settings.methods, METHODS | {TRIALS: None}, "method")
+    for seed in range(settings.seed, settings.seed + settings.starts):
+        for per_force, length in zip(settings.per_force, settings.times, strict=True):
+            for box in settings.boxes:
+                for method in settings.methods:
+                    yield Task(settings, box, method, per_force, length, seed)
+
+
+def run(task: Task) -> dict[str, Any]:
+    """What follows from a run; what it does not tell is NaN."""
+    box, skip = SYSTEMS / f"{task.box}.pdb", task.settings.skip
+    command_runs.carry_out(task.directory, box, task.options)
+    log = command_runs.read_log(task.directory, skip)
+    frames = command_runs.read_frames(task.directory, box)
+    found = {name: mean_and_error(log[column]) for name, column in LOGGED.items()}
+    found["energy"] = found["energy"].times(1 / frames.n_residues)
+    # Momenta that are drawn anew tell no diffusion.
+    if task.method != TRIALS:
+        found["diffusion"] = diffusion(frames, 1e-3 * task.step, skip)
+    row = task.point | {"fs_per_force": task.per_force, "time": float(np.ptp(log["Time (ps)"]))}
+    for name, estimate in found.items():
+        row |= {name: estimate.value, f"{name}_error": estimate.error}
+    return row
+
+
+def diffusion(frames: mdtraj.Trajectory, step: float, skip: float) -> Estimate:
+    """Self-diffusion in the box, 10^-9 m^2/s, by the first atoms of molecules; NaN where the run is too short.
+
+    Args:
+        frames: of the run.
+        step: ps.
+        skip: ps to leave out.
+    """
+    interval = step * round(EVERY / step)
+    first = [residue.atom(0).index for residue in frames.topology.residues]
+    kept = frames[round(skip / interval) :]
+    try:
+        return transport.self_diffusion(transport.unwrapped(kept.xyz[:, first], kept.unitcell_lengths), interval)
+    except transport.TooShortError:
+        return Estimate(math.nan, math.nan)
+
+
 def study(settings: StepSettings, report: Report = SILENT) -> Record:
-    """Read runs, and write the record and the figure.
+    """Make the runs that are missing in the directory `out`, and write step-study.json and step-study.png.
 
     Raises:
-        RunError: temperatures or pressures differ, or no run is finished.
-        RecordError, OSError: as their messages say.
+        RunFailed: a run ended with an error.
+        ValueError: there is no such method, or `per_force` and `times` are not of one length.
     """
-    record = _measured(settings, report) if settings.runs else records.read(DATA / "step-study.json")
+    claim(settings.out / "step-study-settings.json", {"skip": settings.skip})
+    path = settings.out / "step-study.jsonl"
+    for found in records.make_missing(path, tasks(settings), run, settings.processes):
+        report.note(", ".join(f"{name} {value}" for name, value in found.items()))
+    rows = in_order(with_shared_errors(averaged(pd.DataFrame(records.kept_runs(path)))))
+    record = Record(settings.recorded(), {"rows": rows}, {"title": "Water against the step, 297 K, 1 bar"})
     for made in tables(record):
         report.table(made)
     record.write(settings.out / "step-study.json")
@@ -98,55 +215,14 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
     return record
 
 
-def _measured(settings: StepSettings, report: Report) -> Record:
-    points = _finished(settings.runs, report)
-    first = points[0][0].plan
-    rows = in_order(with_shared_errors(pd.DataFrame([_row(point, settings.skip) for point in points])))
-    pressure = f", {first.pressure:g} bar" if first.moves_volume else ""
-    title = f"Water against the step, {first.temperature:g} K{pressure}"
-    return Record(settings.recorded(), {"rows": rows}, {"title": title})
-
-
-def _finished(paths: Sequence[Path], report: Report) -> list[list[FinishedRun]]:
-    """The finished runs, by what they have in common."""
-    begun = []
-    for path in paths:
-        if path.is_dir() and not (path / "run.chk").exists():
-            report.note(f"left out: {path} has no checkpoint yet")
-        else:
-            begun.append(path)
-    points: dict[tuple, list[FinishedRun]] = {}
-    for run in open_runs(begun):
-        if not run.complete:
-            report.note(f"left out: {run.checkpoint} is at step {run.notes['step']} of {run.plan.steps}")
-            continue
-        points.setdefault(tuple(run.settings().values()), []).append(run)
-        first = next(iter(points.values()))[0]
-        check_alike(run, first, SHARED, "a study is of one state of the liquid")
-    if not points:
-        raise RunError("no run is at its end")
-    return list(points.values())
-
-
-def _row(point: Sequence[FinishedRun], skip: float) -> dict[str, Any]:
-    """One point of the figure, from runs that differ in their seeds alone; what they do not give is NaN."""
-    runs = read_runs(point, None, skip)
-    plan = runs[0].plan
-    scheme = plan.method.scheme
-    row = {
-        "box": Path(plan.box or plan.out).stem,
-        "method": f"{plan.method.name} HMC" if plan.ensemble == "hmc" else plan.method.name,
-        "step": plan.dt,
-        "fs_per_force": plan.dt / (scheme.force_evaluations if scheme else 1),
-        "runs": len(runs),
-        "time": sum(float(np.ptp(run.log["Time (ps)"])) for run in runs),
-    }
-    row |= {name: math.nan for key in MEASURED for name in (key, f"{key}_error")}
-    for each in ROWS:
-        given = [value for value in estimated(each, runs).values() if value is not None] if each.key in MEASURED else []
-        if given:
-            row[each.key], row[f"{each.key}_error"] = pooled(given)[:2]
-    return row
+def averaged(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row for each point; of a run that was made longer only the longer one counts."""
+    longest = runs.sort_values("length").drop_duplicates([*POINT, "seed"], keep="last")
+    rows = []
+    for point, mine in longest.groupby(POINT):
+        row = dict(zip(POINT, point, strict=True)) | {"fs_per_force": mine.iloc[0]["fs_per_force"]}
+        rows.append(row | {"runs": len(mine), "time": mine["time"].sum()} | records.pooled(mine, MEASURED))
+    return pd.DataFrame(rows)
 
 
 def with_shared_errors(rows: pd.DataFrame) -> pd.DataFrame:
@@ -241,7 +317,7 @@ def figure(record: Record, path: Path) -> None:
     found = deviations(record.tables["rows"])
     found = found[~found["method"].str.endswith(EXACT)].assign(difference_error=2 * found["difference_error"])
     boxes = list(found["box"].unique())
-    with context():
+    with style.context():
         made = Figure(figsize=(3.1 * len(boxes) + 1, 0.9 + 2.4 * len(PROPERTIES)), layout="constrained")
         made.suptitle(TITLE, x=0.01, ha="left", fontsize=16, fontweight="bold")
         grid = made.subplots(len(PROPERTIES), len(boxes), squeeze=False, sharex=True, sharey="row")

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-
-from openmm_sier.measure.figures import context, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 GREY = "0.35"
+
+RC: Any = {
+    "font.size": 11,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "lines.markersize": 5,
+    "legend.frameon": False,
+    "savefig.dpi": 160,
+}
 
 #: Colour and marker of every method. Methods of this package have saturated colours; one with a heat bath looks as
 #: without it.
@@ -66,6 +76,13 @@ def of_method(name: str) -> dict[str, Any]:
     return style if name.startswith(OWN) else style | {"ls": "--", "mfc": "white"}
 
 
+def context() -> AbstractContextManager:
+    """The style of all figures, for a with-statement."""
+    import matplotlib as mpl
+
+    return mpl.rc_context(RC)
+
+
 @contextmanager
 def one_message(path: Path, title: str, height: float = 4.9) -> Iterator[Axes]:
     """A figure of one panel with type that can be read at half its size, and a title that says what was found.
@@ -98,9 +115,13 @@ def figure(path: Path, columns: int, title: str = "", **options: Any) -> Iterato
         title: above all of them.
         options: of `Figure.subplots`.
     """
+    from matplotlib.figure import Figure
+
     with context():
-        made, axes = panels(columns, title, **options)
-        yield made, axes
+        made = Figure(figsize=(1 + 5.6 * columns, 4.8), layout="constrained")
+        if title:
+            made.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
+        yield made, list(made.subplots(1, columns, squeeze=False, **options).flat)
         made.savefig(path)
 
 

@@ -6,12 +6,11 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from pathlib import Path
 from typing import NoReturn
 
 from openmm_sier.cli.options import OF_TUNING, OPTIONS, Option, add_options
 from openmm_sier.cli.streams import PROGRAM
-from openmm_sier.cli.values import COUNT, SWITCH, file, number, several, whole, word
+from openmm_sier.cli.values import number, whole
 
 #: Exit code for wrong arguments.
 MISUSED = 2
@@ -47,12 +46,6 @@ class Command:
     epilog: str = ""
 
 
-#: The runs that a command reads.
-RUNS = (
-    Option("runs", several(file("RUN")), "checkpoint of a run, or directory of an ensemble's member", positional=True),
-    Option("skip", number("ps", 0, 1e9), "at the start of each", 0.0),
-)
-
 COMMANDS = {
     "run": Command(
         "simulate molecules",
@@ -62,40 +55,6 @@ COMMANDS = {
         "ensemble say.",
         tuple(OPTIONS),
         epilog=EXIT_CODES,
-    ),
-    "ensemble": Command(
-        "carry out many runs, on this machine or on a cluster",
-        "Carry out a plan of many runs, each in a directory and a process of its own. What is complete is not done "
-        "again, and what was cut off goes on from its checkpoint.",
-        own=(
-            Option("plan", file("PLAN.toml"), "options of the runs, and what varies among them", positional=True),
-            Option("out", file("DIR"), "for the runs", otherwise="the plan's name"),
-            Option("processes", COUNT, "at a time", otherwise="one for each core that is there to use"),
-            Option(
-                "threads",
-                COUNT,
-                "of each",
-                otherwise="1; more if cores are left; with a scheduler 1, or OPENMM_CPU_THREADS of its workers",
-            ),
-            Option("scheduler", word("ADDRESS"), "of dask.distributed, whose workers take the runs", otherwise="none"),
-            Option("list", SWITCH, "list the members and what is complete, and do nothing", False, "no"),
-        ),
-    ),
-    "properties": Command(
-        "density, energy, dielectric constant, diffusion and more from runs of a liquid",
-        "Properties of a liquid of one kind of molecule, from runs that differ in their seeds alone, with their "
-        "standard errors and beside those of water. Writes a figure.",
-        own=(
-            *RUNS,
-            Option("box", file("BOX"), "of the runs", otherwise="the one in the checkpoint"),
-            Option(
-                "viscosity",
-                number("mPa*s", 0, 1e9, beyond=True),
-                "of the same model: adds diffusion without the effect of the periodic box",
-                otherwise="that of the runs",
-            ),
-            Option("out", file("DIR"), "for the figure", Path("out")),
-        ),
     ),
     "tune": Command(
         "find step and trial length of hybrid Monte Carlo",

@@ -62,8 +62,6 @@ def _execute(command: str, debug: bool, **given: Any) -> None:
 #: Functions that carry out commands, by module and name. Their arguments are named like the options.
 FUNCTIONS = {
     "run": ("run", "simulate"),
-    "ensemble": ("ensembles", "run_plan"),
-    "properties": ("properties", "properties_of"),
     "tune": ("tune", "tune_trials"),
     "info": ("info", "info"),
 }

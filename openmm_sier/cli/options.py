@@ -1,6 +1,6 @@
 """The options of `openmm-sier run`, declared once.
 
-The command line, `--help`, plans of ensembles and the notes in checkpoints are read and checked by this declaration.
+The command line, `--help` and the notes in checkpoints are read and checked by this declaration.
 """
 
 # `_option` is a field of a dataclass.
@@ -44,7 +44,7 @@ class Option:
     """What is known of an option.
 
     Attributes:
-        name: with underscores, as in plans and checkpoints.
+        name: with underscores, as in checkpoints.
         kind: the values that it takes.
         help: what it is, in words.
         default: the value without it; None where that depends on others.

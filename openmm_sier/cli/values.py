@@ -152,8 +152,7 @@ def step(least: float, most: float) -> Kind:
     return replace(kind, remark=remark)
 
 
-#: Kinds that several commands share.
-COUNT = whole()
+#: A length of time.
 TIME = number("ps", 0, 1e9, beyond=True)
 
 #: Yes or no; on a command line the option alone.

@@ -1,6 +1,6 @@
 """Two commands on one output, started at random distances: one must be refused in one line, and disturb nothing.
 
-    python -m studies.checks.two_commands [--times 100] [--pairs run,restart ensemble,run] [--seed 1]
+    python -m studies.checks.two_commands [--times 100] [--pairs run,restart restart,run] [--seed 1]
 
 The files of the command that goes on must be those of one that was alone, byte for byte, and nothing else may be left.
 A second command that comes when the first has ended finds its files, or begins anew with --overwrite. The status is 1
@@ -22,10 +22,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from openmm_sier.cli.member import CHECKPOINT
 from studies import records
 from studies.boxes import write_lattice
 from studies.command import Settings, chosen, command
+from studies.command_runs import CHECKPOINT, TRAJECTORY
 from studies.records import Record
 from studies.report import SILENT, Report
 
@@ -45,14 +45,11 @@ OPTIONS = {
     "steps": STEPS,
 }
 
-#: The member of the ensemble, whose files all three commands write.
-MEMBER = "members-of/seed1"
-
 #: Seconds in which a command has to end.
 PATIENCE = 120.0
 
 #: Pairs by the names that users give.
-PAIRS = {f"{pair[0]},{pair[1]}": pair for pair in product(("run", "restart", "ensemble"), repeat=2)}
+PAIRS = {f"{pair[0]},{pair[1]}": pair for pair in product(("run", "restart"), repeat=2)}
 
 #: How the two commands of a collision met.
 MEETINGS = ("second refused", "first refused", "second came after the first")
@@ -65,24 +62,14 @@ class Disturbed(ValueError):
 
 
 def started(kind: str, place: Path, steps: int = STEPS) -> subprocess.Popen[str]:
-    """One of the three commands in a process of its own."""
-    line = ["ensemble", "members-of.toml", "--processes", "1"]
+    """One of the two commands in a process of its own."""
     if kind == "restart":
-        line = [
-            "run",
-            "box.pdb",
-            "--platform",
-            "Reference",
-            "--restart",
-            f"{MEMBER}/{CHECKPOINT}",
-            "--steps",
-            str(steps),
-        ]
-    elif kind == "run":
-        given = OPTIONS | {"steps": steps, "out": f"{MEMBER}/run.dcd"}
+        options = ["--platform", "Reference", "--restart", CHECKPOINT, "--steps", str(steps)]
+    else:
+        given = OPTIONS | {"steps": steps, "out": TRAJECTORY}
         options = [text for key, value in given.items() for text in (f"--{key.replace('_', '-')}", str(value))]
-        line = ["run", "box.pdb", *options, "--overwrite"]
-    program = [sys.executable, "-m", "openmm_sier.cli", *line]
+        options.append("--overwrite")
+    program = [sys.executable, "-m", "openmm_sier.cli", "run", "box.pdb", *options]
     return subprocess.Popen(program, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
@@ -104,19 +91,15 @@ def alone(kind: str, place: Path, steps: int = STEPS) -> None:
 
 
 def prepare(directory: Path, restart: bool) -> None:
-    """Write what commands start from: the box, the plan and, for a restart, the files of half a run."""
+    """Write what commands start from: the box and, for a restart, the files of half a run."""
     write_lattice(directory / "box.pdb", 8)
-    lines = [f"{key} = {value!r}".replace("'", '"') for key, value in OPTIONS.items()]
-    plan = ["[options]", *lines, 'box = "box.pdb"', "[members]", "seed = [1]", ""]
-    (directory / "members-of.toml").write_text("\n".join(plan))
-    (directory / MEMBER).mkdir(parents=True)
     if restart:
         alone("run", directory, HALF)
 
 
 def results(directory: Path) -> dict[str, bytes]:
     """The files of the run, and locks. Checkpoints are left out, since they note the path of the box."""
-    paths = sorted((directory / MEMBER).glob("run.*")) + sorted(directory.rglob(".*.lock"))
+    paths = sorted(directory.glob("run.*")) + sorted(directory.rglob(".*.lock"))
     return {path.name: path.read_bytes() for path in paths if path.name != CHECKPOINT}
 
 
@@ -170,7 +153,7 @@ class TwoSettings(Settings):
 
     Attributes:
         times: how often each pair is started.
-        pairs: of commands; all nine unless given.
+        pairs: of commands; all four unless given.
     """
 
     times: int = 100

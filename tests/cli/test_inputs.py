@@ -13,7 +13,6 @@ from mdtraj.formats import DCDTrajectoryFile
 from openmm import app, unit
 from scipy.io import netcdf_file
 
-from openmm_sier.cli.ensembles import PlanError, read_plan
 from openmm_sier.cli.files.checkpoints import read_checkpoint
 from openmm_sier.cli.main import main
 from openmm_sier.cli.options import Options
@@ -284,36 +283,6 @@ def test_tune_prints_a_run_with_the_topology():
     line = run_line(options, SimpleNamespace(stepSize=0.006, stepsPerTrial=10))
     files = "--topology charmm.psf --forcefield charmm.prm charmm.rtf --edges 0.96 0.96 0.96"
     assert line == f"openmm-sier run charmm.crd --ensemble hmc {files} --dt 6.0 --steps-per-trial 10"
-
-
-def test_plans_find_topologies_beside_them(tmp_path):
-    plan = Path("plan.toml")
-    plan.write_text(
-        '[options]\ntopology = "amber.prmtop"\ntime = 1\n[members]\nbox = ["amber.inpcrd"]\nseed = [1, 2]\n'
-    )
-    members = read_plan(plan.absolute())
-    assert [member.name for member in members] == ["amber-seed1", "amber-seed2"]
-    found = members[0].arguments
-    assert found[found.index("--topology") + 1] == str(Path("amber.prmtop").resolve())
-    plan.write_text(plan.read_text().replace("time", 'forcefield = "amber14-all.xml"\ntime'))
-    with pytest.raises(PlanError, match=r"--forcefield does nothing with .*amber.prmtop, which is a prmtop file"):
-        read_plan(plan.absolute())
-    plan.write_text('[members]\nbox = "amber.inpcrd"\ntopology = "none.prmtop"\n')
-    with pytest.raises(PlanError, match=r"none.prmtop: No such file"):
-        read_plan(plan.absolute())
-
-
-@pytest.mark.slow
-def test_plans_whose_files_were_edited_since_are_refused(capsys):
-    """Members that are complete, and new ones, would be of two systems."""
-    plan = '[options]\ntopology = "gromacs.top"\nscheme = "sier2"\nplatform = "Reference"\nequilibrate = 0.01\n'
-    Path("plan.toml").write_text(plan + 'dt = 2\nsteps = 2\n[members]\nbox = ["gromacs.gro"]\nseed = [1]\n')
-    run("ensemble", "plan.toml", "--processes", "1")
-    Path("plan.toml").write_text(Path("plan.toml").read_text().replace("[1]", "[1, 2]"))
-    Path("molecules.itp").write_text(Path("molecules.itp").read_text() + "; edited\n")
-    message = complaint(capsys, "ensemble", "plan.toml", "--processes", "1")
-    assert "molecules.itp was edited since plan/gromacs-seed1/run.chk was written" in message
-    assert not Path("plan/gromacs-seed2").exists()
 
 
 # --- refusals ---

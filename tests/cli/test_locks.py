@@ -123,7 +123,7 @@ def test_two_commands_started_one_after_the_other(tmp_path):
     program = [sys.executable, "-m", "studies.checks.two_commands", "--times", "2", "--out", str(tmp_path)]
     # A process that it may fork.
     done = subprocess.run(
-        [*program, "--pairs", "run,ensemble"],
+        [*program, "--pairs", "run,restart"],
         capture_output=True,
         text=True,
         timeout=LIMIT,

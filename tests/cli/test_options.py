@@ -11,7 +11,7 @@ import pytest
 from openmm_sier.cli.arguments import build_parser
 from openmm_sier.cli.main import MISUSED, main
 from openmm_sier.cli.methods import ENSEMBLES, METHODS
-from openmm_sier.cli.options import MAY_LACK, NOTED, OPTIONS, RECOMMENDED, Options
+from openmm_sier.cli.options import MAY_LACK, NOTED, RECOMMENDED, Options
 from openmm_sier.cli.plan import FILES, OUTPUTS, new_plan
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.measure import forcefields
@@ -60,7 +60,7 @@ def commands():
     return group.choices
 
 
-@pytest.mark.parametrize("command", ["run", "ensemble", "properties", "tune", "info"])
+@pytest.mark.parametrize("command", ["run", "tune", "info"])
 def test_help_says_every_default(command):
     options = [action for action in commands()[command]._actions if action.option_strings and action.dest != "help"]
     assert options
@@ -96,14 +96,6 @@ def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
     assert new_plan(Options(Path("box.pdb"), start=Path("a.chk")), unconstrained).constraints == "none"
 
 
-def test_a_step_in_ps_in_a_plan_of_an_ensemble_is_refused_with_what_was_meant(tmp_path, capsys):
-    write_lattice(tmp_path / "box.pdb", 8)
-    Path("plan.toml").write_text('[options]\nbox = "box.pdb"\ndt = 0.0045\n[members]\nseed = [1]\n')
-    message = complaint(capsys, "ensemble", "plan.toml")
-    assert "dt: expected a number from 0.05 to 1000 fs, got 0.0045 fs." in message
-    assert "did you mean 4.5?" in message
-
-
 # --- wrong values in files ---
 
 #: What no option takes; JSON as Python writes it knows NaN.
@@ -129,16 +121,6 @@ def test_wrong_options_in_a_checkpoint(copied, capsys, name):
         (copied / "box.chk").write_bytes(original)
         rewrite_notes("box.chk", lambda notes, value=value: notes["plan"].update({name: value}))
         refuse(capsys, copied, "box.chk", name, "run", "box.pdb", "--platform", "Reference", *command)
-
-
-@pytest.mark.parametrize("name", OPTIONS)
-def test_wrong_options_in_a_plan_of_an_ensemble(tmp_path, capsys, name):
-    write_lattice(tmp_path / "box.pdb", 8)
-    for value in ("{}", "[[1.5]]", "nan", '""', '["\\u0000"]'):
-        box = "" if name == "box" else 'box = "box.pdb"'
-        seeds = "" if name == "seed" else "seed = [1]"
-        Path("plan.toml").write_text(f"[options]\n{box}\n{name} = {value}\n[members]\n{seeds}\n")
-        refuse(capsys, tmp_path, "plan.toml", name, "ensemble", "plan.toml")
 
 
 # --- outputs of a restart ---

@@ -66,7 +66,7 @@ QUESTIONS = [
     ("velocity autocorrelation", "velocity correlations", "guide/howto/constant-energy"),
     ("dipole autocorrelation", "dipole correlation", "guide/howto/constant-energy"),
     ("openmm 3955: accuracy of PME at the default tolerance", "PME default tolerance", "measurements/accuracy"),
-    ("many runs from one plan", "ensemble plan", "guide/command"),
+    ("many runs with other seeds", "many runs seeds", "guide/command"),
 ]
 
 

@@ -1,54 +1,95 @@
-"""Properties against the step: what belongs together, what is left out, and the plan that is shipped."""
+"""Properties against the step: runs, what belongs together, and what a run does not tell."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
+import mdtraj
+import numpy as np
 import pytest
 
-from openmm_sier.cli.plan import Options, new_plan
-from openmm_sier.cli.properties import ROWS, Run, estimated
-from studies import step_study
-from studies.step_study import StepSettings
-from tests.support.commands import log, run, write_lattice
+from studies import records, step_study
+from studies.command_runs import RunFailed
+from studies.step_study import StepSettings, Task
+from tests.support.commands import log, write_lattice
 from tests.support.reports import Told
+from tests.support.studies import make_here
 
-SHORT = ["--platform", "Reference", "--equilibrate", "0.01", "--every", "0.012", "--report-every", "0.012"]
-SHORT += ["--dt", "6", "--time", "0.06"]
+SHORT = {"platform": "Reference", "equilibrate": 0.01, "every": 0.012, "report_every": 0.006, "checkpoint_every": 1.0}
 
 
 @pytest.fixture
 def box(tmp_path, monkeypatch):
-    """A box, and a directory for runs of it."""
-    monkeypatch.chdir(tmp_path)
-    return write_lattice(tmp_path / "box.pdb")
+    """The name of a box whose runs are short, and end at once."""
+    monkeypatch.setattr(step_study, "SYSTEMS", tmp_path)
+    monkeypatch.setattr(step_study, "OPTIONS", step_study.OPTIONS | SHORT)
+    monkeypatch.setattr(step_study, "EVERY", SHORT["every"])
+    monkeypatch.setattr(records, "make_missing", make_here)
+    write_lattice(tmp_path / "lattice.pdb")
+    return "lattice"
 
 
-def test_momenta_that_are_drawn_anew_tell_no_diffusion():
-    plan = new_plan(Options(Path("box.pdb"), ensemble="hmc"))
-    (diffusion,) = [row for row in ROWS if row.key == "diffusion"]
-    assert estimated(diffusion, [Run(plan, {}, None, 512, None)]) == {plan.out: None}
+def settings(box, tmp_path, *methods, **more):
+    points = {"per_force": (6.0,), "times": (0.12,), "skip": 0.0} | more
+    return StepSettings(out=tmp_path, boxes=(box,), methods=methods, **points)
 
 
 @pytest.mark.slow
-def test_members_become_a_table_and_a_figure(box, tmp_path):
-    """Two seeds of one method, another method, and a run that is not at its end."""
-    pytest.importorskip("pymbar")
-    for name, scheme, seed in (("a1", "sier2", "1"), ("a2", "sier2", "2"), ("b", "langevinmiddle", "1")):
-        Path(name).mkdir()
-        chosen = ["--scheme", scheme, "--ensemble", "npt", "--seed", seed, "--checkpoint-every", "1"]
-        run("run", box, *SHORT, "--report-every", "0.006", "--time", "0.12", *chosen, "--out", f"{name}/run.dcd")
-    Path("none").mkdir()
+def test_runs_become_a_table_and_a_figure(box, tmp_path):
+    """Two seeds of one method, then another method, which is added to the table; nothing is made twice."""
+    step_study.study(settings(box, tmp_path, "sier2", starts=2))
     told = Told()
-    members = tuple(map(Path, ("a1", "a2", "b", "none")))
-    rows = step_study.study(StepSettings(out=tmp_path, runs=members), told).tables["rows"]
-    assert "left out: none has no checkpoint yet" in told.notes
-    assert list(rows["method"]) == ["SIER2", "OpenMM LangevinMiddle"]
-    assert list(rows["runs"]) == [2, 1]
-    # 20 steps of 6 fs; no part of it is long enough for diffusion.
-    assert list(rows["time"]) == pytest.approx([0.24, 0.12])
+    rows = step_study.study(settings(box, tmp_path, "sier2", "langevinmiddle"), told).tables["rows"]
+    assert len(told.notes) == 1
+    assert list(rows["method"]) == ["OpenMM LangevinMiddle", "SIER2"]
+    assert list(rows["runs"]) == [1, 2]
+    # 20 steps of 6 fs; too short for diffusion.
+    assert list(rows["time"]) == pytest.approx([0.12, 0.24])
     assert rows["diffusion"].isna().all()
-    means = {name: values.mean() for name, values in log("b/run.csv").items()}
-    assert rows["rotation"][1] == pytest.approx(means["Rotational Temperature (K)"])
-    assert rows["density"][1] == pytest.approx(means["Density (g/mL)"])
+    means = {name: values.mean() for name, values in log(tmp_path / "lattice-langevinmiddle-6fs-seed1/run.csv").items()}
+    assert rows["rotation"][0] == pytest.approx(means["Rotational Temperature (K)"])
+    assert rows["density"][0] == pytest.approx(means["Density (g/mL)"])
+    assert rows["energy"][0] == pytest.approx(means["Potential Energy (kJ/mole)"] / 27)
     assert {path.name for path in tmp_path.iterdir()} >= {"step-study.json", "step-study.png"}
+
+
+@pytest.mark.slow
+def test_a_longer_run_goes_on_and_takes_the_place_of_the_shorter(box, tmp_path):
+    first, second = (settings(box, tmp_path, "sier2", times=(time,)) for time in (0.12, 0.24))
+    rows = [step_study.study(each).tables["rows"].iloc[0] for each in (first, second)]
+    assert [row["time"] for row in rows] == pytest.approx([0.12, 0.24])
+    assert [row["runs"] for row in rows] == [1, 1]
+
+
+@pytest.mark.slow
+def test_momenta_that_are_drawn_anew_tell_no_diffusion(box, tmp_path):
+    found = step_study.run(Task(settings(box, tmp_path, "hmc"), box, "hmc", 2.0, 0.24, 1))
+    assert found["method"] == "SIER4G HMC"
+    # Trials of ten steps of 6 fs.
+    assert found["time"] == pytest.approx(0.24)
+    assert "diffusion" not in found
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_is_told(box, tmp_path):
+    with pytest.raises(RunFailed, match=r"verlet-0.01fs-seed1 failed: .*expected a number from 0.05 to 1000 fs"):
+        step_study.study(settings(box, tmp_path, "verlet", per_force=(0.01,)))
+
+
+def test_a_method_has_its_step():
+    of = {method: Task(StepSettings(), "spce-512", method, 2.0, 30.0, 1) for method in ("verlet", "sier4g", "hmc")}
+    assert [task.step for task in of.values()] == [2.0, 6.0, 6.0]
+    assert [task.options["ensemble"] for task in of.values()] == ["npt", "npt", "hmc"]
+    assert len({task.directory for task in of.values()}) == 3
+    with pytest.raises(ValueError, match="unknown method 'leapfrog'"):
+        next(step_study.tasks(StepSettings(methods=("leapfrog",))))
+
+
+def test_diffusion_of_molecules_that_walk(tmp_path):
+    """Steps of 0.01 nm in each direction every 0.504 ps, through the faces of the box."""
+    topology = mdtraj.load(str(write_lattice(tmp_path / "box.pdb"))).topology
+    rng, interval = np.random.default_rng(1), 42 * 0.012
+    walk = rng.normal(scale=0.01, size=(400, topology.n_residues, 3)).cumsum(axis=0)
+    frames = mdtraj.Trajectory(np.mod(np.repeat(walk, 3, axis=1), 1.0), topology)
+    frames.unitcell_lengths, frames.unitcell_angles = np.ones((400, 3)), np.full((400, 3), 90.0)
+    found = step_study.diffusion(frames, 0.012, 5.0)
+    # In 10⁻⁹ m²/s; the mean motion of 27 molecules, which is left out, has a part of 1/27.
+    assert found.value == pytest.approx(1e3 * 0.01**2 / (2 * interval) * 26 / 27, abs=4 * found.error)

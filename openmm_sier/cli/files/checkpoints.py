@@ -56,8 +56,3 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
             "the run with that version, or begin a new one"
         )
     return state, notes
-
-
-def read_notes(path: Path) -> dict[str, Any]:
-    """The notes of a checkpoint, with the errors of `read_checkpoint`."""
-    return read_checkpoint(path)[1]

@@ -1,0 +1,56 @@
+"""Runs of `openmm-sier run` that studies make: each in a directory and a process of its own, from which it goes on."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mdtraj
+import numpy as np
+
+from openmm_sier.cli.files import records
+from openmm_sier.cli.options import OPTIONS
+from openmm_sier.cli.plan import NothingLeft
+
+#: Names of the files of a run.
+TRAJECTORY, LOG, CHECKPOINT = "run.dcd", "run.csv", "run.chk"
+
+
+class RunFailed(ValueError):
+    """A run ended with an error."""
+
+
+def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
+    """Make a run in a directory; one that is there goes on to its end.
+
+    Args:
+        directory: for its files.
+        box: coordinates.
+        options: of `openmm-sier run` by their names, besides those that name files.
+
+    Raises:
+        RunFailed: with what the command said.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    begin = ["--out", TRAJECTORY, "--overwrite"]
+    way = ["--restart", CHECKPOINT] if (directory / CHECKPOINT).exists() else begin
+    given = [word for name, value in options.items() for word in OPTIONS[name].words(value)]
+    line = [sys.executable, "-m", "openmm_sier.cli", "run", str(box.resolve()), *given, *way]
+    done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
+    if done.returncode not in (0, NothingLeft.exit_code):
+        raise RunFailed(f"the run in {directory} failed: {done.stderr}")
+
+
+def read_log(directory: Path, skip: float) -> dict[str, np.ndarray]:
+    """Columns of the log of a run without its first `skip` ps."""
+    log = records.read_log(directory / LOG)
+    kept = log["Time (ps)"] >= skip
+    return {name: column[kept] for name, column in log.items()}
+
+
+def read_frames(directory: Path, box: Path) -> mdtraj.Trajectory:
+    """The frames of a run of a PDB file."""
+    return mdtraj.load(str(directory / TRAJECTORY), top=str(box))
