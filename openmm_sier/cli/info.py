@@ -42,7 +42,7 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
     return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
 
-def info(**given: Any) -> None:
+def execute(**given: Any) -> None:
     """Print the kinds of rigid body and of point of an input, masses in dalton and moments in dalton nm^2.
 
     Args:

@@ -47,21 +47,12 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _execute(command: str, debug: bool, **given: Any) -> None:
-    """Carry out a command with its options."""
-    module, function = FUNCTIONS[command]
+    """Carry out a command by the function `execute` of its module, whose arguments are named like the options."""
     with warnings.catch_warnings():
         warnings.showwarning = streams.note_warning
         try:
-            getattr(import_module(f"openmm_sier.cli.{module}"), function)(**given)
+            import_module(f"openmm_sier.cli.{command}").execute(**given)
         except SystemError as error:
             if stop := interrupt_behind(error):
                 raise stop from None
             raise
-
-
-#: Functions that carry out commands, by module and name. Their arguments are named like the options.
-FUNCTIONS = {
-    "run": ("run", "simulate"),
-    "tune": ("tune", "tune_trials"),
-    "info": ("info", "info"),
-}

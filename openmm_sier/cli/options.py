@@ -76,7 +76,7 @@ class Option:
     def words(self, value: Any) -> list[str]:
         """The words of a command line that give it this value."""
         if isinstance(value, bool):
-            return [self.flag] if value else [f"--no-{self.flag[2:]}"] if self.default is None else []
+            return [self.flag if value else f"--no-{self.flag[2:]}"]
         return [self.flag, *map(str, value if isinstance(value, list) else [value])]
 
 
@@ -307,13 +307,11 @@ def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:
         table: values by the options' names; None stands for none where a run may have none.
 
     Raises:
-        OptionError: an option is unknown, has a wrong value, or excludes another.
+        OptionError: an option is unknown, or has a wrong value.
     """
     for name in table:
         if name not in OPTIONS:
             raise OptionError(f"{source}: there is no option {name}")
-    if len(both := [name for name in EXCLUSIVE if name in table]) > 1:
-        raise OptionError(f"{source}: {' and '.join(both)} exclude each other")
     found = {}
     for name, value in table.items():
         try:

@@ -65,12 +65,8 @@ class Plan(Options):
         """Method, ensemble, the mass of hydrogens if it was chosen, and step."""
         bath = f", {self.temperature:g} K" if self.ensemble != "nve" else ""
         piston = f", {self.pressure:g} bar" if self.moves_volume else ""
-        return f"{self.method.name}, {self.ensemble.upper()}{bath}{piston}{self.hydrogens}, {self.dt:g} fs"
-
-    @property
-    def hydrogens(self) -> str:
-        """What titles say of the mass of hydrogens."""
-        return f", hydrogens of {self.hydrogen_mass:g}" if self.hydrogen_mass else ""
+        hydrogens = f", hydrogens of {self.hydrogen_mass:g}" if self.hydrogen_mass else ""
+        return f"{self.method.name}, {self.ensemble.upper()}{bath}{piston}{hydrogens}, {self.dt:g} fs"
 
     @property
     def step_time(self) -> float:

@@ -39,7 +39,7 @@ COLD = 100.0
 ENERGY_TOLERANCE = 1e-4
 
 
-def simulate(**given: Any) -> None:
+def execute(**given: Any) -> None:
     """Run `openmm-sier run`.
 
     Args:

@@ -13,7 +13,7 @@ from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.integrators.tuning import Tuning, tune
 
 
-def tune_trials(acceptance: float, trials: int, samples: int, **given: Any) -> None:
+def execute(acceptance: float, trials: int, samples: int, **given: Any) -> None:
     """Run `openmm-sier tune`.
 
     Args:

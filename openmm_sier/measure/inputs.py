@@ -248,27 +248,13 @@ def _molecules(system: openmm.System) -> list[list[int]]:
 
 
 def _with_sources(box: Box, path: Path, topology: Path | None) -> Box:
-    """A Box with the files that were read, but for OpenMM's own and GROMACS's."""
-    uses = ["box", *([] if topology is None else ["topology", *map(str, _included(topology))]), *box.files]
-    places = {use: source_of(use, path, topology) for use in uses}
-    return replace(
-        box, sources={use: place for use, place in places.items() if place.is_file() and use != str(topology)}
-    )
-
-
-def source_of(use: str, path: Path, topology: Path | None) -> Path:
-    """The file that is used so, which may be missing, or be one of OpenMM's own.
-
-    Args:
-        use: "box", "topology", or the name of a file by which a force field or a top file has it.
-        path, topology: of the coordinates and, if any, of the topology.
-    """
-    if use == "box":
-        return path
-    if topology is not None and use == "topology":
-        return topology
-    included = None if topology is None else topology.parent / use
-    return included if included is not None and included.is_file() else Path(forcefields.locate(use, path.parent))
+    """A Box with the files that were read, but for OpenMM's own and GROMACS's, by what they are for."""
+    sources, named = {"box": path}, box.files
+    if topology is not None:
+        sources["topology"], named = topology, box.files[1:]
+        sources |= {str(name): topology.parent / name for name in _included(topology)}
+    sources |= {name: Path(forcefields.locate(name, path.parent)) for name in named}
+    return replace(box, sources={use: place for use, place in sources.items() if place.is_file()})
 
 
 def _included(topology: Path) -> Iterator[Path]:

@@ -151,6 +151,6 @@ def test_ctrl_c_within_openmm_ends_every_command(box, monkeypatch, capsys):
     def interrupted(**_):
         raise SystemError("<method> returned a result with an exception set") from KeyboardInterrupt()
 
-    monkeypatch.setattr(info, "info", interrupted)
+    monkeypatch.setattr(info, "execute", interrupted)
     assert main.main(["info", str(box)]) == 130
     assert capsys.readouterr().err == "openmm-sier: interrupted\n"

@@ -11,7 +11,7 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.cli.files.records import RecordError, replacing
+from openmm_sier.cli.files import records
 
 #: Version of what a checkpoint holds. Those of version 3 may be of runs with files of body states.
 FORMAT = 4
@@ -32,8 +32,7 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))
         archive.writestr("notes.json", json.dumps({"format": FORMAT, **notes}, indent=1))
-    with replacing(path) as made:
-        made.write_bytes(content.getbuffer())
+    records.replace(path, content.getbuffer())
 
 
 def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
@@ -49,9 +48,9 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
             version = notes.get("format")
             state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
-        raise RecordError(f"{path} is no checkpoint of openmm-sier run") from error
+        raise records.RecordError(f"{path} is no checkpoint of openmm-sier run") from error
     if version != FORMAT:
-        raise RecordError(
+        raise records.RecordError(
             f"{path} was written by another version of openmm-sier, in format {version} in place of {FORMAT}: finish "
             "the run with that version, or begin a new one"
         )

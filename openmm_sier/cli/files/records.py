@@ -39,9 +39,8 @@ def naming(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path, of which what is written there takes the place of a file at the end.
+def replace(path: Path, content: memoryview) -> None:
+    """Give a file a new content.
 
     At any moment, after a power failure too, the file is the old or the new one. After an error it is the old one, and
     nothing of the new one is left. A link stays, and leads to the new file.
@@ -51,8 +50,9 @@ def replacing(path: Path) -> Iterator[Path]:
         try:
             # What has this name may be another name of a file that is somebody's.
             made.unlink(missing_ok=True)
-            yield made
-            with open(made, "rb+") as file:
+            with open(made, "wb") as file:
+                file.write(content)
+                file.flush()
                 os.fsync(file.fileno())
             os.replace(made, os.path.realpath(path))
         except BaseException:
