@@ -1,7 +1,5 @@
 """The arguments of all commands."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

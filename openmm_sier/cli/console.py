@@ -1,7 +1,5 @@
 """Output of the commands: tables, notes and a progress bar, with rich."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Sequence

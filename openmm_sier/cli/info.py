@@ -1,7 +1,5 @@
 """The command `openmm-sier info`: what moves in an input, as rigid bodies and as points."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Carries out command lines of `openmm-sier`. Each command has a module of its own, imported when it is needed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """What can move the molecules of a run: the schemes of this package and, to compare them with, OpenMM's integrators."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme

@@ -6,8 +6,6 @@ The command line, `--help` and the notes in checkpoints are read and checked by 
 # `_option` is a field of a dataclass.
 # ruff: noqa: RUF009
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields

@@ -1,7 +1,5 @@
 """The plan of a run: its options with a value for each, from a command line or from the notes in a checkpoint."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import fields, replace

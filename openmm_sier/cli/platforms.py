@@ -1,7 +1,5 @@
 """The platform of a run: a restart keeps that of its checkpoint, and says what of it is different."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

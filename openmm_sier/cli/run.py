@@ -1,7 +1,5 @@
 """The command `openmm-sier run`: coordinates in, a trajectory out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace

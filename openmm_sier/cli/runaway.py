@@ -6,8 +6,6 @@ fluctuation of the conserved energy H, the total energy less the heat that a hea
 added.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

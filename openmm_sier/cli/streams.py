@@ -1,7 +1,5 @@
 """Standard output and standard error: streams that are closed or broken, warnings, and errors in one line."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

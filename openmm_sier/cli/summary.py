@@ -1,7 +1,5 @@
 """The table at the end of a run: conservation and cost."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

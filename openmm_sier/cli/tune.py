@@ -1,7 +1,5 @@
 """The command `openmm-sier tune`: step and trial length of hybrid Monte Carlo for an input."""
 
-from __future__ import annotations
-
 import shlex
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Coordinates of all kinds, as OpenMM's readers read them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple

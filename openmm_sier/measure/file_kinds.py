@@ -1,7 +1,5 @@
 """What a file holds, by its contents: AMBER and GROMACS both have files .top, AMBER and CHARMM .crd."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Force fields: those that a PDB file names, and the System that is built with them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """What is simulated, from the files that people have: coordinates, with a force field or a topology of their own."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence

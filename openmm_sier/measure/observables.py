@@ -3,8 +3,6 @@
 Temperatures are in `openmm_sier.engines.temperature`, since integrators report them too.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """PDB and PDBx/mmCIF files, with the mistakes refused of which a simulation would make nonsense."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Nothing here prints. The command passes in an object that prints with rich; without one, computations are silent.
 """
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 

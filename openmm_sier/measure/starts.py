@@ -1,7 +1,5 @@
 """The start of a run: positions and velocities at a temperature."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from functools import cache

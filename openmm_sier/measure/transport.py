@@ -1,7 +1,5 @@
 """Transport coefficients of liquids: the shear viscosity from pressure tensors, and self-diffusion from places."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

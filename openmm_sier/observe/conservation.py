@@ -1,7 +1,5 @@
 """Conserved quantities and temperatures of a simulation: the columns of the command's log and of our reporter."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any, TypeVar

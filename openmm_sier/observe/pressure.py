@@ -5,8 +5,6 @@ periodic boundaries the sum of centres times forces is not this virial: it lacks
 differentiated as a whole, including its sums over periodic images and its correction for long-range dispersion.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 from openmm import unit

@@ -1,7 +1,5 @@
 """Reporters for OpenMM's Simulation that know about rigid bodies."""
 
-from __future__ import annotations
-
 from os import PathLike
 from pathlib import Path
 

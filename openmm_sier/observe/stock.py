@@ -8,8 +8,6 @@ on after a checkpoint must nevertheless equal one that is restarted from it. So 
 seed derived from the run's seed and the step.
 """
 
-from __future__ import annotations
-
 import math
 import weakref
 from dataclasses import replace

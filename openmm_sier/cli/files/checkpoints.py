@@ -1,7 +1,5 @@
 """Checkpoints: a State, and notes of the run that reached it."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """The kinds of output that grow during a run: for each its options, its file and what a record holds."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar

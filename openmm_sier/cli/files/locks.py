@@ -1,7 +1,5 @@
 """Locks on the files that a command writes, so that no other writes them at the same time."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import socket

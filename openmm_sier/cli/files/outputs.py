@@ -1,7 +1,5 @@
 """The output files of a run: where they lie, what is checked before they are written, and when they are due."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import asdict

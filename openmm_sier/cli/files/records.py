@@ -5,8 +5,6 @@ a whole. After a crash they are cut back to these lengths, and the run goes on f
 frame twice. So that no file of another run is cut, the checkpoint also notes a fingerprint of what each of them held.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Trajectories that survive a run being cut off at any moment, of two formats."""
 
-from __future__ import annotations
-
 import errno
 import io
 import struct
