@@ -23,7 +23,7 @@ from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.engines.temperature import degrees_of_freedom
 from openmm_sier.measure.force_clock import ForceClock
-from openmm_sier.measure.forcefields import first_line
+from openmm_sier.measure.pdb_files import first_line
 from openmm_sier.observe import conservation, stock
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
@@ -91,7 +91,7 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
     outputs.close()
-    _report(plan, outputs, cost)
+    _report(plan, cost)
     note(f"wrote {outputs}")
 
 
@@ -99,8 +99,8 @@ def _length(plan: Plan, steps: int) -> str:
     return f"{steps} ({steps * plan.step_time:g} ps)"
 
 
-def _report(plan: Plan, outputs: Outputs, cost: summary.Cost) -> None:
-    log = read_log(outputs.log.path)
+def _report(plan: Plan, cost: summary.Cost) -> None:
+    log = read_log(plan.report)
     warning = runaway.fluctuation_warning(plan, log)
     rows = summary.rows(log, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
@@ -157,7 +157,7 @@ def _advance(
     evaluations, longest = integrator.forceEvaluations, 1
     progress = ProgressBar(plan.method.name, plan.steps, plan.step_time, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
-        if not outputs.log.count:
+        if outputs.saved_step is None:
             _write(["log", "checkpoint"], context, plan, outputs, bounds)
         while step < plan.steps and requests.received is None:
             chunk = min(outputs.next_due(step), plan.steps, step + longest) - step
@@ -201,7 +201,7 @@ def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs
     runaway.check(context, bounds)
     values = {}
     if "log" in due or "checkpoint" in due:
-        values = dict(zip(outputs.log.columns, conservation.row(context), strict=True))
+        values = dict(zip(conservation.columns(context.getIntegrator()), conservation.row(context), strict=True))
     outputs.write(due, context, values)
     if "checkpoint" in due and isinstance(context.getIntegrator(), stock.StockIntegrator):
         stock.go_on_as_a_restart(context, plan.seed)

@@ -10,7 +10,7 @@ from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.measure.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
-from openmm_sier.measure.pdb_files import ForceFieldError, box_of, first_line, named_atom, read_pdb
+from openmm_sier.measure.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
 
 #: Elements by whose letter atoms are told apart, where a name begins with one of them.
 _LETTERS = "HCNOPS"
@@ -51,12 +51,8 @@ def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> 
         return Coordinates(pdb.getPositions(asNumpy=True), pdb.topology.getPeriodicBoxVectors(), names, pdb.topology)
     if kind not in _READERS:
         raise ForceFieldError(f"{path} is {kind}, expected coordinates")
-    try:
+    with refusing(f"cannot read {path} as {kind}"):
         found = _READERS[kind](str(path))
-    except OSError:
-        raise
-    except Exception as error:
-        raise ForceFieldError(f"cannot read {path} as {kind}: {first_line(error)}") from error
     return found._replace(box=box_of(path, found.box, edges))
 
 

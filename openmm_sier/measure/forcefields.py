@@ -12,7 +12,7 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.measure.pdb_files import ForceFieldError, box_vectors, extent, first_line, read_pdb
+from openmm_sier.measure.pdb_files import ForceFieldError, box_vectors, extent, read_pdb, refusing
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system.molecules import Bonds, joined_by, make_whole
@@ -85,10 +85,8 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
     Raises:
         ForceFieldError: a file is not found, or is no force field.
     """
-    try:
+    with refusing(f"cannot read the force field {' '.join(files)}"):
         return app.ForceField(*[locate(name, Path(beside)) for name in files])
-    except Exception as error:
-        raise ForceFieldError(f"cannot read the force field {' '.join(files)}: {first_line(error)}") from error
 
 
 def locate(name: str, beside: Path) -> str:
@@ -106,10 +104,8 @@ def add_virtual_sites(
         ForceFieldError: the force field has no template for a residue.
     """
     modeller = app.Modeller(topology, positions)
-    try:
+    with refusing():
         modeller.addExtraParticles(forcefield)
-    except Exception as error:
-        raise ForceFieldError(first_line(error)) from error
     return modeller.topology, modeller.positions
 
 
@@ -154,10 +150,8 @@ def build_system(
         ForceFieldError: OpenMM can make no System, or the interactions do not fit the box.
     """
     settings = {"constraints": CONSTRAINTS[constraints or "none"], **_cut_off(box, interactions)}
-    try:
+    with refusing():
         system = create(rigidWater=True, removeCMMotion=False, **settings)
-    except Exception as error:
-        raise ForceFieldError(first_line(error)) from error
     finish_system(system, interactions)
     return system
 

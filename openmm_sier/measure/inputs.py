@@ -17,7 +17,7 @@ from openmm_sier.measure import forcefields
 from openmm_sier.measure.coordinates import Coordinates, read_coordinates, refuse_other_atoms
 from openmm_sier.measure.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.measure.forcefields import USUAL, Box, Interactions
-from openmm_sier.measure.pdb_files import ForceFieldError, check_positions, first_line, named_atom
+from openmm_sier.measure.pdb_files import ForceFieldError, check_positions, named_atom, refusing
 from openmm_sier.prepare.masses import hydrogens
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
@@ -144,16 +144,12 @@ def _box_of_topology(
             "--forcefield par_all36_prot.prm top_all36_prot.rtf toppar_water_ions.str"
         )
     parameters = [forcefields.locate(str(file), path.parent) for file in files]
-    try:
+    with refusing(f"cannot read {topology} as {kind}"):
         file = _READERS[kind](str(topology), periodicBoxVectors=found.box)
         create = file.createSystem
         if kind == PSF:
             # OpenMM's other readers add no bonds that constraints hold by themselves.
             create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
-    except FileNotFoundError:
-        raise
-    except Exception as error:
-        raise ForceFieldError(f"cannot read {topology} as {kind}: {first_line(error)}") from error
     if found.box is None and file.topology.getPeriodicBoxVectors() is not None:
         raise ForceFieldError(
             f"{path} has no periodic box, and {topology} was made for one: give coordinates with their box, or its "
@@ -172,10 +168,8 @@ def _box_of_topology(
 
 def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     path, found, topology, kind = source
-    try:
+    with refusing(f"cannot read {topology} as {kind}"):
         system = openmm.XmlSerializer.deserialize(topology.read_text())
-    except openmm.OpenMMException as error:
-        raise ForceFieldError(f"cannot read {topology} as {kind}: {first_line(error)}") from error
     for force in system.getForces():
         if isinstance(force, OF_ENSEMBLES):
             raise ForceFieldError(

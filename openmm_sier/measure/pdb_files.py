@@ -1,7 +1,8 @@
 """PDB and PDBx/mmCIF files, with the mistakes refused of which a simulation would make nonsense."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -40,15 +41,14 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         raise ForceFieldError(f"{path} is no PDB file with atoms")
     if kind == PDB:
         _check_edges(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("error", TWICE)
+    with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
+        warnings.filterwarnings("error", TWICE)
+        try:
             file = READERS[kind](str(path))
-    except Exception as error:
-        message = first_line(error)
-        if message.startswith(TWICE):
-            raise ForceFieldError(f"{path} has an atom twice: {message.removeprefix(TWICE).strip()}") from None
-        raise ForceFieldError(f"cannot read {path} as {kind}: {message}") from error
+        except UserWarning as twice:
+            raise ForceFieldError(
+                f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE).strip()}"
+            ) from None
     file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
     check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
     return file
@@ -83,6 +83,21 @@ def first_line(error: BaseException) -> str:
     message = " ".join(str(error).split())
     # The message of a KeyError is the key alone.
     return f"{type(error).__name__} {message}".rstrip() if isinstance(error, LookupError) or not message else message
+
+
+@contextmanager
+def refusing(what: str = "") -> Iterator[None]:
+    """Make errors of OpenMM's readers `ForceFieldError`; those of files that cannot be read, and our own, stay.
+
+    Args:
+        what: cannot be done, in front of the message.
+    """
+    try:
+        yield
+    except (ForceFieldError, OSError):
+        raise
+    except Exception as error:
+        raise ForceFieldError(f"{what}: {first_line(error)}" if what else first_line(error)) from error
 
 
 def check_positions(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:

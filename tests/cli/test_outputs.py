@@ -42,9 +42,8 @@ def no_equilibration(monkeypatch):
 
 
 def test_each_option_of_an_output_has_a_kind_and_each_kind_its_interval():
-    assert {kind.option for kind in KINDS} == set(OUTPUTS)
-    assert {kind.every for kind in KINDS} <= set(OPTIONS)
-    assert len({kind.name for kind in KINDS}) == len(KINDS)
+    assert {kind.option for kind in KINDS.values()} == set(OUTPUTS)
+    assert {kind.every for kind in KINDS.values()} <= set(OPTIONS)
 
 
 # --- inputs are not destroyed ---

@@ -1,113 +1,78 @@
 """The kinds of output that grow during a run: for each its options, its file and what a record holds."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import openmm
 from openmm import app, unit
 
 from openmm_sier.cli.beginning import Simulated
-from openmm_sier.cli.files.records import Log, Noted, RecordError
+from openmm_sier.cli.files.records import GrowingFile, Log, Noted
 from openmm_sier.cli.files.trajectories import FORMATS
-from openmm_sier.cli.plan import Plan
 from openmm_sier.observe import conservation, pressure
 
+#: An open file, and what appends a record of the last completed step to it, given the values of the log by column.
+#: There are none where neither log nor checkpoint is due.
+Opened = tuple[GrowingFile, Callable[[Mapping[str, float]], None]]
 
-class Output(ABC):
-    """An output of one kind: a path, and during the run an open file.
+
+class OutputKind(NamedTuple):
+    """A kind of output.
 
     Attributes:
-        name: of the kind, in the notes of a checkpoint.
         option, every: the options that name the file and set its interval.
-        path: of the output.
-        interval: number of steps between records.
-        file: open from `open` on.
+        open: opens the file at a path, new or cut back to the length that a checkpoint notes, for what is simulated in
+            a Context.
     """
 
-    name: ClassVar[str]
-    option: ClassVar[str]
-    every: ClassVar[str]
-
-    file: Any
-
-    def __init__(self, plan: Plan):
-        """
-        Raises:
-            RecordError: the name has the wrong ending.
-        """
-        self.path, self.interval = getattr(plan, self.option), plan.interval(getattr(plan, self.every))
-        self._check_ending()
-
-    def _check_ending(self) -> None:
-        if self.path.suffix in FORMATS:
-            raise RecordError(f"{self.path} is to be a table: name a file that ends in .csv")
-
-    @abstractmethod
-    def open(self, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> None:
-        """Open the file: new, or cut back to the length that a checkpoint notes."""
-
-    @abstractmethod
-    def write(self, context: openmm.Context, values: Mapping[str, float]) -> None:
-        """Append a record of the Context at its last completed step.
-
-        Args:
-            context: of the run.
-            values: of the log, by column; empty where neither log nor checkpoint is due.
-        """
+    option: str
+    every: str
+    open: Callable[[Path, Simulated, openmm.Context, Noted | None], Opened]
 
 
-class TrajectoryOutput(Output):
-    """Positions of the atoms that are listed in the PDB file."""
+def open_trajectory(path: Path, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> Opened:
+    """Positions of the atoms that are listed in the file of the coordinates."""
+    plan, box = simulated.plan, simulated.box
+    is_wrapped = box.system.usesPeriodicBoundaryConditions() and not plan.unwrapped
+    topology, interval = _subset(box.topology, box.listed), plan.interval(plan.every)
+    file = FORMATS[path.suffix](path, topology, plan.step_time, interval, noted)
 
-    name, option, every = "trajectory", "out", "every"
+    def write(values: Mapping[str, float]) -> None:
+        state = context.getState(positions=True, enforcePeriodicBox=is_wrapped)
+        file.write(state.getPositions(asNumpy=True)[box.listed], state.getPeriodicBoxVectors())
 
-    def _check_ending(self) -> None:
-        if self.path.suffix not in FORMATS:
-            raise RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {self.path.name}")
-
-    def open(self, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> None:
-        plan, box = simulated.plan, simulated.box
-        self._listed = box.listed
-        self._wrapped = box.system.usesPeriodicBoundaryConditions() and not plan.unwrapped
-        topology = _subset(box.topology, box.listed)
-        self.file = FORMATS[self.path.suffix](self.path, topology, plan.step_time, self.interval, noted)
-
-    def write(self, context: openmm.Context, values: Mapping[str, float]) -> None:
-        state = context.getState(positions=True, enforcePeriodicBox=self._wrapped)
-        self.file.write(state.getPositions(asNumpy=True)[self._listed], state.getPeriodicBoxVectors())
+    return file, write
 
 
-class LogOutput(Output):
+def open_log(path: Path, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> Opened:
     """Energies, temperatures and what the integrator reports."""
+    file = Log(path, conservation.columns(context.getIntegrator()), noted)
 
-    name, option, every = "log", "report", "report_every"
+    def write(values: Mapping[str, float]) -> None:
+        file.write([values[column] for column in file.columns])
 
-    def open(self, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> None:
-        self.file = Log(self.path, conservation.columns(context.getIntegrator()), noted)
-
-    def write(self, context: openmm.Context, values: Mapping[str, float]) -> None:
-        self.file.write([values[column] for column in self.file.columns])
+    return file, write
 
 
-class PressureTensorOutput(Output):
-    """Molecular pressure tensors. They are computed in a second Context, which is made with the first record."""
+def open_tensors(path: Path, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> Opened:
+    """Molecular pressure tensors, which are computed in a second Context."""
+    pressures = pressure.MolecularPressure(context)
+    file = Log(path, pressure.COLUMNS, noted)
 
-    name, option, every = "tensors", "pressure_tensor", "pressure_tensor_every"
+    def write(values: Mapping[str, float]) -> None:
+        file.write(pressures.row(context.getState(positions=True, velocities=True)))
 
-    _pressure: pressure.MolecularPressure | None = None
-
-    def open(self, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> None:
-        self.file = Log(self.path, pressure.COLUMNS, noted)
-
-    def write(self, context: openmm.Context, values: Mapping[str, float]) -> None:
-        self._pressure = self._pressure or pressure.MolecularPressure(context)
-        self.file.write(self._pressure.row(context.getState(positions=True, velocities=True)))
+    return file, write
 
 
-#: In the order in which they are checked and written.
-KINDS: tuple[type[Output], ...] = (TrajectoryOutput, LogOutput, PressureTensorOutput)
+#: By the names that checkpoints have for them, in the order in which they are checked and written.
+KINDS = {
+    "trajectory": OutputKind("out", "every", open_trajectory),
+    "log": OutputKind("report", "report_every", open_log),
+    "tensors": OutputKind("pressure_tensor", "pressure_tensor_every", open_tensors),
+}
 
 
 def _subset(topology: app.Topology, listed: np.ndarray) -> app.Topology:

@@ -12,6 +12,7 @@ import openmm
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
+from openmm_sier.cli.files.trajectories import FORMATS
 from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.cli.platforms import platform_of
 
@@ -30,20 +31,19 @@ class Outputs:
         Raises:
             RecordError: a name has the wrong ending.
         """
-        self.checkpoint, self.saved_step = checkpoint, None
-        self._plan = plan
-        self._outputs = {kind.name: kind(plan) for kind in KINDS if getattr(plan, kind.option)}
-        self.paths = [checkpoint, *(output.path for output in self._outputs.values())]
-        self._intervals = {name: output.interval for name, output in self._outputs.items()}
+        self.checkpoint, self.saved_step, self._plan = checkpoint, None, plan
+        self._grown = {name: path for name, kind in KINDS.items() if (path := getattr(plan, kind.option))}
+        self.paths = [checkpoint, *self._grown.values()]
+        self._intervals = {name: plan.interval(getattr(plan, KINDS[name].every)) for name in self._grown}
         self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
+        for name, path in self._grown.items():
+            if name == "trajectory" and path.suffix not in FORMATS:
+                raise records.RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
+            if name != "trajectory" and path.suffix in FORMATS:
+                raise records.RecordError(f"{path} is to be a table: name a file that ends in .csv")
 
     def __str__(self) -> str:
         return ", ".join(map(str, self.paths))
-
-    @property
-    def log(self) -> records.Log:
-        """The open log."""
-        return self._outputs["log"].file
 
     # --- before any is opened ---
 
@@ -85,8 +85,8 @@ class Outputs:
             RecordError: an output is of another run.
             OSError: one is missing.
         """
-        for name, output in self._outputs.items():
-            records.check(output.path, records.Noted(**notes[name]))
+        for name, path in self._grown.items():
+            records.check(path, records.Noted(**notes[name]))
 
     def remove(self) -> None:
         """Remove all files, the checkpoint first, so that it is never left with files that are not its own."""
@@ -105,8 +105,10 @@ class Outputs:
         """
         self._inputs = simulated.inputs
         self.saved_step = notes["step"] if notes else None
-        for name, output in self._outputs.items():
-            output.open(simulated, context, records.Noted(**notes[name]) if notes else None)
+        self._files, self._writers = {}, {}
+        for name, path in self._grown.items():
+            noted = records.Noted(**notes[name]) if notes else None
+            self._files[name], self._writers[name] = KINDS[name].open(path, simulated, context, noted)
 
     def next_due(self, step: int) -> int:
         """The next step after this one at which a file is due."""
@@ -124,9 +126,9 @@ class Outputs:
             context: at the last completed step.
             values: by column of the log; needed for the log and for a checkpoint.
         """
-        for name, output in self._outputs.items():
+        for name, write in self._writers.items():
             if name in due:
-                output.write(context, values)
+                write(values)
         if "checkpoint" in due:
             self._write_checkpoint(context, values["Potential Energy (kJ/mole)"])
 
@@ -138,7 +140,7 @@ class Outputs:
             "potential_energy": potential,
             "platform": platform_of(context),
             "inputs": self._inputs,
-            **{name: asdict(output.file.noted()) for name, output in self._outputs.items()},
+            **{name: asdict(file.noted()) for name, file in self._files.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
         checkpoints.write_checkpoint(self.checkpoint, state, notes)
@@ -146,8 +148,8 @@ class Outputs:
 
     def close(self) -> None:
         """Close all files at the end of the run."""
-        for output in self._outputs.values():
-            output.file.close()
+        for file in self._files.values():
+            file.close()
 
 
 def same_file(one: Path, two: Path) -> bool:
