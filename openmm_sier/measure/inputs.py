@@ -250,13 +250,13 @@ def _molecules(system: openmm.System) -> list[list[int]]:
 def _with_sources(box: Box, path: Path, topology: Path | None) -> Box:
     """A Box with the files that were read, but for OpenMM's own and GROMACS's."""
     uses = ["box", *([] if topology is None else ["topology", *map(str, _included(topology))]), *box.files]
-    places = {use: source_of(use, path, topology) for use in uses}
+    places = {use: _source_of(use, path, topology) for use in uses}
     return replace(
         box, sources={use: place for use, place in places.items() if place.is_file() and use != str(topology)}
     )
 
 
-def source_of(use: str, path: Path, topology: Path | None) -> Path:
+def _source_of(use: str, path: Path, topology: Path | None) -> Path:
     """The file that is used so, which may be missing, or be one of OpenMM's own.
 
     Args:
