@@ -21,7 +21,6 @@ from studies import boxes, records
 from studies.command import Settings
 from studies.records import Record
 from studies.report import Report
-from systems import peptide
 
 #: The name that stands for DHFR in water, the benchmark of Amber and CHARMM, whose files openmmtools has.
 DHFR = "dhfr"
@@ -90,17 +89,6 @@ def read(settings: SoluteSettings) -> Solution:
         freeze(system, np.flatnonzero(dry == (settings.moving == "water")))
     prepare_system(system)
     return Solution(settings.box.stem, topology, positions, system, np.flatnonzero(dry), waters)
-
-
-def write(path: Path, solution: Solution) -> None:
-    """Write a box as a PDB file that `openmm-sier` reads, with the force fields of the project's peptides in it.
-
-    The parameters of DHFR in its study are those of Amber's files, and need not be those of the force fields named.
-    """
-    # The box of the topology may be that of another state than the System's.
-    vectors = [vector.value_in_unit(unit.nanometer) for vector in solution.system.getDefaultPeriodicBoxVectors()]
-    solution.topology.setPeriodicBoxVectors(vectors * unit.nanometer)
-    peptide.write(path, solution.topology, solution.positions * unit.nanometer)
 
 
 def _of_pdb(settings: SoluteSettings) -> tuple[openmm.System, app.Topology, np.ndarray]:

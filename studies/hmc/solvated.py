@@ -5,7 +5,6 @@
     python -m studies.hmc.solvated dhfr --moving solute --trials 20 --out solvated     water is frozen
     python -m studies.hmc.solvated systems/peptide.pdb --scheme verlet --out solvated
     python -m studies.hmc.solvated --table solvated/*.json
-    python -m studies.hmc.solvated dhfr --pdb dhfr.pdb       the box for `openmm-sier`, before any equilibration
 
 Steps are in fs for each force evaluation, bonds to hydrogen are constrained, and fast forces act within the drifts.
 `verlet` is the control: kick, drift, kick with all forces in the kicks, and water that RATTLE turns, solved to rounding
@@ -70,7 +69,6 @@ class SolvatedSettings(SoluteSettings):
 
     Attributes:
         table: records of trials to be read, in place of a run.
-        pdb: where to write the box, in place of a run.
         scheme: by name, or `verlet`.
         step: fs for each force evaluation.
         length: of a trial, fs, rounded to a whole number of steps.
@@ -79,7 +77,6 @@ class SolvatedSettings(SoluteSettings):
     """
 
     table: tuple[Path, ...] = ()
-    pdb: Path | None = None
     scheme: Literal["sier2", "sier4g", "sier4p", "sier4v", "verlet"] = "sier4g"
     step: float = 2.0
     length: float = 30.0
@@ -88,11 +85,7 @@ class SolvatedSettings(SoluteSettings):
 
 
 def study(settings: SolvatedSettings, report: Report = SILENT) -> None:
-    """Make trials, or tables of those made, which are written to solvated.json with all energy errors; or a box."""
-    if settings.pdb is not None:
-        solutes.write(settings.pdb, solutes.read(settings))
-        report.note(f"wrote {settings.pdb}")
-        return
+    """Make trials, or tables of those made, which are written to solvated.json with all energy errors."""
     if not settings.table:
         report.table(records.table("Trials", pd.DataFrame([row_of(run(settings, report))]), COLUMNS, left=3))
         return

@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 import re
 import sys
+import textwrap
 import types
 from pathlib import Path
 
+import mdtraj
 import numpy as np
 import pytest
+
+from openmm_sier.observe.pressure import COLUMNS
+from tests.support.series import stresses
 
 ROOT = Path(__file__).parent.parent.parent
 GUIDES = ["README.md", *(f"docs/guide/{name}.md" for name in ("getting-started", "restarts", "engines"))]
@@ -74,6 +79,37 @@ def test_code_of_the_gallery_runs(of, monkeypatch):
     for section in (first, *(needs if of == "openmmtools" else [one for one in sections if one not in needs])):
         exec(compile(re.sub(r"\.step\(\d+\)", f".step({FEWER})", section), "gallery.ipynb", "exec"), names)
     assert len(shown) == (1 if of == "openmmtools" else 6)
+
+
+@pytest.mark.slow
+def test_lines_of_the_page_of_viscosity_read_what_runs_write(tmp_path, monkeypatch, capsys):
+    """Six runs of 20 ps with stresses of 500 bar, whose molecules walk 0.01 nm in each direction in 0.1 ps."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "systems").symlink_to(ROOT / "systems")
+    rng, topology = np.random.default_rng(1), mdtraj.load("systems/spce-512.pdb").topology
+    for seed in range(1, 7):
+        n = 1000
+        columns = [5 * np.arange(n), 0.02 * np.arange(1, n + 1), *500 * stresses(rng, n, 0.9).T, np.full(n, 15.36)]
+        np.savetxt(
+            f"seed{seed}-pressure.csv", np.transpose(columns), delimiter=",", header=",".join(COLUMNS), comments=""
+        )
+        Path(f"seed{seed}.csv").write_text("Step,Temperature (K)\n0,296\n5,298\n")
+        walk = rng.normal(scale=0.01, size=(200, 512, 3)).cumsum(axis=0)
+        frames = mdtraj.Trajectory(np.mod(np.repeat(walk, 3, axis=1), 2.4856), topology)
+        frames.unitcell_lengths, frames.unitcell_angles = np.full((200, 3), 2.4856), np.full((200, 3), 90.0)
+        frames.save_dcd(f"seed{seed}.dcd")
+    text = (ROOT / "docs" / "guide" / "howto" / "viscosity.md").read_text()
+    blocks = re.findall(r"(?:^(?:    .*)?\n)+", text, re.MULTILINE)
+    names = {}
+    for block in [block for block in blocks if block.lstrip().startswith("import")]:
+        exec(textwrap.dedent(block), names)
+    # V/kT <P²> times the sum of the correlation: 297 K, 0.02 ps (0.5 + 0.9/0.1), in mPa s.
+    expected = 15.36e-27 / (1.380649e-23 * 297) * 5e7**2 * 0.02e-12 * 9.5 * 1e3
+    # Means of six have wide tails: within 6 errors with a probability of 0.998.
+    assert names["viscosity"].value == pytest.approx(expected, abs=6 * names["viscosity"].error)
+    # 10⁻⁹ m²/s.
+    assert names["diffusion"].value == pytest.approx(1e3 * 0.01**2 / 0.2, abs=6 * names["diffusion"].error)
+    assert re.search(r"mPa s\n.* 1e-9 m2/s\n", capsys.readouterr().out)
 
 
 def test_pages_with_code_are_found():
