@@ -2,8 +2,8 @@
 
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import timedelta
 
 try:
@@ -48,63 +48,60 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
     Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 
 
-class ProgressBar(AbstractContextManager[Advance]):
+@contextmanager
+def progress_bar(description: str, total: float = 1.0, ps: float | None = None, begun: int = 0) -> Iterator[Advance]:
     """A progress bar on standard error, or occasional lines where that is not a terminal.
 
-    A context manager. Its value is a function that takes how much has been done in all and, optionally, a new
-    description. The first line comes after `LINE_AFTER` s, later ones less often, but at least every ten minutes. A
-    closed terminal does not stop the program.
+    The value is a function that takes how much has been done in all and, optionally, a new description. The first line
+    comes after `LINE_AFTER` s, later ones less often, but at least every ten minutes. A closed terminal does not stop
+    the program.
+
+    Args:
+        description: in front of the bar.
+        total: number of steps, or what counts as the whole.
+        ps: length of a step; None where no steps are counted.
+        begun: how much was done before the bar is started, as after a restart.
     """
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
+    bar = Progress(*columns, console=console, disable=not console.is_terminal)
+    task = bar.add_task(description, total=total, completed=begun, state="")
+    shown, started = description, clock()
+    last = started
 
-    def __init__(self, description: str, total: float = 1.0, ps: float | None = None, done: int = 0):
-        """
-        Args:
-            description: in front of the bar.
-            total: number of steps, or what counts as the whole.
-            ps: length of a step; None where no steps are counted.
-            done: how much was done before the bar is started, as after a restart.
-        """
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
-        self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
-        self._task = self._bar.add_task(description, total=total, completed=done, state="")
-        self._description, self._total, self._ps, self._begun_at = description, total, ps, done
-        self._started = self._last = clock()
-
-    def __enter__(self) -> Advance:
-        with suppress(OSError):
-            self._bar.start()
-            # Whatever ends the process then leaves a terminal as it was.
-            self._bar.console.show_cursor()
-        return self._advance
-
-    def __exit__(self, *_: object) -> None:
-        with suppress(OSError):
-            self._bar.stop()
-
-    def _advance(self, done: float, description: str | None = None) -> None:
-        self._description = description or self._description
+    def advance(done: float, description: str | None = None) -> None:
+        nonlocal shown, last
+        shown = description or shown
         now = clock()
-        elapsed = now - self._started
-        if done <= self._begun_at or not elapsed:
+        elapsed = now - started
+        if done <= begun or not elapsed:
             return
+        state = _state(done, total, (done - begun) / elapsed, ps)
         with suppress(OSError):
-            if not self._bar.disable:
-                state = self._state(done, elapsed)
-                self._bar.update(self._task, completed=done, description=self._description, state=state)
-            elif now - self._last >= min(20 * LINE_AFTER, max(LINE_AFTER, elapsed / 20)):
-                self._last = now
-                print(f"{self._description}: {self._state(done, elapsed)}", file=sys.stderr, flush=True)
+            if not bar.disable:
+                bar.update(task, completed=done, description=shown, state=state)
+            elif now - last >= min(20 * LINE_AFTER, max(LINE_AFTER, elapsed / 20)):
+                last = now
+                print(f"{shown}: {state}", file=sys.stderr, flush=True)
 
-    def _state(self, done: float, elapsed: float) -> str:
-        """How much is done, how fast and for how long still."""
-        rate = (done - self._begun_at) / elapsed
-        percent = f"{100 * done / self._total:.0f} %"
-        left = f"{timedelta(seconds=round((self._total - done) / rate))} left"
-        if self._ps is None:
-            return f"{percent}, {left}"
-        speed = f"{rate * self._ps / PS_PER_NS * SECONDS_PER_DAY:.2f} ns/day"
-        return f"{done:.0f}/{self._total:.0f} steps, {percent}, {speed}, {left}"
+    with suppress(OSError):
+        bar.start()
+        # Whatever ends the process then leaves a terminal as it was.
+        console.show_cursor()
+    try:
+        yield advance
+    finally:
+        with suppress(OSError):
+            bar.stop()
+
+
+def _state(done: float, total: float, rate: float, ps: float | None) -> str:
+    """How much is done, how fast by the second and for how long still."""
+    percent = f"{100 * done / total:.0f} %"
+    left = f"{timedelta(seconds=round((total - done) / rate))} left"
+    if ps is None:
+        return f"{percent}, {left}"
+    return f"{done:.0f}/{total:.0f} steps, {percent}, {rate * ps / PS_PER_NS * SECONDS_PER_DAY:.2f} ns/day, {left}"
 
 
 class ConsoleReport(Report):
@@ -116,7 +113,7 @@ class ConsoleReport(Report):
     def progress(
         self, description: str, total: float = 1.0, ps: float | None = None
     ) -> AbstractContextManager[Advance]:
-        return ProgressBar(description, total, ps)
+        return progress_bar(description, total, ps)
 
 
 REPORT = ConsoleReport()

@@ -48,7 +48,6 @@ class Option:
         default: the value without it; None where that depends on others.
         otherwise: the default in words, where there is no single value.
         restart: see `Restart`.
-        positional: whether the command line has the value alone.
     """
 
     name: str
@@ -57,7 +56,6 @@ class Option:
     default: Any = None
     otherwise: str = ""
     restart: Restart = "keeps"
-    positional: bool = False
 
     @property
     def flag(self) -> str:
@@ -107,7 +105,6 @@ class Options:
         "with --topology an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM, or a State of "
         "OpenMM in XML",
         restart="may change",
-        positional=True,
     )
     topology: Path | None = _option(
         file(),
@@ -278,11 +275,8 @@ def add_options(parser: argparse.ArgumentParser, options: Collection[Option], wi
     excluding = names >= set(EXCLUSIVE)
     one_of_them = parser.add_mutually_exclusive_group() if excluding else parser
     for option in options:
-        group = one_of_them if option.name in EXCLUSIVE else parser
         # A per cent sign has a meaning in argparse.
         shared: dict[str, Any] = {"help": option.described.replace("%", "%%")}
-        if not option.positional:
-            shared |= {"default": option.default if with_defaults else None, "dest": option.name}
         if option.kind is SWITCH:
             shared |= {"action": argparse.BooleanOptionalAction if option.default is None else "store_true"}
         else:
@@ -292,9 +286,12 @@ def add_options(parser: argparse.ArgumentParser, options: Collection[Option], wi
                 "metavar": option.kind.metavar,
                 "nargs": (option.kind.count or "+") if each else None,
             }
-            if option.name == "box" and "restart" in names:
-                shared["nargs"] = "?"  # a checkpoint names the coordinates of its run
-        group.add_argument(option.name if option.positional else option.flag, **shared)
+        if option.name == "box":
+            # A checkpoint names the coordinates of its run.
+            parser.add_argument("box", **shared | {"nargs": "?" if "restart" in names else None})
+            continue
+        group = one_of_them if option.name in EXCLUSIVE else parser
+        group.add_argument(option.flag, default=option.default if with_defaults else None, **shared)
 
 
 def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from openmm import unit
 
 from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.beginning import Simulated, read_start
-from openmm_sier.cli.console import ProgressBar, clock, note, table
+from openmm_sier.cli.console import clock, note, progress_bar, table
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
@@ -155,7 +155,7 @@ def _advance(
     begun = step = context.getStepCount()
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
     evaluations, longest = integrator.forceEvaluations, 1
-    progress = ProgressBar(plan.method.name, plan.steps, plan.step_time, begun)
+    progress = progress_bar(plan.method.name, plan.steps, plan.step_time, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if outputs.saved_step is None:
             _write(["log", "checkpoint"], context, plan, outputs, bounds)

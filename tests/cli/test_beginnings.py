@@ -213,7 +213,7 @@ def test_progress_lines_are_rare(monkeypatch, capsys):
     """A line after 30 s, then one for every twentieth of the time so far, and at least every ten minutes."""
     now = [0.0]
     monkeypatch.setattr(console, "clock", lambda: now[0])
-    with console.ProgressBar("run", 100_000, 0.001) as show:
+    with console.progress_bar("run", 100_000, 0.001) as show:
         at = []
         for second in range(1, 40_000):
             now[0] = second
