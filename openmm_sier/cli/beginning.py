@@ -33,7 +33,7 @@ def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | Non
     """The state from which a new run starts, and the plan of the run that reached it; None without a checkpoint.
 
     Raises:
-        RecordError, OptionError, RunError, OSError: as their messages say.
+        RecordError, RunError, OSError: as their messages say.
     """
     if checkpoint is None:
         return None, None

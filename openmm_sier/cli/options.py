@@ -7,13 +7,13 @@ The command line, `--help` and the notes in checkpoints are read and checked by 
 # ruff: noqa: RUF009
 
 import argparse
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
 from openmm_sier.cli.methods import ENSEMBLES, HEAVY, METHODS, Method
-from openmm_sier.cli.values import SWITCH, TIME, Kind, WrongValueError, choice, file, number, several, step, whole, word
+from openmm_sier.cli.values import SWITCH, TIME, Kind, choice, file, number, several, step, whole, word
 from openmm_sier.measure.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
 
 #: The default scheme of each ensemble, by the name that `--scheme` takes.
@@ -31,10 +31,6 @@ FORCEFIELD_HELP = (
     "end in .prm or .par, .rtf or .top, .str, or .inp (default: the file named in a record 'REMARK  99 FORCEFIELD "
     "file.xml' of the PDB file)"
 )
-
-
-class OptionError(ValueError):
-    """A file has an unknown option, or a wrong value; the message names the file and the option."""
 
 
 @dataclass(frozen=True)
@@ -292,25 +288,3 @@ def add_options(parser: argparse.ArgumentParser, options: Collection[Option], wi
             continue
         group = one_of_them if option.name in EXCLUSIVE else parser
         group.add_argument(option.flag, default=option.default if with_defaults else None, **shared)
-
-
-def check_table(source: str, table: Mapping[str, object]) -> dict[str, Any]:
-    """The options that a table of a file gives, by name.
-
-    Args:
-        source: the file, for messages.
-        table: values by the options' names; None stands for none where a run may have none.
-
-    Raises:
-        OptionError: an option is unknown, or has a wrong value.
-    """
-    for name in table:
-        if name not in OPTIONS:
-            raise OptionError(f"{source}: there is no option {name}")
-    found = {}
-    for name, value in table.items():
-        try:
-            found[name] = None if value is None and name in MAY_LACK else OPTIONS[name].kind.check(value)
-        except WrongValueError as error:
-            raise OptionError(f"{source}: {name}: {error}") from None
-    return found

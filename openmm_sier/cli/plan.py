@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from openmm_sier.cli.methods import METHODS, Method
-from openmm_sier.cli.options import CONTINUED, NOTED, OF_THE_SYSTEM, OPTIONS, RECOMMENDED, Options, check_table
+from openmm_sier.cli.options import CONTINUED, MAY_LACK, NOTED, OF_THE_SYSTEM, OPTIONS, RECOMMENDED, Options
+from openmm_sier.cli.values import WrongValueError
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.inputs import IGNORED, topology_kind
 
@@ -174,9 +175,17 @@ def noted_plan(checkpoint: Path, saved: Mapping[str, object]) -> Plan:
     """The plan that a checkpoint notes, with paths of files relative to the current directory.
 
     Raises:
-        OptionError: it is none; the message names the checkpoint and the field.
+        RunError: an option is unknown, missing or wrong; the message names the checkpoint and the option.
     """
-    values = check_table(f"{checkpoint}: plan", saved)
+    if unknown := set(saved) - set(NOTED):
+        raise RunError(f"{checkpoint}: plan: there is no option {min(unknown)}")
+    values: dict[str, Any] = {}
+    for name in NOTED:
+        value = saved.get(name)
+        try:
+            values[name] = None if value is None and name in MAY_LACK else OPTIONS[name].kind.check(value)
+        except WrongValueError as error:
+            raise RunError(f"{checkpoint}: plan: {name}: {error}") from None
     here = os.path.dirname(checkpoint)
     beside = {name: Path(os.path.normpath(os.path.join(here, values[name]))) for name in FILES if values.get(name)}
     return Plan(**values | beside)

@@ -123,6 +123,14 @@ def test_wrong_options_in_a_checkpoint(copied, capsys, name):
         refuse(capsys, copied, "box.chk", name, "run", "box.pdb", "--platform", "Reference", *command)
 
 
+def test_unknown_and_missing_options_in_a_checkpoint(copied, capsys):
+    original = (copied / "box.chk").read_bytes()
+    for name, change in (("bodies", lambda plan: plan.update(bodies="b.h5")), ("dt", lambda plan: plan.pop("dt"))):
+        (copied / "box.chk").write_bytes(original)
+        rewrite_notes("box.chk", lambda notes, change=change: change(notes["plan"]))
+        refuse(capsys, copied, "box.chk: plan: ", name, "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
+
+
 # --- outputs of a restart ---
 
 
