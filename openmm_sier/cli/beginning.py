@@ -1,9 +1,6 @@
 """The beginning of a simulation: the System of its input, its integrator, and a Context with a start."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +13,12 @@ from openmm_sier.cli.info import rigid_bodies
 from openmm_sier.cli.methods import METHODS
 from openmm_sier.cli.options import RECOMMENDED
 from openmm_sier.cli.plan import Options, Plan, RunError, noted_plan
-from openmm_sier.dynamics.bodies import RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.measure.forcefields import Box, describe
+from openmm_sier.measure.forcefields import describe
 from openmm_sier.measure.inputs import fingerprints, read_input
 from openmm_sier.measure.pdb_files import first_line
 from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
@@ -41,7 +38,6 @@ def read_start(checkpoint: Path | None) -> tuple[openmm.State | None, Plan | Non
     return state, noted_plan(checkpoint, notes["plan"])
 
 
-@dataclass(frozen=True)
 class Simulated:
     """What is simulated, with the System prepared for long steps.
 
@@ -54,15 +50,7 @@ class Simulated:
         inputs: fingerprints of the files that were read.
     """
 
-    options: Options
-    plan: Plan
-    box: Box
-    bodies: RigidBodies
-    fast: frozenset[int]
-    inputs: Mapping[str, str]
-
-    @classmethod
-    def read(cls, options: Options, plan: Plan) -> Simulated:
+    def __init__(self, options: Options, plan: Plan):
         """Read the files of the input, and prepare their System.
 
         Raises:
@@ -71,11 +59,12 @@ class Simulated:
         """
         box = read_input(options.box, plan.topology, plan.forcefield, plan.constraints, plan.interactions, plan.edges)
         note(f"{options.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}")
-        bodies = rigid_bodies(box, plan.rigid)
-        fast = prepare_system(box.system, bodies).fastForceGroups
+        self.options, self.plan, self.box = options, plan, box
+        self.bodies = rigid_bodies(box, plan.rigid)
+        self.fast = prepare_system(box.system, self.bodies).fastForceGroups
         if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
             raise RunError("--pressure-tensor needs a periodic box, which there is none")
-        return cls(options, plan, box, bodies, fast, fingerprints(box.sources))
+        self.inputs = fingerprints(box.sources)
 
     def context(self, step: int = 0) -> openmm.Context:
         """The Context of the run when it begins or goes on at a step, without positions.

@@ -71,7 +71,7 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
         note(f"{plan.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
     if plan.ensemble == "nve" and (plan.hydrogen_mass or 0) >= HEAVY:
         note(f"hydrogens of {plan.hydrogen_mass:g} dalton slow motion; at constant energy leave their mass as it is")
-    simulated = Simulated.read(options, plan)
+    simulated = Simulated(options, plan)
     outputs.check([*simulated.box.sources.values(), *([options.start] if options.start else [])])
     locks.hold(outputs.paths)
     if not (notes or options.overwrite):
@@ -99,12 +99,12 @@ def _length(plan: Plan, steps: int) -> str:
     return f"{steps} ({steps * plan.step_time:g} ps)"
 
 
-def _report(plan: Plan, cost: summary.Cost) -> None:
+def _report(plan: Plan, cost: list[tuple[str, str]]) -> None:
     log = read_log(plan.report)
     warning = runaway.fluctuation_warning(plan, log)
     rows = summary.rows(log, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
-    table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost.rows())
+    table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost)
 
 
 # --- the continuation ---
@@ -149,8 +149,12 @@ def _refuse_other_inputs(simulated: Simulated, noted: Mapping[str, str]) -> None
 
 def _advance(
     context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds, requests: StopRequests
-) -> summary.Cost:
-    """Run from the Context's step to the last one of the plan, or to a signal, writing what is due."""
+) -> list[tuple[str, str]]:
+    """Run from the Context's step to the last one of the plan, or to a signal, writing what is due.
+
+    Returns:
+        The rows of `summary.cost_rows`.
+    """
     integrator = context.getIntegrator()
     begun = step = context.getStepCount()
     watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
@@ -177,7 +181,7 @@ def _advance(
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
         raise Stopped(requests.received, message)
     evaluations = integrator.forceEvaluations - evaluations
-    return summary.Cost(step - begun, seconds, force_seconds, evaluations, watch.calls, plan.step_time)
+    return summary.cost_rows(step - begun, plan.step_time, seconds, force_seconds, evaluations, watch.calls)
 
 
 @contextmanager

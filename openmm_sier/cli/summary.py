@@ -1,7 +1,6 @@
 """The table at the end of a run: conservation and cost."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,38 +9,30 @@ from openmm_sier.measure.report import duration
 from openmm_sier.measure.statistics import Estimate, mean_and_error, rms, slope_and_error
 
 
-@dataclass(frozen=True)
-class Cost:
-    """Wall time of the steps of one run, without the time for its files.
+def cost_rows(
+    steps: int, ps: float, seconds: float, force_seconds: float, evaluations: int, measured: int
+) -> list[tuple[str, str]]:
+    """Names and values of the wall time of a run, without the time for its files.
 
-    Attributes:
+    Args:
         steps: number of them.
+        ps: length of each.
         seconds: that they took.
         force_seconds: the part of these for evaluations of forces, and of energies for moves of the volume.
         evaluations: force evaluations that the integrator counted.
         measured: force evaluations whose time is in `force_seconds`.
-        ps: length of a step.
     """
-
-    steps: int
-    seconds: float
-    force_seconds: float
-    evaluations: int
-    measured: int
-    ps: float
-
-    def rows(self) -> list[tuple[str, str]]:
-        if not self.steps or not self.seconds:
-            return []
-        # The time of force evaluations that were not measured is unknown.
-        known = self.evaluations and self.measured == self.evaluations
-        share = (1 - self.force_seconds / self.seconds) * 100
-        return [
-            ("wall time per step", duration(self.seconds / self.steps)),
-            ("force evaluations per step", f"{self.evaluations / self.steps:.2f}"),
-            ("time outside the force", f"{share:.1f} %" if known else "not measured"),
-            ("speed of the integration", f"{self.steps * self.ps / 1000 / self.seconds * 86400:.2f} ns/day"),
-        ]
+    if not steps or not seconds:
+        return []
+    # The time of force evaluations that were not measured is unknown.
+    known = evaluations and measured == evaluations
+    share = (1 - force_seconds / seconds) * 100
+    return [
+        ("wall time per step", duration(seconds / steps)),
+        ("force evaluations per step", f"{evaluations / steps:.2f}"),
+        ("time outside the force", f"{share:.1f} %" if known else "not measured"),
+        ("speed of the integration", f"{steps * ps / 1000 / seconds * 86400:.2f} ns/day"),
+    ]
 
 
 def rows(log: dict[str, np.ndarray], moves_volume: bool) -> list[tuple[str, str]]:

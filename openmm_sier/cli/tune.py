@@ -26,7 +26,7 @@ def execute(acceptance: float, trials: int, samples: int, **given: Any) -> None:
     options = Options(ensemble="hmc", **given)
     state, origin = read_start(options.start)
     plan = new_plan(options, origin)
-    context = Simulated.read(options, plan).begin(state, origin)
+    context = Simulated(options, plan).begin(state, origin)
     note(f"{plan.title} on the {context.getPlatform().getName()} platform: tunes step and length of trials")
     # Each of the four lengths has as many steps in all.
     note(f"this takes some {4 * samples + 4 * trials} trials of {plan.step_time:g} ps")
