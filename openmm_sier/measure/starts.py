@@ -209,14 +209,9 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     """A copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
     pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
+    fast, step = integrator.fastForceGroups, _step_of(context)
     langevin = SIERLangevinIntegrator(
-        temperature,
-        FRICTION,
-        _step_of(context),
-        SCHEME,
-        integrator.bodies,
-        pressure=pressure,
-        fastForceGroups=integrator.fastForceGroups,
+        temperature, FRICTION, step, SCHEME, integrator.bodies, pressure=pressure, fastForceGroups=fast
     )
     langevin.setRandomNumberSeed(seed)
     properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
