@@ -31,7 +31,7 @@ BAROSTAT_INTERVAL = 25
 
 
 class StockIntegrator(openmm.Integrator):
-    """Gives OpenMM's integrators the interface of this package's. Call `attend` before anything else.
+    """Gives OpenMM's integrators the interface of this package's. Call `bind` before anything else.
 
     Attributes:
         bodies: the rigid bodies of the Context.
