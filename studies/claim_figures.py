@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import pandas as pd
@@ -89,11 +90,10 @@ def averages_in_a_bath(box: str, at: str, step: float, *averaged: str) -> Callab
         rows = record.tables["rows"]
         own = one(rows, box=box, at=at, method=f"SIER2, {step:g} fs")
         exact = one(rows, box=box, at=at, method="SIER4G HMC, 8 fs")
-        off = {
-            name: abs(own[name] - exact[name]) / (own[f"{name}_error"] ** 2 + exact[f"{name}_error"] ** 2) ** 0.5
-            for name in averaged
-        }
-        shares = {f"{name}_share": 100 * abs(own[name] / exact[name] - 1) for name in averaged}
+        errors = {name: math.hypot(own[f"{name}_error"], exact[f"{name}_error"]) for name in averaged}
+        off = {name: abs(own[name] - exact[name]) / error for name, error in errors.items()}
+        shares = {f"{name}_share": 100 * (own[name] - exact[name]) / abs(exact[name]) for name in averaged}
+        shares |= {f"{name}_share_error": 100 * error / abs(exact[name]) for name, error in errors.items()}
         hot = {"water_off": own["water"] - record.settings["temperature"]}
         return {"off": pd.Series(off).max(skipna=False), **shares, **hot, "step": step}
 

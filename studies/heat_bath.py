@@ -8,11 +8,15 @@
 Temperatures are those that OpenMM's StateDataReporter shows, of water and solute apart: of velocities at the end of
 steps, and with SIER2 of those just after the bath. Hybrid Monte Carlo gives exact averages. Each run is kept in
 heat-bath.jsonl as soon as it is done and is not repeated; runs with other seeds add to the same averages. Runs take
-turns on `--processes` processes of one thread each. Writes heat-bath.json and heat-bath.md.
+turns on `--processes` processes of one thread each. Writes heat-bath.json.
+
+The distributions of phi and psi are compared with those of hybrid Monte Carlo by Kolmogorov and Smirnov, with as many
+samples as are independent.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -24,11 +28,13 @@ import numpy as np
 import openmm
 import pandas as pd
 from openmm import app, unit
+from scipy.stats import kstwobign
 from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.dynamics.statistics import inefficiency
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import mean_and_error
@@ -55,20 +61,36 @@ AVERAGED = {
     "helical": "share of phi, psi < 0",
 }
 
-COLUMNS = {
-    "box": "{box}",
-    "method": "{method}",
-    "hydrogens": "{hydrogens}",
-    "ps": "{time:g}",
-    "at": "{at}",
+#: Columns that tell a row.
+NAMES = {"box": "{box}", "method": "{method}", "hydrogens": "{hydrogens}", "ps": "{time:g}", "at": "{at}"}
+
+AVERAGES = {
+    **NAMES,
     **{heading: f"{{{key}_text}}" for key, heading in AVERAGED.items()},
+    "phi: p of being exact": "{phi_p:.2f}",
+    "psi": "{psi_p:.2f}",
+}
+
+COSTS = {
+    **NAMES,
     "forces an independent V": "{cost:.0f}",
+    "dipole": "{dipole_cost:.0f}",
+    "cos psi": "{psi_cost:.0f}",
     "accepted": "{accepted:.2f}",
     "over LangevinMiddle, 4 fs": "{over:.2f}",
 }
 
 #: Of which the speeds are multiples.
 REFERENCE = "LangevinMiddle, 4 fs"
+
+#: What exact methods have in their names.
+EXACT = "HMC"
+
+#: The dihedrals of the backbone, and the number of bins of their distributions.
+ANGLES, BINS = ("phi", "psi"), 72
+
+#: Components of the box's dipole moment.
+DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
 
 #: fs between samples.
 INTERVAL = 200.0
@@ -127,6 +149,7 @@ METHODS = {
     "MTSLangevin, 8 fs": Method(8, 1, 4.0, _several_steps),
     **{f"SIER2, {step} fs, light": Method(step, 1, None, _own) for step in (4, 5, 6)},
     **{f"SIER2, {step} fs": Method(step, 1, 4.0, _own) for step in (8, 9, 10, 11)},
+    **{f"SIER2, 9 fs, hydrogens of {mass}": Method(9, 1, mass, _own) for mass in (2, 3, 5)},
     "SIER4G HMC, 8 fs": _exact(8, 5),
     "SIER4G HMC, 9 fs": _exact(9, 4),
 }
@@ -179,6 +202,7 @@ class Observer:
                 self._parts[name] = part, freedom
         self._contexts = {kind: _alone(system, force) for kind, force in BONDED.items()} if solute.any() else {}
         self._dihedrals = _backbone(box.topology)
+        self._charges = _charges(system)
 
     def __call__(self, context: openmm.Context) -> dict[str, float]:
         """The values at the end of a step."""
@@ -190,8 +214,10 @@ class Observer:
         for kind, alone in self._contexts.items():
             alone.setPositions(positions)
             found[kind] = md(alone.getState(energy=True).getPotentialEnergy())
+        found |= dict(zip(DIPOLE, self._charges @ positions, strict=True))
         if self._dihedrals:
-            found["helical"] = float(all(dihedral(positions, atoms) < 0 for atoms in self._dihedrals))
+            angles = [dihedral(positions, atoms) for atoms in self._dihedrals]
+            found |= dict(zip(ANGLES, angles, strict=True)) | {"helical": float(max(angles) < 0)}
         return found
 
     def _temperatures(self, integrator: openmm.Integrator, speeds: np.ndarray) -> dict[str, float]:
@@ -210,6 +236,12 @@ def _backbone(topology: app.Topology) -> tuple[list[int], ...]:
         return backbone(topology)
     except ValueError:
         return ()
+
+
+def _charges(system: openmm.System) -> np.ndarray:
+    """Charges of the particles."""
+    nonbonded = next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    return np.array([md(nonbonded.getParticleParameters(i)[0]) for i in range(system.getNumParticles())])
 
 
 def _alone(system: openmm.System, kind: str) -> openmm.Context:
@@ -266,14 +298,37 @@ def run(task: Task) -> dict[str, Any]:
         samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
-    for key in samples[0]:
-        of_key = mean_and_error(np.array([sample[key] for sample in samples]))
-        found |= {key: of_key.value, f"{key}_error": of_key.error}
-        if key == "potential":
-            found["cost"] = 1e3 * settings.time / method.step * method.forces / of_key.samples
+    series = pd.DataFrame(samples)
+    for key in AVERAGED.keys() & set(series):
+        found |= {key: (of_key := mean_and_error(series[key].to_numpy())).value, f"{key}_error": of_key.error}
+    found |= _distributions(series) | _costs(series, 1e3 * settings.time / method.step * method.forces)
     if isinstance(integrator, SIERHMCIntegrator):
         found |= {"trials": integrator.trials, "accepted": integrator.acceptanceRate}
     return found | {"fs_per_second": settings.time * 1e3 / processor}
+
+
+def _distributions(series: pd.DataFrame) -> dict[str, Any]:
+    """How often the dihedrals were in each bin, and how many samples of them are independent."""
+    found: dict[str, Any] = {}
+    for angle in ANGLES:
+        if angle in series:
+            found[f"{angle}_counts"] = np.histogram(series[angle], BINS, (-np.pi, np.pi))[0]
+            memory = max(inefficiency(turned(series[angle].to_numpy())) for turned in (np.cos, np.sin))
+            found[f"{angle}_samples"] = len(series) / memory
+    return found
+
+
+def _costs(series: pd.DataFrame, forces: float) -> dict[str, float]:
+    """Forces for an independent energy, dipole of the box and cosine of psi, of a run of so many forces."""
+
+    def cost(values: np.ndarray) -> float:
+        return forces / len(series) * inefficiency(values)
+
+    found = {"cost": cost(series["potential"].to_numpy())}
+    found["dipole_cost"] = float(np.mean([cost(series[name].to_numpy()) for name in DIPOLE]))
+    if "psi" in series:
+        found["psi_cost"] = cost(np.cos(series["psi"].to_numpy()))
+    return found
 
 
 def _read_box(settings: BathSettings) -> Any:
@@ -314,36 +369,56 @@ def _sampled(
 
 
 def study(settings: BathSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing in the directory `out`, and write heat-bath.json and heat-bath.md."""
+    """Make the runs that are missing in the directory `out`, and write heat-bath.json."""
     shared = {name: settings.recorded()[name] for name in ("temperature", "friction", "tolerance", "equilibrate")}
     claim(settings.out / "heat-bath-settings.json", shared)
     path = settings.out / "heat-bath.jsonl"
     for found in records.make_missing(path, tasks(settings), run, settings.processes):
-        report.note(", ".join(str(value) for value in found.values()))
+        report.note(", ".join(f"{name} {found[name]}" for name in ("box", "at", "method", "time", "seed", "broken")))
     rows = averaged(pd.DataFrame(records.kept_runs(path)))
-    record = Record(shared, {"rows": rows}, {})
-    made_table = records.table("Averages in a heat bath", records.with_text(rows, *AVERAGED), COLUMNS, left=3)
-    report.table(made_table)
-    record.write(settings.out / "heat-bath.json")
-    (settings.out / "heat-bath.md").write_text(records.markdown(made_table))
-    return record
+    for title, columns in (("Averages in a heat bath", AVERAGES), ("What they cost", COSTS)):
+        report.table(records.table(title, records.with_text(rows, *AVERAGED), columns, left=3))
+    return Record(shared, {"rows": rows}, {}).write(settings.out / "heat-bath.json")
 
 
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each box, pressure and method: means over its runs with errors, and speed over the reference's."""
+    """A row for each box, pressure and method: means over its runs with errors, and what is compared with others."""
     rows = []
-    for (box, at, method), mine in runs.groupby(["box", "at", "method"], sort=False):
-        row = {"box": box, "at": at, "method": method, "time": mine["time"].sum()}
-        row["hydrogens"] = mine.iloc[0]["hydrogens"]
-        row |= {key: mine[key].mean() if key in mine else np.nan for key in ("cost", "accepted")}
-        row["trials"] = mine["trials"].sum() if "trials" in mine else 0
-        row |= records.pooled(mine, AVERAGED)
-        speeds = mine["fs_per_second"] if "fs_per_second" in mine else pd.Series(dtype=float)
-        rows.append(row | {"speed": speeds.mean(), "broken": next((each for each in mine["broken"] if each), "")})
+    for _, at in runs.groupby(["box", "at"], sort=False):
+        exact = at[at["method"].str.contains(EXACT)]
+        for _, mine in at.groupby("method", sort=False):
+            rows.append(_row(mine) | {f"{angle}_p": _probability(angle, mine, exact) for angle in ANGLES})
     frame = pd.DataFrame(rows)
     reference = frame[frame["method"] == REFERENCE].set_index(["box", "at"])["speed"]
     places = pd.MultiIndex.from_frame(frame[["box", "at"]])
     return frame.assign(over=frame["speed"] / reference.reindex(places).to_numpy())
+
+
+def _row(runs: pd.DataFrame) -> dict[str, Any]:
+    """Means over the runs of one method in one box."""
+    row = runs.iloc[0][["box", "at", "method", "hydrogens"]].to_dict()
+    row |= {"time": runs["time"].sum(), "broken": next((each for each in runs["broken"] if each), "")}
+    for key in ("cost", "dipole_cost", "psi_cost", "accepted"):
+        row[key] = runs[key].mean() if key in runs else math.nan
+    row["trials"] = runs["trials"].sum() if "trials" in runs else 0
+    row |= records.pooled(runs, AVERAGED)
+    return row | {"speed": runs["fs_per_second"].mean() if "fs_per_second" in runs else math.nan}
+
+
+def _probability(angle: str, runs: pd.DataFrame, exact: pd.DataFrame) -> float:
+    """Of a distance between two distributions as large as theirs if they were one; NaN where one is not known.
+
+    Source: N. Smirnov, Ann. Math. Stat. 19, 279 (1948), with the numbers of independent samples.
+    """
+    if f"{angle}_counts" not in runs:
+        return math.nan
+    several = [part.dropna(subset=[f"{angle}_counts"]) for part in (runs, exact)]
+    if any(part.empty for part in several) or several[0].index.equals(several[1].index):
+        return math.nan
+    first, second = (np.cumsum(np.sum(part[f"{angle}_counts"].tolist(), axis=0)) for part in several)
+    distance = np.abs(first / first[-1] - second / second[-1]).max()
+    one, other = (part[f"{angle}_samples"].sum() for part in several)
+    return float(kstwobign.sf(distance * math.sqrt(one * other / (one + other))))
 
 
 main = command(BathSettings, study, __doc__, __name__)
