@@ -20,7 +20,6 @@ STUDIES = {
     "studies.crowding": "15 min of one core of a busy machine",
     "studies.hmc.exactness": "7 min of one core",
     "studies.hmc.solvated": "10 min of one core for all trials of the page of sampling",
-    "studies.hmc.samples": "30 min of one core for all runs of the page of sampling",
     "studies.hmc.members": "the runs of its plan 40 min of one core",
     "studies.hmc.mixture": "9 min of one core for all runs of the page of sampling",
     "studies.native.accuracy": "",

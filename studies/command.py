@@ -70,6 +70,23 @@ class BoxSettings(Settings):
     platform: str | None = None
 
 
+@dataclass(frozen=True)
+class RunsSettings(Settings):
+    """What studies take that keep their runs one by one, so that a study that was stopped goes on where it was.
+
+    Attributes:
+        processes: that make runs at the same time.
+    """
+
+    processes: int = 1
+
+    #: Names of settings that all runs of a directory have in common.
+    SHARED: ClassVar[tuple[str, ...]] = ()
+
+    def shared(self) -> dict[str, Any]:
+        return {name: self.recorded()[name] for name in self.SHARED}
+
+
 Given = TypeVar("Given", bound=Settings)
 
 

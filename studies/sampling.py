@@ -26,7 +26,7 @@ from openmm_sier.measure.statistics import slope_and_error
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
 from studies import boxes
-from studies.command import BoxSettings
+from studies.command import BoxSettings, RunsSettings
 from studies.methods import Method
 from studies.records import replace_file
 from studies.report import SILENT, Report
@@ -119,20 +119,18 @@ def equilibrated_liquid(
 
 
 @dataclass(frozen=True)
-class GridSettings(BoxSettings):
-    """What studies take that make runs of a box from several starts, and keep them one by one.
+class GridSettings(BoxSettings, RunsSettings):
+    """What studies take that make runs of a box from several starts.
 
     Attributes:
         starts: equilibrated phase points, from which all runs start; their seeds follow `seed`.
         time: of each run, ps.
         equilibrate: before them, ps.
-        processes: that make runs at the same time.
     """
 
     starts: int = 4
     time: float = 1.0
     equilibrate: float = 3.0
-    processes: int = 1
 
     @property
     def seeds(self) -> range:

@@ -58,14 +58,6 @@ COMMANDS = {
         "openmm-sier ensemble systems/motion.toml --out motion",
         "python -m studies.liquid_figure motion/*",
     ),
-    "samples.json": (
-        "python -m studies.hmc.samples --length 120 --time 80 --out samples",
-        "python -m studies.hmc.samples --table samples/*.json",
-    ),
-    "samples-held.json": (
-        "python -m studies.hmc.samples --held --time 60 --out held",
-        "python -m studies.hmc.samples --table held/*.json",
-    ),
     "schemes.json": (
         "python -m studies.schemes systems/tip3p-512.pdb --starts 2",
         "python -m studies.schemes systems/BOX.pdb --schemes sier2p3 --dt 4",

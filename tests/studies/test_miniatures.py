@@ -29,7 +29,7 @@ from studies import (
     whole_run,
 )
 from studies.bench import accuracy, peers, usual_inputs
-from studies.hmc import exactness, mixture, samples, solvated
+from studies.hmc import exactness, mixture, solvated
 from studies.native import program as counts
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
@@ -192,11 +192,6 @@ def solvated_trials(found):
     assert set(zip(rows["solute"], rows["waters"], strict=True)) == {(22, 233)}
 
 
-def sampled(found):
-    # 12 samples of 0.06 ps from each of three kinds of run.
-    assert list(found["rows"]["time"]) == pytest.approx([0.72] * 3)
-
-
 def mixtures(found):
     rows = found["rows"]
     # Means of 1.8 ps after a sudden start.
@@ -300,19 +295,6 @@ MINIATURES = {
         lambda found: None,
         "water",
         patches=((water_runs, "QUICK", WATER), (records, "make_missing", make_at_once)),
-    ),
-    "samples": Miniature(
-        samples,
-        (
-            *(
-                f"--box {{dipeptide}} --time 0.72 --settling 0.12 --equilibrate 0.01 {more}"
-                for more in ("", "--method langevin", "--method wrong --held")
-            ),
-            "--table {runs}",
-        ),
-        sampled,
-        "samples",
-        figure=False,
     ),
     "schemes": Miniature(
         schemes,
@@ -425,7 +407,7 @@ def test_results_of_other_settings_are_refused(tmp_path, capsys):
     for study, kind, noted in (
         (acceptance, acceptance.AcceptanceSettings, "acceptance-settings.json"),
         (schemes, schemes.SchemesSettings, "schemes-settings.json"),
-        (defaults, defaults.DefaultsSettings, "settings.json"),
+        (defaults, defaults.DefaultsSettings, "defaults-settings.json"),
         (equipartition, equipartition.EquipartitionSettings, "equipartition-settings.json"),
         (whole_run, whole_run.WholeRunSettings, "whole-run-settings.json"),
     ):

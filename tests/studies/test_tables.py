@@ -124,24 +124,12 @@ def test_points_are_means_over_starts_with_their_errors():
     assert (verlet["percent"], verlet["percent_error"]) == pytest.approx((1.0, 0.1))
     assert (verlet["relative"], verlet["relative_error"]) == (1.0, 0.0)
     assert (x["relative"], x["relative_error"]) == pytest.approx((1.5, 1.5 * math.hypot(0.5 / 1.5, 0.1)))
-    assert (x["least"], x["most"], x["starts"]) == (1.0, 2.0, 2)
+    assert x["starts"] == 2
     assert math.isnan(y["percent"])
     assert y["broken"] == "too long"
     # One start has no error, and a liquid without Verlet nothing to be divided by.
     assert math.isnan(rows.loc[("B", "X"), "percent_error"])
     assert math.isnan(rows.loc[("B", "X"), "relative"])
-
-
-def test_means_over_liquids_need_all_of_them():
-    names = ["liquid", "method", "fs_per_force", "relative", "relative_error"]
-    rows = [
-        ("A", "X", 4.0, 1.0, 0.3),
-        ("B", "X", 4.0, 2.0, 0.4),
-        ("A", "Y", 4.0, 1.0, 0.1),
-        ("C", "X", 4.0, math.nan, 1),
-    ]
-    (mean,) = schemes.over_liquids(pd.DataFrame(rows, columns=names)).to_dict("records")
-    assert mean == pytest.approx({"method": "X", "fs_per_force": 4.0, "relative": 1.5, "relative_error": 0.25})
 
 
 def test_palindromes_by_their_fractions():
