@@ -45,19 +45,10 @@ TIGHT, DENSITY = 1e-7, 17.0
 #: Names of the two ways in which OpenMM's tolerance becomes parameters.
 OPENMM, BALANCED = "OpenMM", "balanced"
 
-COLUMNS = {
-    "molecules": "{molecules}",
-    "tolerance": "{tolerance:g}",
-    "split": "{split}",
-    "mesh": "{mesh:.0f}",
-    "alpha": "{alpha:.2f}",
-    "error": "{error:.2g}",
-    "ms": "{milliseconds:.3g}",
-    "fastest mesh": "{best_mesh:.0f}",
-    "its alpha": "{best_alpha:.2f}",
-    "its error": "{best_error:.2g}",
-    "time over that of the choice": "{ratio:.3f} ± {ratio_error:.3f}",
-}
+COLUMNS = records.columns(
+    *("molecules", "tolerance", "split", "mesh", "alpha", "error", "milliseconds"),
+    *("best_mesh", "best_alpha", "best_error", "ratio"),
+)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import openmm
 
@@ -50,15 +51,16 @@ class OwnMethod(Method):
     rotation: Rotation = rotation.exact
 
 
-def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "") -> OwnMethod:
+def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "", **options: Any) -> OwnMethod:
     """A scheme at constant energy.
 
     Args:
         scheme: what is done in a step.
         turn: the free-rotation map in it.
         name: for tables; that of the scheme unless given.
+        options: of `SIERIntegrator`.
     """
-    make = partial(SIERIntegrator, scheme=scheme, rotation=turn)
+    make = partial(SIERIntegrator, scheme=scheme, rotation=turn, **options)
     bias = BIAS_NVE if scheme is SIER2 and turn is rotation.exact else math.nan
     return OwnMethod(name or scheme.name, scheme.force_evaluations, scheme.order, make, bias, scheme, turn)
 

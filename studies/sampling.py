@@ -87,7 +87,7 @@ class Liquid:
     """A System with its rigid bodies and a phase point from which runs start.
 
     Attributes:
-        platform: of OpenMM; None takes the fastest.
+        platform: of OpenMM, and after a colon its precision; None takes the fastest.
     """
 
     system: openmm.System
@@ -205,7 +205,7 @@ def follow(
     integrator = method.make(1e-3 * step)
     integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
     try:
-        context = make_context(liquid.system, integrator, liquid.platform)
+        context = _context(liquid, integrator)
     except openmm.OpenMMException as error:
         if "is too long" not in str(error):
             raise
@@ -226,6 +226,14 @@ def follow(
             return Followed(series, simulated / wall, simulated / processor)
     except openmm.OpenMMException as error:
         raise Unstable(" ".join(str(error).split())) from error
+
+
+def _context(liquid: Liquid, integrator: openmm.Integrator) -> openmm.Context:
+    platform, _, precision = (liquid.platform or "").partition(":")
+    if not precision:
+        return make_context(liquid.system, integrator, liquid.platform)
+    named = openmm.Platform.getPlatformByName(platform)
+    return openmm.Context(liquid.system, integrator, named, {"Precision": precision})
 
 
 def conserved(

@@ -44,20 +44,8 @@ LEVELS = (0.02, 0.05, 0.1)
 #: Of which the figure has multiples: the speed of Verlet at its usual step.
 VERLET, USUAL = CONSTANT_ENERGY["verlet"].name, 2.0
 
-POINTS = {
-    "method": "{method}",
-    "fs per force": "{fs_per_force:g}",
-    "rms(H)/rms(V)/%": "{percent:.4f}",
-    "simulated fs per second": "{fs_per_second:.0f}",
-}
-
-COSTS = {
-    "rms(H)/rms(V)/%": "{percent:g}",
-    "method": "{method}",
-    "fs per force": "{fs_per_force:.2f}",
-    "forces per ps": "{forces_per_ps:.0f}",
-    "simulated fs per second": "{fs_per_second:.0f}",
-}
+POINTS = records.columns("method", "fs_per_force", "percent", "fs_per_second")
+COSTS = records.columns("percent", "method", "fs_per_force", "forces_per_ps", "fs_per_second")
 
 
 @dataclass(frozen=True)

@@ -28,13 +28,7 @@ from studies.hmc.model_engine import KT, Chain, Dipoles, Wells
 from studies.records import Record
 from studies.report import SILENT, Report
 
-COLUMNS = {
-    "": "{name}",
-    "mean": "{mean:.4f}",
-    "error": "{error:.4f}",
-    "exact": "{exact:.4f}",
-    "errors off": "{off:+.1f}",
-}
+COLUMNS = records.columns("name", "mean", "error", "exact", "off")
 
 
 @dataclass(frozen=True)

@@ -35,33 +35,12 @@ from studies.records import Record
 from studies.report import SILENT, Report
 from studies.units import md
 
-COLUMNS = {
-    "box": "{box}",
-    "moves": "{moving}",
-    "scheme": "{scheme}",
-    "atoms": "{atoms}",
-    "of the solute": "{solute}",
-    "hydrogens": "{masses}",
-    "fs per force": "{per_force:g}",
-    "trial/fs": "{length:g}",
-    "trials": "{trials}",
-    "accepted": "{accepted}",
-    "acceptance": "{acceptance:.3f} ± {acceptance_error:.3f}",
-    "sd/kT": "{spread:.3f} ± {spread_error:.3f}",
-    "mean/kT": "{mean:+.3f} ± {mean_error:.3f}",
-    "by the sd": "{expected:.3f}",
-}
+COLUMNS = records.columns(
+    *("box", "moving", "scheme", "atoms", "solute", "masses", "per_force", "length"),
+    *("trials", "accepted", "acceptance", "spread", "mean", "expected"),
+)
 
-LAWS = {
-    "moves": "{moving}",
-    "scheme": "{scheme}",
-    "hydrogens": "{masses}",
-    "fs per force": "{per_force:g}",
-    "boxes": "{boxes}",
-    "sd/kT for one": "{one:.5f} ± {one_error:.5f} {of}",
-    "atoms at 0.8": "{atoms_80:.2g}",
-    "at 0.5": "{atoms_50:.2g}",
-}
+LAWS = records.columns("moving", "scheme", "masses", "per_force", "boxes", "one", "of", "atoms_80", "atoms_50")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import json
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -416,9 +415,3 @@ def test_results_of_other_settings_are_refused(tmp_path, capsys):
         path.write_text(json.dumps(kind().recorded() | {"temperature": 350.0}))
         assert study.main(["--out", str(tmp_path / study.__name__)]) == 1
         assert "has results with temperature 350.0, got 297.0: take another directory" in capsys.readouterr().err
-
-
-def test_speed_tables_are_made_of_a_file(tmp_path, capsys):
-    data = Path(speed.__file__).parent / "data" / "speed.json"
-    assert speed.main(["--table", str(data), "--out", str(tmp_path)]) == 0
-    assert "| OpenMM Verlet, 1 fs |" in (tmp_path / "speed.md").read_text()
