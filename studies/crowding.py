@@ -28,7 +28,7 @@ from studies import boxes, records, style
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
-from studies.speed_boxes import SYSTEMS_OF
+from studies.speed_boxes import INTERACTIONS
 from studies.units import md
 
 if TYPE_CHECKING:
@@ -178,7 +178,8 @@ def followed(protein: Protein, edge: float, settings: CrowdSettings, interact: b
 
 def cost_in_water(settings: CrowdSettings) -> list[dict[str, Any]]:
     """Milliseconds of a step of SIER4G for DHFR in water with all its atoms, as one body and with its constraints."""
-    _, system, positions = SYSTEMS_OF["dhfr"]()
+    box = boxes.solute(boxes.DHFR, INTERACTIONS)
+    system, positions = box.system, md(box.positions)
     protein = max(openmm.Context(system, openmm.VerletIntegrator(0.001)).getMolecules(), key=len)
     rows = []
     for name, rigid in (("one body", [list(protein)]), ("flexible", None)):

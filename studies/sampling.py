@@ -170,6 +170,18 @@ def equilibrated(
     return state
 
 
+def warmed(system: openmm.System, positions: Any, settings: BoxSettings, time: float) -> openmm.State:
+    """Positions, velocities and box after some ps of LangevinMiddle in steps of 2 fs."""
+    integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
+    integrator.setRandomNumberSeed(settings.seed)
+    context = make_context(system, integrator, settings.platform)
+    context.setPositions(positions)
+    context.applyConstraints(1e-6)
+    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
+    integrator.step(round(time / 0.002))
+    return context.getState(positions=True, velocities=True)
+
+
 class Followed(NamedTuple):
     """A run: its samples, and the simulated time in fs per second of wall and of processor time."""
 

@@ -40,7 +40,7 @@ from studies.command import BoxSettings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report, Table
 from studies.sampling import equilibrated_liquid
-from studies.speed_boxes import SYSTEMS_OF, Start
+from studies.speed_boxes import SOLUTES, Start
 
 #: What ratios are taken over: OpenMM's Verlet at its usual step.
 REFERENCE = "OpenMM Verlet, 2 fs"
@@ -322,7 +322,7 @@ def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
         ImportError: dhfr is to be measured without openmmtools.
     """
     with_solute = [name for name in settings.boxes if not name.startswith("water-")]
-    chosen(with_solute, SYSTEMS_OF, "box")
+    chosen(with_solute, SOLUTES, "box")
     made: list[dict[str, Any]] = []
     for name in settings.boxes:
         made += speeds(speed_boxes.start(name, settings, report), settings, report)
