@@ -18,7 +18,7 @@ STUDIES = {
     "studies.step_study": "its runs 3.6 h of one core",
     "studies.liquid_figure": "its runs 20 min of one core",
     "studies.crowding": "15 min of one core of a busy machine",
-    "studies.hmc.exactness": "7 min of one core",
+    "studies.hmc.exactness": "11 min of one core",
     "studies.hmc.solvated": "10 min of one core for all trials of the page of sampling",
     "studies.hmc.members": "the runs of its plan 40 min of one core",
     "studies.hmc.mixture": "9 min of one core for all runs of the page of sampling",

@@ -13,7 +13,6 @@ import openmm
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, Scheme
-from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, KICK, Stage
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 
@@ -101,23 +100,3 @@ def with_bath(temperature: float, friction: float, seed: int) -> dict[str, Metho
         make, bias = partial(langevin, scheme=scheme), BIAS_NVT if scheme is SIER2 else math.nan
         methods[name] = Method(f"{scheme.name} Langevin", scheme.force_evaluations, scheme.order, make, bias)
     return methods
-
-
-# --- published schemes beside the catalogue ---
-
-_OMELYAN_2003 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), "
-
-
-def _gradients_outside(share: float) -> tuple[Stage, ...]:
-    """The family drift, gradient kick, drift, kick, drift, gradient kick, drift of fourth order."""
-    outer = 0.5 - 1 / math.sqrt(24 * share)
-    bracket = (1 - math.sqrt(6 * share) * (1 - share)) / 24
-    half = (Stage(DRIFT, outer), Stage(GRADIENT_KICK, share, 2 * bracket / share), Stage(DRIFT, 0.5 - outer))
-    return (*half, Stage(KICK, 1 - 2 * share), *reversed(half))
-
-
-#: A published scheme that the catalogue leaves out, because for any number of forces it has one that does as well or
-#: better. Palindromes of kicks and drifts are compared by their fractions, see `studies.schemes`.
-OTHERS = {
-    "omf3gg": Scheme("OMF, 3 forces and 2 gradients", _gradients_outside(0.3152315246820299), _OMELYAN_2003 + "Eq. 43"),
-}

@@ -21,13 +21,10 @@ import pandas as pd
 from openmm_sier.dynamics.schemes import DRIFT, KICK, alternating
 from studies import records
 from studies.command import chosen, command
-from studies.methods import CONSTANT_ENERGY, OTHERS, Method, of_scheme
+from studies.methods import CONSTANT_ENERGY, Method, of_scheme
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import GridSettings, conserved, over_starts
-
-#: Everything that can be compared, by the names that users give.
-KNOWN: dict[str, Method] = CONSTANT_ENERGY | {name: of_scheme(scheme) for name, scheme in OTHERS.items()}
 
 #: Palindromes of kicks and drifts by what stands before the colon; after it are the fractions up to the middle stage.
 FIRST = {"kick": (KICK, DRIFT), "drift": (DRIFT, KICK)}
@@ -50,7 +47,7 @@ def methods_of(names: Sequence[str]) -> list[Method]:
         ValueError: a scheme is unknown, or fractions are not numbers that sum to one.
     """
     given = {name: palindrome(name) for name in names if name.partition(":")[0] in FIRST}
-    return chosen(names, KNOWN | given, "scheme")
+    return chosen(names, CONSTANT_ENERGY | given, "scheme")
 
 
 def palindrome(name: str) -> Method:
@@ -108,7 +105,7 @@ def _point(runs: pd.DataFrame) -> dict[str, Any]:
 
 def study(settings: SchemesSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write schemes.json."""
-    methods = dict(zip(settings.schemes or KNOWN, methods_of(settings.schemes), strict=True))
+    methods = dict(zip(settings.schemes or CONSTANT_ENERGY, methods_of(settings.schemes), strict=True))
     tasks = [
         Task(
             settings, {"liquid": settings.liquid, "method": methods[name].name, "fs_per_force": dt, "seed": seed}, name

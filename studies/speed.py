@@ -121,30 +121,30 @@ def contestants(has_solute: bool) -> list[Contestant]:
     """All of them; with solutes SIER2P3 has the step that bonds allow."""
 
     def own(scheme: Scheme, step: float) -> Contestant:
-        return Contestant(
-            scheme.name, step, scheme.force_evaluations, True, None, lambda h, _: SIERIntegrator(h, scheme)
-        )
+        make = partial(_at_constant_energy, scheme)
+        return Contestant(scheme.name, step, scheme.force_evaluations, True, None, make)
 
     def bath(scheme: Scheme, step: float) -> Contestant:
         make = partial(_in_bath, scheme)
         return Contestant(f"{scheme.name} in a bath", step, scheme.force_evaluations, True, 4.0, make)
 
-    def verlet(h: float, _: float) -> openmm.Integrator:
-        return openmm.VerletIntegrator(h)
-
-    def middle(h: float, temperature: float) -> openmm.Integrator:
-        return openmm.LangevinMiddleIntegrator(temperature, FRICTION, h)
-
-    def several_steps(h: float, temperature: float) -> openmm.Integrator:
-        return openmm.MTSLangevinIntegrator(temperature, FRICTION, h, [(0, 1), (1, 4)])
-
-    found = [Contestant("OpenMM Verlet", step, 1, False, None, verlet) for step in (1.0, 2.0)]
+    found = [Contestant("OpenMM Verlet", step, 1, False, None, _verlet) for step in (1.0, 2.0)]
     found += [own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 4.0)]
-    found += [Contestant("OpenMM LangevinMiddle", step, 1, False, 3.0, middle) for step in (2.0, 4.0, 5.0)]
-    found.append(
-        Contestant("OpenMM MTSLangevin", 8.0, 1, True, 4.0, several_steps) if has_solute else bath(SIER2P3, 18.0)
-    )
-    return [*found, *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
+    found += [Contestant("OpenMM LangevinMiddle", step, 1, False, 3.0, _middle) for step in (2.0, 4.0, 5.0)]
+    several = Contestant("OpenMM MTSLangevin", 8.0, 1, True, 4.0, _several_steps)
+    return [*found, several if has_solute else bath(SIER2P3, 18.0), *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
+
+
+def _verlet(h: float, _: float) -> openmm.Integrator:
+    return openmm.VerletIntegrator(h)
+
+
+def _middle(h: float, temperature: float) -> openmm.Integrator:
+    return openmm.LangevinMiddleIntegrator(temperature, FRICTION, h)
+
+
+def _several_steps(h: float, temperature: float) -> openmm.Integrator:
+    return openmm.MTSLangevinIntegrator(temperature, FRICTION, h, [(0, 1), (1, 4)])
 
 
 def _at_constant_energy(scheme: Scheme, h: float, _: float) -> openmm.Integrator:

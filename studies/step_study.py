@@ -2,12 +2,10 @@
 
     openmm-sier ensemble systems/step-study.toml --out step-study
     python -m studies.step_study step-study/* --skip 5 --out step-study-figure
-    python -m studies.step_study
 
 Density, energy, diffusion and temperatures by box, method and step, with standard errors, and how far density and
 energy are from the exact averages of hybrid Monte Carlo, and diffusion from that at the shortest step. Runs that differ
-in their seeds alone count as one; unfinished runs are left out. Writes step-study.json and step-study.png. Without runs
-the numbers are those in `studies/data`.
+in their seeds alone count as one; unfinished runs are left out. Writes step-study.json and step-study.png.
 """
 
 from __future__ import annotations
@@ -26,12 +24,11 @@ from openmm_sier.cli.finished_runs import FinishedRun, check_alike, open_runs
 from openmm_sier.cli.plan import RunError
 from openmm_sier.cli.properties import ROWS, estimated, read_runs
 from openmm_sier.measure.figures import context
-from openmm_sier.measure.statistics import Estimate, pooled
+from openmm_sier.measure.statistics import pooled
 from studies import records, style
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report, Table
-from studies.sources import DATA
 
 #: Properties by their keys in rows, with their names in the table and labels in the figure.
 PROPERTIES = {
@@ -73,7 +70,7 @@ class StepSettings(Settings):
     """What is read.
 
     Attributes:
-        runs: checkpoints, or directories of an ensemble's members; none: the numbers of the documentation.
+        runs: checkpoints, or directories of an ensemble's members.
         skip: ps to leave out at the beginning of each run.
     """
 
@@ -90,21 +87,17 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
         RunError: temperatures or pressures differ, or no run is finished.
         RecordError, OSError: as their messages say.
     """
-    record = _measured(settings, report) if settings.runs else records.read(DATA / "step-study.json")
-    for made in tables(record):
-        report.table(made)
-    record.write(settings.out / "step-study.json")
-    figure(record, settings.out / "step-study.png")
-    return record
-
-
-def _measured(settings: StepSettings, report: Report) -> Record:
     points = _finished(settings.runs, report)
     first = points[0][0].plan
     rows = in_order(with_shared_errors(pd.DataFrame([_row(point, settings.skip) for point in points])))
     pressure = f", {first.pressure:g} bar" if first.moves_volume else ""
     title = f"Water against the step, {first.temperature:g} K{pressure}"
-    return Record(settings.recorded(), {"rows": rows}, {"title": title})
+    record = Record(settings.recorded(), {"rows": rows}, {"title": title})
+    for made in tables(record):
+        report.table(made)
+    record.write(settings.out / "step-study.json")
+    figure(record, settings.out / "step-study.png")
+    return record
 
 
 def _finished(paths: Sequence[Path], report: Report) -> list[list[FinishedRun]]:
@@ -176,8 +169,8 @@ def in_order(rows: pd.DataFrame) -> pd.DataFrame:
 
 def tables(record: Record) -> list[Table]:
     """The rows as text, and the tables of deviations, in the order of `PROPERTIES`."""
-    rows = records.with_text(record.tables["rows"], *MEASURED)
-    found = deviations(record.tables["rows"])
+    rows = record.tables["rows"]
+    found = deviations(rows)
     return [
         records.table(record.notes["title"], rows, COLUMNS, left=2),
         *(_deviations(found[found["property"] == key], PROPERTIES[key][0]) for key in PROPERTIES),
@@ -218,17 +211,12 @@ def _reference(rows: pd.DataFrame) -> pd.DataFrame:
 
 def _deviations(found: pd.DataFrame, name: str) -> Table:
     """A line for each method and step, with a column for each box; errors have that of the reference in them."""
-    lines: dict[tuple[str, str], dict[str, str]] = {}
-    for row in found.to_dict("records"):
-        lines.setdefault(("reference", ""), {})[row["box"]] = str(Estimate(row["reference"], row["reference_error"]))
-        error = math.hypot(row["difference_error"], row["reference_error"])
-        point = row["method"], f"{row['fs_per_force']:g}"
-        lines.setdefault(point, {})[row["box"]] = str(Estimate(row["difference"], error))
-    boxes = list(found["box"].unique())
-    cells = [[*point, *(texts.get(box, "-") for box in boxes)] for point, texts in lines.items()]
-    return Table(
-        f"{name}, less the reference", ["method", "fs per force", *(style.MODELS.get(box, box) for box in boxes)], cells
-    )
+    error = np.hypot(found["difference_error"], found["reference_error"])
+    own = found.assign(box=found["box"].replace(style.MODELS), value=found["difference"], value_error=error)
+    reference = own.drop_duplicates("box").assign(method="reference", fs_per_force="")
+    reference = reference.assign(value=reference["reference"], value_error=reference["reference_error"])
+    columns = records.columns("method", "fs_per_force") | {"-": "{value_text}"}
+    return records.table(f"{name}, less the reference", pd.concat([reference, own]), columns, across="box")
 
 
 def figure(record: Record, path: Path) -> None:

@@ -36,10 +36,6 @@ METHODS = {
     "LAMMPS rigid/nve/small": ("#8c6d31", "d"),
     "GROMACS md-vv, mixed": ("#9c9ede", ">"),
     "GROMACS md-vv, double": ("#5254a3", "p"),
-    "Blanes-Moan S6": ("#bcbd22", "h"),
-    "Blanes-Moan SRKN6b": ("#8ca252", "8"),
-    "PEFRL": ("#c49c94", "*"),
-    "OMF, 3 forces and 2 gradients": ("#17becf", "H"),
 }
 
 UNKNOWN = ("#000000", "x")

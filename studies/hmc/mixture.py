@@ -3,7 +3,6 @@
     python -m studies.hmc.mixture --method hmc --step 2 --time 60
     python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 1
     python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 3
-    python -m studies.hmc.mixture --pdb systems/mixture.pdb   the start alone, for `openmm-sier`
 
 Each command adds a run to those of `--out`, and the others are compared with the first. Bonds to hydrogen are
 constrained; 1 bar; steps are in fs for each force evaluation. A hydrogen mass of 1 leaves masses as they are. Kinetic
@@ -17,7 +16,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -65,18 +63,16 @@ class MixtureSettings(RunsSettings):
     """What is run.
 
     Attributes:
-        pdb: where to write the start of all runs, in place of a run.
         method: of the run.
         step: fs for each force evaluation.
         hydrogen_mass: of hydrogens outside water, dalton.
         friction: of LangevinMiddle, 1/ps.
         temperature: K.
         time: of the run, ps.
-        settling: ps before it, after the equilibration at 2 fs, whose end `--out` keeps.
+        settling: ps before it, after the equilibration at 2 fs, whose end is mixture.pdb of `--out`.
         platform: of OpenMM; None takes the fastest.
     """
 
-    pdb: Path | None = None
     method: Literal["hmc", "langevin"] = "hmc"
     step: float = 2.0
     hydrogen_mass: float = 1.0
@@ -96,12 +92,7 @@ class MixtureSettings(RunsSettings):
 
 
 def study(settings: MixtureSettings, report: Report = SILENT) -> None:
-    """Make a run if it is missing in the directory `out`, and write mixture.json; or the start of runs alone."""
-    begun = start(settings)
-    if settings.pdb is not None:
-        peptide.write(settings.pdb, begun.topology, begun.positions)
-        report.note(f"wrote {settings.pdb}")
-        return
+    """Make a run if it is missing in the directory `out`, and write mixture.json."""
     task = Task(settings, {"label": settings.label, "seed": settings.seed, "time": settings.time})
     runs = records.all_runs(settings, "mixture", [task], run, report, "{label}, seed {seed}")
     rows, tests = table(runs), kinetic_tests(runs, settings.temperature)

@@ -203,7 +203,7 @@ def mixtures(found):
 
 
 WATER = replace(water_runs.QUICK, kinds=(liquids.MOLECULAR,))
-FREE = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2, timed_bodies=10, timings=2)
+FREE = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2)
 
 MINIATURES = {
     "acceptance": Miniature(
