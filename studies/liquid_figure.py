@@ -2,10 +2,9 @@
 
     openmm-sier ensemble systems/motion.toml --out motion
     python -m studies.liquid_figure motion/* --out motion-figure
-    python -m studies.liquid_figure
 
 Pair distribution, displacements, orientations and the running integral of the viscosity, the means of runs that differ
-in their seeds alone. Writes properties.json and properties.png. Without runs the numbers are those in `studies/data`.
+in their seeds alone. Writes properties.json and properties.png.
 """
 
 from __future__ import annotations
@@ -22,11 +21,10 @@ from tyro.conf import Positional
 from openmm_sier.cli.finished_runs import open_runs
 from openmm_sier.cli.properties import Run, curves_of, read_runs, title_of
 from openmm_sier.measure.figures import Curve, property_figure
-from studies import records, style
+from studies import style
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
-from studies.sources import DATA
 
 #: Digits of the numbers that are kept: more than any error bar needs.
 DIGITS = 5
@@ -37,7 +35,7 @@ class LiquidFigureSettings(Settings):
     """What is drawn.
 
     Attributes:
-        runs: directories of members, or checkpoints; none takes the numbers in `studies/data`.
+        runs: directories of members, or checkpoints.
         skip: ps to leave out at the beginning of each run.
     """
 
@@ -49,17 +47,16 @@ class LiquidFigureSettings(Settings):
 
 def study(settings: LiquidFigureSettings, report: Report = SILENT) -> Record:
     """Write properties.json and properties.png."""
-    record = _measured(settings) if settings.runs else records.read(DATA / "properties.json")
+    if not settings.runs:
+        raise ValueError("name the directories of an ensemble's members")
+    runs = read_runs(open_runs(settings.runs), None, settings.skip)
+    curves = curves_of(runs, [run for run in runs if run.tensors is not None])
+    rounded = {name: _rounded(curve) for name, curve in curves.items()}
+    record = Record({"skip": settings.skip}, rounded, _notes(runs))
     record.write(settings.out / "properties.json")
     figure(record, settings.out / "properties.png")
     report.note(f"wrote {settings.out / 'properties.png'}")
     return record
-
-
-def _measured(settings: LiquidFigureSettings) -> Record:
-    runs = read_runs(open_runs(settings.runs), None, settings.skip)
-    curves = curves_of(runs, [run for run in runs if run.tensors is not None])
-    return Record({"skip": settings.skip}, {name: _rounded(curve) for name, curve in curves.items()}, _notes(runs))
 
 
 def _notes(runs: Sequence[Run]) -> dict[str, str]:

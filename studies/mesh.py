@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import unit
 
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure import forcefields
@@ -43,7 +42,7 @@ FACTORS = (2, 3, 5, 7)
 TIGHT, DENSITY = 1e-7, 17.0
 
 #: Names of the two ways in which OpenMM's tolerance becomes parameters.
-OPENMM, BALANCED = "OpenMM", "balanced"
+_SPLITS = OPENMM, BALANCED = "OpenMM", "balanced"
 
 COLUMNS = records.columns(
     *("molecules", "tolerance", "split", "mesh", "alpha", "error", "milliseconds"),
@@ -86,8 +85,8 @@ class Parameters(NamedTuple):
 class Forces:
     """A Context that computes forces with some parameters."""
 
-    def __init__(self, replica: boxes.Replica, settings: MeshSettings, platform: str | None = None):
-        self.context = make_context(replica.system, openmm.VerletIntegrator(1e-3), platform or settings.platform)
+    def __init__(self, replica: boxes.Replica, settings: MeshSettings):
+        self.context = make_context(replica.system, openmm.VerletIntegrator(1e-3), settings.platform)
         self.context.setPositions(replica.positions)
         self.positions = replica.positions
         # Before the first forces OpenMM tells the mesh that was asked for, afterwards that which it took.
@@ -98,8 +97,7 @@ class Forces:
 
     def read(self) -> np.ndarray:
         """Forces (N, 3), kJ/mol/nm."""
-        state = self.context.getState(forces=True)
-        return state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+        return md(self.context.getState(forces=True).getForces(asNumpy=True))
 
     def again(self, count: int) -> None:
         """Compute forces so many times, of positions that are given each time."""
@@ -142,8 +140,7 @@ def _with(replica: boxes.Replica, settings: MeshSettings, parameters: Parameters
 def _by_tolerance(replica: boxes.Replica, settings: MeshSettings, tolerance: float, split: str) -> Forces:
     boxes.with_tolerance(replica.system, tolerance)
     if split == OPENMM:
-        for force in meshed_forces(replica.system):
-            force.setPMEParameters(0, 0, 0, 0)
+        boxes.split_by_openmm(replica.system)
     return Forces(replica, settings)
 
 
@@ -241,9 +238,6 @@ def _fastest(
     ratio, ratio_error, _ = median_and_error(seconds[best] / seconds[choice])
     found = {f"best_{name}": meshes[best][name] for name in ("mesh", "alpha", "error")}
     return found | {"ratio": ratio, "ratio_error": ratio_error}
-
-
-_SPLITS = (OPENMM, BALANCED)
 
 
 def _row(molecules: int, forces: Forces, its_error: float, seconds: np.ndarray) -> dict[str, Any]:

@@ -85,18 +85,15 @@ REVERSIBLE = {"verlet": of_scheme(SIER2, rotation.rattle, "Verlet, RATTLE"), **S
 def with_bath(temperature: float, friction: float, seed: int) -> dict[str, Method]:
     """OpenMM's LangevinMiddle and every scheme of the catalogue with a heat bath, by lower-case name."""
 
-    def middle(h: float) -> openmm.Integrator:
-        integrator = openmm.LangevinMiddleIntegrator(temperature, friction, h)
+    def seeded(h: float, kind: Callable[..., openmm.Integrator]) -> openmm.Integrator:
+        integrator = kind(temperature, friction, h)
         integrator.setRandomNumberSeed(seed)
         return integrator
 
-    def langevin(h: float, scheme: Scheme) -> openmm.Integrator:
-        integrator = SIERLangevinIntegrator(temperature, friction, h, scheme=scheme)
-        integrator.setRandomNumberSeed(seed)
-        return integrator
-
+    middle = partial(seeded, kind=openmm.LangevinMiddleIntegrator)
     methods = {"langevinmiddle": Method("OpenMM LangevinMiddle", 1, 2, middle)}
     for name, scheme in CATALOGUE.items():
-        make, bias = partial(langevin, scheme=scheme), BIAS_NVT if scheme is SIER2 else math.nan
+        make = partial(seeded, kind=partial(SIERLangevinIntegrator, scheme=scheme))
+        bias = BIAS_NVT if scheme is SIER2 else math.nan
         methods[name] = Method(f"{scheme.name} Langevin", scheme.force_evaluations, scheme.order, make, bias)
     return methods

@@ -8,7 +8,6 @@ import openmm
 
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
-from openmm_sier.prepare.pme import meshed_forces
 from studies import boxes
 from studies.command import SYSTEMS, BoxSettings
 from studies.report import Report
@@ -68,6 +67,5 @@ def _water(molecules: int, settings: BoxSettings) -> boxes.Replica:
     box = forcefields.read_box(settings.box, settings.forcefield, None, INTERACTIONS)
     shape = boxes.copies_for(molecules, box.topology.getNumResidues())
     found = boxes.repeated(box, settings.box.parent, shape)
-    for force in meshed_forces(found.system):
-        force.setEwaldErrorTolerance(TOLERANCE)
+    boxes.with_tolerance(found.system, TOLERANCE)
     return found

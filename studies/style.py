@@ -139,8 +139,5 @@ def logarithmic(axes: Axes) -> None:
 
 def plain_ticks(axis: Any, values: Sequence[float]) -> None:
     """Ticks of a logarithmic axis at given values, written out."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
-
-    axis.set_major_locator(FixedLocator(list(values)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_ticks(list(values), labels=[f"{value:g}" for value in values])
+    axis.set_ticks([], minor=True)

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
@@ -39,21 +39,14 @@ from studies.records import Record, Task
 from studies.report import SILENT, Report, Table
 from studies.sampling import Liquid, conserved, equilibrated, over_starts
 
-
-class Kind(NamedTuple):
-    """A liquid: its PDB file in `systems`, and a force field if it is not the one that the file names."""
-
-    file: str
-    forcefield: tuple[str, ...] = ()
-
-
-LIQUIDS = {
-    "TIP3P": Kind("tip3p-512.pdb"),
-    "SPC/E": Kind("spce-512.pdb"),
-    "TIP4P/2005": Kind("tip4p2005-512.pdb"),
-    "OPC": Kind("tip4p2005-512.pdb", ("opc.xml",)),
-    "TIP5P": Kind("tip5p-512.pdb"),
-    "peptide": Kind("peptide.pdb"),
+#: Liquids: the PDB file in `systems`, and a force field if it is not the one that the file names.
+LIQUIDS: dict[str, tuple[str, ...]] = {
+    "TIP3P": ("tip3p-512.pdb",),
+    "SPC/E": ("spce-512.pdb",),
+    "TIP4P/2005": ("tip4p2005-512.pdb",),
+    "OPC": ("tip4p2005-512.pdb", "opc.xml"),
+    "TIP5P": ("tip5p-512.pdb",),
+    "peptide": ("peptide.pdb",),
 }
 
 #: fs between two samples of the energy. It is far below the 1 ps over which the walk is averaged.
@@ -141,7 +134,7 @@ def tasks(settings: WholeRunSettings) -> Iterator[Task]:
     shared = {"time": settings.time, "tolerance": settings.tolerance, "share": DIRECT_SHARE}
     seeds = range(settings.seed, settings.seed + settings.starts)
     for seed, liquid, name in product(seeds, settings.liquids, settings.methods or CONSTANT_ENERGY):
-        method, repeated = CONSTANT_ENERGY[name], LIQUIDS[liquid].file.endswith("-512.pdb")
+        method, repeated = CONSTANT_ENERGY[name], LIQUIDS[liquid][0].endswith("-512.pdb")
         place = {"liquid": liquid, "molecules": settings.molecules if repeated else 0} | shared
         for step in settings.steps or [method.forces * each for each in settings.per_force]:
             yield Task(settings, place | {"method": method.name, "step": round(step, 6), "seed": seed}, name)
@@ -150,9 +143,9 @@ def tasks(settings: WholeRunSettings) -> Iterator[Task]:
 def start(task: Task) -> Liquid:
     """The equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
     settings, (liquid, molecules, seed) = task.settings, (task.point[name] for name in ("liquid", "molecules", "seed"))
-    kind = LIQUIDS[liquid]
+    file, *forcefield = LIQUIDS[liquid]
     kept = settings.out / f"start of {liquid.replace('/', '-')}, {molecules}, seed {seed}.xml"
-    box = forcefields.read_box(SYSTEMS / kind.file, kind.forcefield or None, None if molecules else "hbonds")
+    box = forcefields.read_box(SYSTEMS / file, forcefield or None, None if molecules else "hbonds")
     topology, positions, system = box.topology, box.positions, box.system
     if molecules:
         replica = boxes.of_size(box, SYSTEMS, molecules)

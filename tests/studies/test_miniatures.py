@@ -75,7 +75,7 @@ def acceptances(found):
 
 
 def benchmarks(found):
-    assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4"]
+    assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4G"]
     assert found["points"]["percent"].between(1e-3, 50).all()
 
 
@@ -218,7 +218,7 @@ MINIATURES = {
         ("{box} --time 0.1 --equilibrate 0.02 --platform Reference",),
         benchmarks,
         "bench",
-        patches=((accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)}), (peers, "installed", list)),
+        patches=((accuracy, "METHODS", {"verlet": (2.0,), "sier4g": (1.0,)}), (peers, "installed", list)),
     ),
     "defaults": Miniature(
         defaults,
