@@ -90,45 +90,31 @@ class RunsSettings(Settings):
 Given = TypeVar("Given", bound=Settings)
 
 
-def execute(
-    kind: type[Given],
-    study: Callable[[Given, Report], object],
-    description: str | None,
-    arguments: Sequence[str] | None = None,
-) -> int:
-    """Carry out a study as a command.
+def command(
+    kind: type[Given], study: Callable[[Given, Report], object], description: str | None, module: str
+) -> Callable[[Sequence[str] | None], int]:
+    """The function `main` of a study; it is called at once in the module that Python was started with.
 
     Args:
         kind: of the settings.
         study: takes settings, and a report for tables, notes and progress.
         description: for the help.
-        arguments: of the command line; None takes those of the process.
+        module: `__name__` of the study's module, whose last line this is.
 
     Returns:
-        The exit code. What is wrong is said in one line on standard error.
-    """
-    try:
-        settings = tyro.cli(kind, prog=_program(), args=arguments, description=description)
-        settings.out.mkdir(parents=True, exist_ok=True)
-        study(settings, PrintedReport())
-    except EXPECTED as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        return 1
-    return 0
-
-
-def command(
-    kind: type[Given], study: Callable[[Given, Report], object], description: str | None, module: str
-) -> Callable[[Sequence[str] | None], int]:
-    """The function `main` of a study, see `execute`; it is called at once in the module that Python was started with.
-
-    Args:
-        kind, study, description: see `execute`.
-        module: `__name__` of the study's module, whose last line this is.
+        A function of the arguments of the command line, None for those of the process, that gives the exit code. What
+        is wrong is said in one line on standard error.
     """
 
     def main(arguments: Sequence[str] | None = None) -> int:
-        return execute(kind, study, description, arguments)
+        try:
+            settings = tyro.cli(kind, prog=_program(), args=arguments, description=description)
+            settings.out.mkdir(parents=True, exist_ok=True)
+            study(settings, PrintedReport())
+        except EXPECTED as error:
+            print(" ".join(str(error).split()), file=sys.stderr)
+            return 1
+        return 0
 
     if module == "__main__":
         sys.exit(main())

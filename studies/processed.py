@@ -35,14 +35,8 @@ TAKAHASHI_IMADA = Scheme(
     "Takahashi and Imada, J. Phys. Soc. Jpn. 53, 3765 (1984)",
 )
 
-COLUMNS = {
-    "liquid": "{liquid}",
-    "step/fs": "{step:g}",
-    "fs per force": "{fs_per_force:g}",
-    "seed": "{seed}",
-    "rms(H)/rms(V)/%": "{percent:.3g}",
+COLUMNS = records.columns("liquid", "step", "fs_per_force", "seed", "percent", "walk") | {
     "of the processed state/%": "{processed:.3g}",
-    "walk/%": "{walk:.2g}",
 }
 
 

@@ -200,6 +200,7 @@ HEADINGS = {
     "time": "ps",
     "length": "trial/fs",
     "percent": "rms(H)/rms(V)/%",
+    "walk": "walk/%",
     "drift": "drift of the box/kJ/mol/ps",
     "spread": "sd/kT",
     "translation": "T_trans/K",

@@ -40,14 +40,9 @@ PROPERTIES = {
 #: What follows from runs, with its heading in the table.
 MEASURED = {"translation": "T_trans, K", "rotation": "T_rot, K"} | {key: name for key, (name, _) in PROPERTIES.items()}
 
-COLUMNS = {
-    "box": "{box}",
-    "method": "{method}",
-    "step, fs": "{step:g}",
-    "fs per force": "{fs_per_force:g}",
-    "runs": "{runs}",
-    "ps": "{time:.4g}",
-} | {heading: f"{{{key}_text}}" for key, heading in MEASURED.items()}
+COLUMNS = records.columns("box", "method", "step", "fs_per_force", "runs", "time") | {
+    heading: f"{{{key}_text}}" for key, heading in MEASURED.items()
+}
 
 #: What the figure says.
 TITLE = "Verlet with AndersenThermostat leaves the exact averages;\nthe others stay near them (grey: two errors)"
@@ -102,12 +97,9 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
 
 def _finished(paths: Sequence[Path], report: Report) -> list[list[FinishedRun]]:
     """The finished runs, by what they have in common."""
-    begun = []
-    for path in paths:
-        if path.is_dir() and not (path / "run.chk").exists():
-            report.note(f"left out: {path} has no checkpoint yet")
-        else:
-            begun.append(path)
+    begun = [path for path in paths if not path.is_dir() or (path / "run.chk").exists()]
+    for path in sorted(set(paths) - set(begun)):
+        report.note(f"left out: {path} has no checkpoint yet")
     points: dict[tuple, list[FinishedRun]] = {}
     for run in open_runs(begun):
         if not run.complete:

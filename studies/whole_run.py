@@ -59,26 +59,17 @@ WALK_LAGS = (5, 20)
 #: of PME's two sums, `prepare.pme.DIRECT_SHARE`.
 POINT = ["liquid", "molecules", "time", "tolerance", "share", "method", "step"]
 
-COLUMNS = {
-    "liquid": "{liquid}",
-    "molecules": "{molecules}",
-    "ps": "{time:g}",
-    "PME": "{tolerance:g}/{share:g}",
-    "scheme": "{method}",
-    "step/fs": "{step:.3g}",
-    "fs per force": "{fs_per_force:.3g}",
-    "starts": "{starts}",
+PME = {"PME": "{tolerance:g}/{share:g}"}
+
+COLUMNS = records.columns("liquid", "molecules", "time", "method", "step", "fs_per_force", "starts") | {
     "rms(H)/rms(V)/%": "{percent:.3g} ± {percent_error:.1g}",
     "walk/%": "{walk:.2g} ± {walk_error:.1g}",
     "drift of the box/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
+    **PME,
 }
 
-
-GAINS = {
-    "liquid": "{liquid}",
-    "molecules": "{molecules}",
-    "ps": "{time:g}",
-    "PME": "{tolerance:g}/{share:g}",
+GAINS = records.columns("liquid", "molecules", "time") | {
+    **PME,
     "fs per force": "{per_force:.3g}",
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
     "SIER4G/%": "{percent:.3f} ± {percent_error:.1g}",

@@ -34,8 +34,7 @@ from studies.sampling import INTERVAL, Energies, Liquid, Unstable, equilibrated_
 #: fs per force evaluation: of methods of second order, and of those of fourth.
 SECOND_ORDER = (0.25, 0.5, 1.0, 2.0)
 FOURTH_ORDER = (0.75, 1.0, 1.5, 2.0, 2.5)
-METHODS = {"verlet": SECOND_ORDER, "sier2": SECOND_ORDER, "sier4": FOURTH_ORDER, "sier4g": FOURTH_ORDER}
-METHODS["sier4p"] = FOURTH_ORDER
+METHODS = dict.fromkeys(("verlet", "sier2"), SECOND_ORDER) | dict.fromkeys(("sier4", "sier4g", "sier4p"), FOURTH_ORDER)
 
 #: Values of rms(H)/rms(V) in per cent at which costs are compared; 0.003 % is the floor of forces in single precision.
 LEVELS = (0.02, 0.05, 0.1)

@@ -147,19 +147,8 @@ def place(context: openmm.Context) -> np.ndarray:
 @contextmanager
 def sender() -> Iterator[Callable[[float], None]]:
     """A process that interrupts this one so many seconds after each call."""
-    process = subprocess.Popen([sys.executable, "-c", SENDER], stdin=subprocess.PIPE, text=True)
-    assert process.stdin is not None
-    orders = process.stdin
-
-    def send(seconds: float) -> None:
-        orders.write(f"{seconds}\n")
-        orders.flush()
-
-    try:
-        yield send
-    finally:
-        orders.close()
-        process.wait()
+    with subprocess.Popen([sys.executable, "-c", SENDER], stdin=subprocess.PIPE, text=True) as process:
+        yield lambda seconds: print(seconds, file=process.stdin, flush=True)
 
 
 def interrupt(context: openmm.Context, send: Callable[[float], None], seconds: float, lengths: Iterator[int]) -> bool:

@@ -87,16 +87,14 @@ def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
         bodies of the deviation of the energy at the last time over the mean energy, in per cent.
     """
     runs = [(method, step) for step in settings.steps_fs for method in PAPER]
-    work = [method.forces * settings.span / step for method, step in runs]
-    curves, taus, done = [], [], 0.0
-    with report.progress("free rotation", sum(work)) as advance:
-        for (method, step), part in zip(runs, work, strict=True):
+    curves, taus = [], []
+    with report.progress("free rotation", len(runs)) as advance:
+        for done, (method, step) in enumerate(runs):
             advance(done, f"free rotation: {method.name}, {step:g} fs")
             curve, tau = _curve(method, step, settings)
             curves.append(curve)
             taus.append({"method": method.name, "step_fs": step} | tau)
-            done += part
-        advance(done)
+        advance(len(runs))
     return Record(asdict(settings), {"curves": pd.concat(curves), "taus": pd.DataFrame(taus)}, {})
 
 
