@@ -51,9 +51,7 @@ COLUMNS = records.columns(
     "molecules", "method", "fs_per_force", "length", "trials", "acceptance", "spread", "mean", "noise"
 )
 
-LIMITS = {
-    "scheme": "{method}",
-    "fs per force": "{fs_per_force:g}",
+LIMITS = records.columns("method", "fs_per_force") | {
     "sd for one molecule/kT": "{spread:.5f} ± {spread_error:.5f}",
     "largest box measured": "{measured}",
     "by sd ~ sqrt(N)": "{largest:.0f} ± {largest_error:.0f}",

@@ -32,9 +32,6 @@ from studies.records import replace_file
 from studies.report import SILENT, Report
 from studies.units import md
 
-#: Tolerance of constraints for OpenMM's own integrators.
-CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE
-
 #: K, beyond which a run counts as broken.
 HIGHEST_TEMPERATURE = 3000.0
 
@@ -215,7 +212,7 @@ def follow(
     """
     step = dt * method.forces
     integrator = method.make(1e-3 * step)
-    integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
+    integrator.setConstraintTolerance(stock.CONSTRAINT_TOLERANCE)
     try:
         context = _context(liquid, integrator)
     except openmm.OpenMMException as error:

@@ -28,7 +28,7 @@ from studies.bench.timing import counts_processor_time
 from studies.command import BoxSettings, command
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.sampling import INTERVAL, Energies, Liquid, Unstable, equilibrated_liquid, follow
 
 #: fs per force evaluation: of methods of second order, and of those of fourth.
@@ -62,23 +62,6 @@ class BenchSettings(BoxSettings):
 
 #: What is measured: energies, and simulated fs per second, of processor time if `counts_processor_time`.
 Measured = tuple[Energies, float]
-
-
-def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:
-    """All methods at all their steps from one equilibrated start, and what an energy error costs.
-
-    Returns:
-        `points` with rms(H)/rms(V) in per cent and the simulated time per second, both NaN where a method broke
-        down, and `costs`, see `costs_of`.
-    """
-    liquid = equilibrated_liquid(settings, settings.equilibrate, report)
-    points = measure(liquid, METHODS, settings.time, report)
-    for peer, water in _peers(liquid, report):
-        for dt in SECOND_ORDER:
-            run = partial(_of_peer, peer, water, dt, settings)
-            points.append(_point(peer.name, dt, run, report))
-    made = pd.DataFrame(points)
-    return {"points": made, "costs": costs_of(made)}
 
 
 def measure(liquid: Liquid, methods: Mapping[str, tuple[float, ...]], time: float, report: Report) -> list[dict]:
@@ -137,7 +120,7 @@ def step_at(points: pd.DataFrame, method: str, level: float) -> float:
     Between two points the error is taken as a power of the step. The longest such step is returned.
 
     Args:
-        points: of `find`.
+        points: of `study`.
         method: name of it.
         level: rms(H)/rms(V) in per cent.
     """
@@ -160,15 +143,6 @@ def costs_of(points: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
-    """Errors and costs, for the report."""
-    title = "Cost of an accuracy; - where the steps do not enclose it"
-    return [
-        records.table("Energy error and speed", found["points"], POINTS),
-        records.table(title, found["costs"], COSTS),
-    ]
-
-
 def figure(record: Record, path: Path) -> None:
     """Energy error against speed, one line per method, the title saying what SIER4G gains over Verlet."""
     points, costs = record.tables["points"], record.tables["costs"]
@@ -188,10 +162,20 @@ def figure(record: Record, path: Path) -> None:
 
 
 def study(settings: BenchSettings, report: Report = SILENT) -> Record:
-    """Measure, and write bench.json and bench.png."""
-    found = find(settings, report)
-    for table in tables(found):
-        report.table(table)
+    """All methods at all their steps from one equilibrated start, and what an energy error costs.
+
+    Writes bench.json and bench.png, with `points`, rms(H)/rms(V) in per cent and the simulated time per second, both
+    NaN where a method broke down, and `costs`, see `costs_of`.
+    """
+    liquid = equilibrated_liquid(settings, settings.equilibrate, report)
+    made = measure(liquid, METHODS, settings.time, report)
+    for peer, water in _peers(liquid, report):
+        for dt in SECOND_ORDER:
+            made.append(_point(peer.name, dt, partial(_of_peer, peer, water, dt, settings), report))
+    points = pd.DataFrame(made)
+    found = {"points": points, "costs": costs_of(points)}
+    report.table(records.table("Energy error and speed", points, POINTS))
+    report.table(records.table("Cost of an accuracy; - where the steps do not enclose it", found["costs"], COSTS))
     of_processor = counts_processor_time(settings.platform)
     builds = {peer.name: peer.build for peer in peers.installed()}
     notes = {"peers": builds, "clock": "processor" if of_processor else "wall", "threads": threads.count()}
