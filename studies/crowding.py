@@ -234,9 +234,8 @@ def study(settings: CrowdSettings, report: Report = SILENT) -> Record:
         rows.append(row | {"milliseconds": path.milliseconds, "forces": path.forces})
         report.note(f"{fraction:g} of the volume: {row['translation']:.3f}, {row['rotation']:.3f}")
     tables = {"crowds": pd.DataFrame(rows), "water": pd.DataFrame(cost_in_water(settings))}
-    report.table(
-        records.table("Diffusion in a crowd of DHFR, over that without interactions", tables["crowds"], COLUMNS)
-    )
+    title = "Diffusion in a crowd of DHFR, over that without interactions"
+    report.table(records.table(title, tables["crowds"], COLUMNS))
     report.table(records.table("DHFR in water, SIER4G at 4.5 fs", tables["water"], WATER_COLUMNS))
     # nm^2/ps, of a free body: kT/(m friction), less what the motion before the first collision takes.
     kT = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin) * settings.temperature

@@ -196,6 +196,7 @@ def all_runs(
 #: Headings of what several studies have, by its name in their tables.
 HEADINGS = {
     "label": "run",
+    "fast": "fast forces",
     "step": "step/fs",
     "time": "ps",
     "length": "trial/fs",
@@ -208,7 +209,6 @@ HEADINGS = {
     "difference": "T_rot - T_trans/K",
     "potential": "V/kJ/mol",
     "density": "g/cm³",
-    "fs_per_second": "simulated fs per second",
     "relative": "over Verlet at 2 fs",
 }
 
@@ -261,7 +261,7 @@ class _Known(dict[str, Any]):
             return str(Estimate(value, self[f"{of}_error"]))
         if not isinstance(value, float):
             return str(value)
-        return f"{value:.0f}" if value.is_integer() else f"{value:.4g}"
+        return f"{value:.0f}" if value.is_integer() or abs(value) >= 1000 else f"{value:.3g}"
 
 
 def cell(form: str, row: Mapping[str, Any]) -> str:

@@ -235,7 +235,11 @@ def configurational(samples: pd.DataFrame, kind: str) -> Estimate:
     return found.times(1 / GAS_CONSTANT)
 
 
-TESTS = records.columns("label", "group", "samples", "mean", "width", "shape")
+TESTS = records.columns("label", "group", "samples") | {
+    "mean": "{mean:.1f}",
+    "width": "{width:.1f}",
+    "shape, p": "{shape:.2g}",
+}
 
 
 def kinetic_tests(runs: pd.DataFrame, temperature: float) -> pd.DataFrame:
