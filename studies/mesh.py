@@ -147,11 +147,10 @@ def _by_tolerance(replica: boxes.Replica, settings: MeshSettings, tolerance: flo
 def _replica(settings: MeshSettings, molecules: int) -> tuple[boxes.Replica, int]:
     """The box repeated, with the cut-off of the settings, and how often along each edge."""
     box = forcefields.read_box(settings.box, settings.forcefield)
-    copies = boxes.copies_for(molecules, box.topology.getNumResidues())
+    there = box.topology.getNumResidues()
+    copies = boxes.copies_for(molecules, there)
     if len(set(copies)) > 1:
-        raise ValueError(
-            f"{molecules} molecules are no cube of copies of the {box.topology.getNumResidues()} of the box"
-        )
+        raise ValueError(f"{molecules} molecules are no cube of copies of the {there} of the box")
     replica = boxes.repeated(box, settings.box.parent, copies)
     for force in meshed_forces(replica.system):
         force.setCutoffDistance(settings.cutoff)
