@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
@@ -29,15 +29,12 @@ from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.measure.starts import make_context
 from studies import boxes, records, style
-from studies.command import BoxSettings, chosen, claim, command
+from studies.command import BoxSettings, RunsSettings, chosen, command
 from studies.methods import REVERSIBLE
-from studies.records import Record
+from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import equilibrated
 from studies.units import md
-
-#: Settings in which the trials of a directory may differ.
-FREE = ("sizes", "schemes", "dt", "trials", "processes")
 
 #: Spreads of boxes below this size are not pooled with those of larger ones, since cut-offs are shorter in boxes that
 #: are narrower than twice the usual cut-off.
@@ -50,21 +47,11 @@ APART, ALIKE = 1.12, 0.03
 #: Number of molecules up to which lines of acceptance are drawn.
 LARGEST_DRAWN = 262144
 
-COLUMNS = {
-    "molecules": "{molecules}",
-    "scheme": "{method}",
-    "fs per force": "{fs_per_force:g}",
-    "trajectory/fs": "{length:g}",
-    "trials": "{trials}",
-    "acceptance": "{acceptance:.3f} ± {acceptance_error:.3f}",
-    "sd/kT": "{spread:.4f} ± {spread_error:.4f}",
-    "mean/kT": "{mean:.4f} ± {mean_error:.4f}",
-    "noise of the energy/kT": "{noise:.1g}",
-}
+COLUMNS = records.columns(
+    "molecules", "method", "fs_per_force", "length", "trials", "acceptance", "spread", "mean", "noise"
+)
 
-LIMITS = {
-    "scheme": "{method}",
-    "fs per force": "{fs_per_force:g}",
+LIMITS = records.columns("method", "fs_per_force") | {
     "sd for one molecule/kT": "{spread:.5f} ± {spread_error:.5f}",
     "largest box measured": "{measured}",
     "by sd ~ sqrt(N)": "{largest:.0f} ± {largest_error:.0f}",
@@ -80,47 +67,30 @@ MOLECULES, FEWEST, MOST = 163840, 10, 400
 
 
 @dataclass(frozen=True)
-class AcceptanceSettings(BoxSettings):
+class AcceptanceSettings(BoxSettings, RunsSettings):
     """Settings of the measurement.
 
     Attributes:
         sizes: numbers of molecules, multiples of that of the box or smaller.
         schemes: by name; all unless given.
         dt: simulated time per force evaluation, fs.
-        trials: their number at each size, or one number for all; fewer in larger boxes unless given.
+        trials: their number; fewer in larger boxes unless given.
         time: of each trajectory, ps, rounded to a whole number of steps.
         equilibrate: at each size, ps, for repeated boxes; cropped ones are equilibrated until they have settled.
-        processes: that make trials at the same time.
     """
 
     sizes: tuple[int, ...] = (64, 512, 4096, 32768)
     schemes: tuple[str, ...] = ()
     dt: tuple[float, ...] = (2.0,)
-    trials: tuple[int, ...] = ()
+    trials: int | None = None
     time: float = 0.06
     equilibrate: float = 1.0
-    processes: int = 1
+
+    SHARED = ("box", "forcefield", "temperature", "platform", "seed", "time", "equilibrate")
 
     def trials_of(self, molecules: int) -> int:
         """Number of trials in a box of this size."""
-        if not self.trials:
-            return min(MOST, max(FEWEST, MOLECULES // molecules))
-        return self.trials[self.sizes.index(molecules) if len(self.trials) > 1 else 0]
-
-
-class Task(NamedTuple):
-    """Trials of one method in one box."""
-
-    settings: AcceptanceSettings
-    molecules: int
-    scheme: str
-    fs_per_force: float
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """What identifies the trials."""
-        named = {"molecules": self.molecules, "method": REVERSIBLE[self.scheme].name}
-        return named | {"fs_per_force": self.fs_per_force, "trials": self.settings.trials_of(self.molecules)}
+        return self.trials or min(MOST, max(FEWEST, MOLECULES // molecules))
 
 
 def run(task: Task) -> dict[str, Any]:
@@ -132,16 +102,16 @@ def run(task: Task) -> dict[str, Any]:
         start when the first trajectory was followed back; the `noise` of the energy in kT, from rounding, which enters
         each trial twice; and `broken`, why there are no trials.
     """
-    settings, method = task.settings, REVERSIBLE[task.scheme]
+    settings, method, molecules = task.settings, REVERSIBLE[task.method], task.point["molecules"]
     box = boxes.read(settings)
-    replica = boxes.of_size(box, settings.box.parent, task.molecules)
+    replica = boxes.of_size(box, settings.box.parent, molecules)
     context = make_context(replica.system, SIERIntegrator(0.001, SIER2), settings.platform)
     # A cropped box has new faces, so it is equilibrated until it has settled.
-    time: Any = None if task.molecules < box.topology.getNumResidues() else settings.equilibrate
-    kept, positions = settings.out / f"start of {task.molecules}.xml", replica.positions * unit.nanometer
+    time: Any = None if molecules < box.topology.getNumResidues() else settings.equilibrate
+    kept, positions = settings.out / f"start of {molecules}.xml", replica.positions * unit.nanometer
     context.setState(equilibrated(context, positions, settings.temperature, settings.seed, time, kept))
     bodies, noise = context.getIntegrator().bodies, energy_noise(context, settings.seed)
-    step = task.fs_per_force * method.forces
+    step = task.point["fs_per_force"] * method.forces
     steps = max(1, round(1e3 * settings.time / step))
     made: dict[str, Any] = task.point | {"step": step, "length": step * steps, "errors": [], "reversal": None}
     made |= {"noise": noise / (GAS_CONSTANT * settings.temperature), "broken": ""}
@@ -224,20 +194,14 @@ def measure(settings: AcceptanceSettings, report: Report = SILENT) -> pd.DataFra
         ValueError: a scheme is unknown, a size does not fit the box, or the directory has results of other settings.
     """
     chosen(settings.schemes, REVERSIBLE, "scheme")
-    if len(settings.trials) not in (0, 1, len(settings.sizes)):
-        raise ValueError(f"trials must be one number or one for each of {len(settings.sizes)} sizes")
-    if settings.trials and min(settings.trials) < 2:
-        raise ValueError(f"trials must be at least 2, got {min(settings.trials)}")
-    shared = {key: value for key, value in settings.recorded().items() if key not in FREE}
-    claim(settings.out / "acceptance-settings.json", shared)
-    path = settings.out / "acceptance.jsonl"
-    tasks = [Task(settings, *each) for each in product(settings.sizes, settings.schemes or REVERSIBLE, settings.dt)]
-    form = "acceptance {acceptance:.3f} ± {acceptance_error:.3f}, sd {spread:.4f} ± {spread_error:.4f} kT"
-    for made in records.make_missing(path, tasks, run, settings.processes):
-        told = made["broken"] or records.cell(form, row_of(made))
-        report.note(records.cell("{method} at {fs_per_force:g} fs per force, {molecules} molecules: ", made) + told)
+    tasks = []
+    for molecules, scheme, dt in product(settings.sizes, settings.schemes or REVERSIBLE, settings.dt):
+        place = {"molecules": molecules, "method": REVERSIBLE[scheme].name, "fs_per_force": dt}
+        tasks.append(Task(settings, place | {"trials": settings.trials_of(molecules)}, scheme))
+    form = "{trials} trials of {method} at {fs_per_force:g} fs per force, {molecules} molecules"
+    runs = records.all_runs(settings, "acceptance", tasks, run, report, form)
     order = [method.name for method in REVERSIBLE.values()]
-    rows = pd.DataFrame([row_of(member) for member in records.kept_runs(path)])
+    rows = pd.DataFrame([row_of(each) for each in runs.to_dict("records")])
     # More trials begin with those that there were.
     rows = rows.sort_values("trials").drop_duplicates(["molecules", "method", "fs_per_force"], keep="last")
     rows = rows.sort_values("method", key=lambda names: names.map(order.index), kind="stable")

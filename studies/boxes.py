@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,13 +13,16 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.measure import forcefields
-from openmm_sier.measure.forcefields import Box
+from openmm_sier.measure.forcefields import Box, Interactions
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from studies.command import BoxSettings
 from systems import make
 
 #: OpenMM's ewaldErrorTolerance: with balanced sums, forces exact enough to see what a scheme of fourth order does.
 TOLERANCE = 1e-5
+
+#: Stands for DHFR in water, the benchmark of Amber and CHARMM, whose files openmmtools has.
+DHFR = Path("dhfr")
 
 #: Liquid water, g/cm^3.
 DENSITY = 0.997
@@ -91,6 +95,19 @@ def dhfr(cutoff: float, switch: float, tolerance: float, hydrogen_mass: float) -
         if isinstance(made.system.getForce(index), openmm.CMMotionRemover):
             made.system.removeForce(index)
     return made
+
+
+def solute(path: Path, interactions: Interactions, forcefield: Sequence[str] = ()) -> Any:
+    """A solute in water with its bonds to hydrogen constrained; what has topology, positions and system.
+
+    Args:
+        path: PDB file, or `DHFR`.
+        interactions: cut-offs, tolerance and mass of hydrogens.
+        forcefield: files; without them those that the PDB file names.
+    """
+    if path != DHFR:
+        return forcefields.read_box(path, forcefield or None, "hbonds", interactions)
+    return dhfr(**asdict(interactions))
 
 
 class Replica(NamedTuple):

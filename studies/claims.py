@@ -319,15 +319,10 @@ SHOWN = {
 
 def table_of_speeds() -> Table:
     """README's: simulated time over that of LangevinMiddle at 4 fs, in a heat bath."""
-    rows = records.read(DATA / "speed.json").tables["speeds"]
-    boxes = list(rows["box"].unique())
-    of = rows.set_index(["name", "box"])["over_middle"]
-
-    def cell(name: str, box: str) -> str:
-        return f"{of[name, box]:.2f}" if (name, box) in of else "-"
-
-    cells = [[shown, *(cell(name, box) for box in boxes)] for name, shown in SHOWN.items()]
-    return Table("", ["", *(box.replace("-", ", ").replace("dhfr", "DHFR") for box in boxes)], cells)
+    rows = records.read(DATA / "speed.json").tables["speeds"].set_index("name").loc[list(SHOWN)].reset_index()
+    boxes = rows["box"].str.replace("-", ", ").str.replace("dhfr", "DHFR")
+    named = rows.assign(name=rows["name"].map(SHOWN), box=boxes)
+    return records.table("", named, {"": "{name}", "-": "{over_middle:.2f}"}, across="box")
 
 
 def readme(text: str) -> str:

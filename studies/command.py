@@ -69,48 +69,51 @@ class BoxSettings(Settings):
     platform: str | None = None
 
 
-Given = TypeVar("Given", bound=Settings)
+@dataclass(frozen=True)
+class RunsSettings(Settings):
+    """What studies take that keep their runs one by one, so that a study that was stopped goes on where it was.
 
-
-def execute(
-    kind: type[Given],
-    study: Callable[[Given, Report], object],
-    description: str | None,
-    arguments: Sequence[str] | None = None,
-) -> int:
-    """Carry out a study as a command.
-
-    Args:
-        kind: of the settings.
-        study: takes settings, and a report for tables, notes and progress.
-        description: for the help.
-        arguments: of the command line; None takes those of the process.
-
-    Returns:
-        The exit code. What is wrong is said in one line on standard error.
+    Attributes:
+        processes: that make runs at the same time.
     """
-    try:
-        settings = tyro.cli(kind, prog=_program(), args=arguments, description=description)
-        settings.out.mkdir(parents=True, exist_ok=True)
-        study(settings, PrintedReport())
-    except EXPECTED as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        return 1
-    return 0
+
+    processes: int = 1
+
+    #: Names of settings that all runs of a directory have in common.
+    SHARED: ClassVar[tuple[str, ...]] = ()
+
+    def shared(self) -> dict[str, Any]:
+        return {name: self.recorded()[name] for name in self.SHARED}
+
+
+Given = TypeVar("Given", bound=Settings)
 
 
 def command(
     kind: type[Given], study: Callable[[Given, Report], object], description: str | None, module: str
 ) -> Callable[[Sequence[str] | None], int]:
-    """The function `main` of a study, see `execute`; it is called at once in the module that Python was started with.
+    """The function `main` of a study; it is called at once in the module that Python was started with.
 
     Args:
-        kind, study, description: see `execute`.
+        kind: of the settings.
+        study: takes settings, and a report for tables, notes and progress.
+        description: for the help.
         module: `__name__` of the study's module, whose last line this is.
+
+    Returns:
+        A function of the arguments of the command line, None for those of the process, that gives the exit code. What
+        is wrong is said in one line on standard error.
     """
 
     def main(arguments: Sequence[str] | None = None) -> int:
-        return execute(kind, study, description, arguments)
+        try:
+            settings = tyro.cli(kind, prog=_program(), args=arguments, description=description)
+            settings.out.mkdir(parents=True, exist_ok=True)
+            study(settings, PrintedReport())
+        except EXPECTED as error:
+            print(" ".join(str(error).split()), file=sys.stderr)
+            return 1
+        return 0
 
     if module == "__main__":
         sys.exit(main())

@@ -28,7 +28,7 @@ from studies import boxes, records, style
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
-from studies.speed_boxes import SYSTEMS_OF
+from studies.speed_boxes import INTERACTIONS
 from studies.units import md
 
 if TYPE_CHECKING:
@@ -178,7 +178,8 @@ def followed(protein: Protein, edge: float, settings: CrowdSettings, interact: b
 
 def cost_in_water(settings: CrowdSettings) -> list[dict[str, Any]]:
     """Milliseconds of a step of SIER4G for DHFR in water with all its atoms, as one body and with its constraints."""
-    _, system, positions = SYSTEMS_OF["dhfr"]()
+    box = boxes.solute(boxes.DHFR, INTERACTIONS)
+    system, positions = box.system, md(box.positions)
     protein = max(openmm.Context(system, openmm.VerletIntegrator(0.001)).getMolecules(), key=len)
     rows = []
     for name, rigid in (("one body", [list(protein)]), ("flexible", None)):
@@ -233,9 +234,8 @@ def study(settings: CrowdSettings, report: Report = SILENT) -> Record:
         rows.append(row | {"milliseconds": path.milliseconds, "forces": path.forces})
         report.note(f"{fraction:g} of the volume: {row['translation']:.3f}, {row['rotation']:.3f}")
     tables = {"crowds": pd.DataFrame(rows), "water": pd.DataFrame(cost_in_water(settings))}
-    report.table(
-        records.table("Diffusion in a crowd of DHFR, over that without interactions", tables["crowds"], COLUMNS)
-    )
+    title = "Diffusion in a crowd of DHFR, over that without interactions"
+    report.table(records.table(title, tables["crowds"], COLUMNS))
     report.table(records.table("DHFR in water, SIER4G at 4.5 fs", tables["water"], WATER_COLUMNS))
     # nm^2/ps, of a free body: kT/(m friction), less what the motion before the first collision takes.
     kT = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin) * settings.temperature

@@ -11,16 +11,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any, Literal, NamedTuple
-
-import pandas as pd
+from typing import Any, ClassVar, Literal
 
 from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
 from studies import boxes, records
-from studies.command import chosen, claim, command
+from studies.command import chosen, command
 from studies.methods import CONSTANT_ENERGY
-from studies.records import Record
+from studies.records import Record, Task
 from studies.report import SILENT, Report, Table
 from studies.sampling import GridSettings, conserved
 
@@ -51,69 +49,49 @@ class DefaultsSettings(GridSettings):
     dt: float = 2.0
     equilibrate: float = 2.0
 
-
-class Task(NamedTuple):
-    """One run."""
-
-    settings: DefaultsSettings
-    cell: tuple[float, float, str, str]
-    method: str
-    seed: int
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """What identifies the run."""
-        cell = dict(zip(CELL, self.cell, strict=True))
-        return cell | {"method": CONSTANT_ENERGY[self.method].name, "seed": self.seed}
+    SHARED: ClassVar[tuple[str, ...]] = ("box", "temperature", "dt", "time", "equilibrate")
 
 
 def run(task: Task) -> dict[str, Any]:
     """A run with its `percent`, rms(H)/rms(V)."""
-    settings, (tolerance, cutoff, switch, balanced) = task.settings, task.cell
-    interactions = Interactions(cutoff, None if switch == "yes" else 0.0, tolerance)
+    settings, point = task.settings, task.point
+    interactions = Interactions(point["cutoff"], None if point["switch"] == "yes" else 0.0, point["tolerance"])
     system = forcefields.read_box(settings.box, settings.forcefield, interactions=interactions).system
-    if balanced == "no":
+    if point["balanced"] == "no":
         boxes.split_by_openmm(system)
-    liquid = replace(settings.start(task.seed), system=system)
+    liquid = replace(settings.start(point["seed"]), system=system)
     found, _ = conserved(liquid, CONSTANT_ENERGY[task.method], settings.dt, settings.time)
-    return task.point | {"percent": found["percent"]}
-
-
-def table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean and range over the starts as text, one column for each method."""
-    found = runs.groupby([*CELL, "method"])["percent"].agg(["mean", "min", "max"])
-    text = [f"{row.mean:.3g} ({row.min:.2g} to {row.max:.2g})" for row in found.itertuples()]
-    wide = pd.Series(text, found.index).unstack("method").fillna("-").reset_index()
-    return wide.sort_values(CELL, ascending=[False, True, True, True], kind="stable")
+    return point | {"percent": found["percent"]}
 
 
 def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write defaults.json."""
-    shared = {name: settings.recorded()[name] for name in ("box", "temperature", "dt", "time", "equilibrate")}
-    claim(settings.out / "settings.json", shared)
-    path = settings.out / "defaults.jsonl"
     chosen(settings.methods, CONSTANT_ENERGY, "method")
     cells = product(settings.tolerance, settings.cutoff, settings.switch, settings.balanced)
-    tasks = [Task(settings, *each) for each in product(cells, settings.methods, settings.seeds)]
-    for made in records.make_missing(path, tasks, run, settings.processes):
-        report.note(", ".join(f"{name} {value}" for name, value in made.items()))
-    record = Record(settings.recorded(), {"rows": pd.DataFrame(records.kept_runs(path))}, {})
+    tasks = [
+        Task(settings, dict(zip(CELL, cell, strict=True)) | {"method": CONSTANT_ENERGY[name].name, "seed": seed}, name)
+        for cell, name, seed in product(cells, settings.methods, settings.seeds)
+    ]
+    form = "{method}, {tolerance:g}, {cutoff:g} nm, switch {switch}, balanced {balanced}, seed {seed}: {percent:.3g} %"
+    runs = records.all_runs(settings, "defaults", tasks, run, report, form)
+    record = Record(settings.recorded(), {"rows": runs}, {})
     report.table(tables(record)[0])
     return record.write(settings.out / "defaults.json")
 
 
 def tables(record: Record) -> list[Table]:
-    """The table, for the report and the documentation."""
-    wide = table(record.tables["rows"])
+    """Mean and range over the starts, one column for each method, for the report and the documentation."""
+    found = record.tables["rows"].groupby([*CELL, "method"])["percent"].agg(["mean", "min", "max"]).reset_index()
     columns = {
         "ewaldErrorTolerance": "{tolerance:g}",
         "cut-off/nm": "{cutoff:g}",
         "switch": "{switch}",
         "balanced": "{balanced}",
-        **{name: f"{{{name}}}" for name in wide.columns if name not in CELL},
+        "-": "{mean:.3g} ({min:.2g} to {max:.2g})",
     }
     title = f"rms(H)/rms(V)/%, {record.settings['dt']:g} fs per force evaluation: mean and range over starts"
-    return [records.table(title, wide, columns, left=4)]
+    found = found.sort_values("tolerance", ascending=False, kind="stable")
+    return [records.table(title, found, columns, across="method")]
 
 
 main = command(DefaultsSettings, study, __doc__, __name__)

@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import openmm
@@ -26,33 +26,21 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import mean_and_error, slope_and_error
 from openmm_sier.observe.conservation import density
 from studies import records, sampling, style
-from studies.command import chosen, claim, command
+from studies.command import chosen, command
 from studies.methods import CONSTANT_ENERGY, Method, with_bath
-from studies.records import Record
+from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import GridSettings, Liquid, Unstable, follow
 
 #: Samples of the forces that predict the bias, steps of SIER2 before each, and their length in ps.
 FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 
-#: Settings that all runs of a directory share.
-SHARED = ("box", "forcefield", "ensemble", "temperature", "equilibrate", "friction", "pressure")
-
 #: What is measured, each with its standard error: temperatures in K, kJ/mol, g/cm^3.
 MEASURED = ("translation", "rotation", "difference", "potential", "density")
 
-COLUMNS = {
-    "method": "{method}",
-    "step/fs": "{step:g}",
-    "fs per force": "{fs_per_force:g}",
-    "ps": "{time:g}",
-    "T_trans/K": "{translation:.1f} ± {translation_error:.1f}",
-    "T_rot/K": "{rotation:.1f} ± {rotation_error:.1f}",
-    "T_rot - T_trans/K": "{difference:.2f} ± {difference_error:.2f}",
-    "predicted": "{predicted:.2f}",
-    "V per body/kJ/mol": "{potential:.3f} ± {potential_error:.3f}",
-    "g/cm³": "{density:.4f} ± {density_error:.4f}",
-}
+COLUMNS = records.columns(
+    "method", "step", "fs_per_force", "time", "translation", "rotation", "difference", "predicted", "density"
+) | {"V per body/kJ/mol": "{potential_text}"}
 
 
 @dataclass(frozen=True)
@@ -79,30 +67,11 @@ class EquipartitionSettings(GridSettings):
     pressure: float = 1.0
 
     ANY_SIGN: ClassVar[tuple[str, ...]] = ("pressure",)
+    SHARED = ("box", "forcefield", "ensemble", "temperature", "equilibrate", "friction", "pressure")
 
     def known(self, seed: int) -> dict[str, Method]:
         """The methods of the ensemble, by name."""
         return CONSTANT_ENERGY if self.ensemble == "nve" else with_bath(self.temperature, self.friction, seed)
-
-
-class Task(NamedTuple):
-    """One run."""
-
-    settings: EquipartitionSettings
-    name: str
-    fs_per_force: float
-    seed: int
-
-    @property
-    def method(self) -> Method:
-        return self.settings.known(self.seed)[self.name]
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """What identifies the run."""
-        method = self.method
-        step = {"step": self.fs_per_force * method.forces, "fs_per_force": self.fs_per_force}
-        return {"method": method.name, **step, "time": self.settings.time, "seed": self.seed}
 
 
 def run(task: Task) -> dict[str, Any]:
@@ -111,14 +80,14 @@ def run(task: Task) -> dict[str, Any]:
     The latter is the difference of the temperatures to leading order in the step, NaN where that is not known; see
     `studies.methods.Method`.
     """
-    settings, method, row = task.settings, task.method, task.point
-    liquid = settings.start(task.seed)
+    settings, seed, row = task.settings, task.point["seed"], dict(task.point)
+    method, liquid = settings.known(seed)[task.method], settings.start(seed)
     # Forces are needed only where the method has a law (NaN is not above 0).
     slope = _slope(liquid) if method.bias > 0 else math.nan
     row["predicted"] = -method.bias * (1e-3 * row["step"]) ** 2 * slope
     surrounded = replace(liquid, system=_surrounded(liquid.system, settings))
     try:
-        series = follow(surrounded, method, task.fs_per_force, settings.time, settings.settle).series
+        series = follow(surrounded, method, row["fs_per_force"], settings.time, settings.settle).series
     except Unstable as error:
         unknown = {name: math.nan for each in MEASURED for name in (each, f"{each}_error")}
         return row | unknown | {"drift": math.nan, "broken": str(error)}
@@ -180,18 +149,16 @@ def study(settings: EquipartitionSettings, report: Report = SILENT) -> Record:
     """
     known = settings.known(settings.seed)
     chosen(settings.methods, known, f"method of the {settings.ensemble} ensemble")
-    shared = {name: settings.recorded()[name] for name in SHARED}
-    claim(settings.out / "equipartition-settings.json", shared)
-    path = settings.out / "equipartition.jsonl"
-    tasks = [Task(settings, *each) for each in product(settings.methods or known, settings.dt, settings.seeds)]
-    form = "{method} at {fs_per_force:g} fs per force: T_rot - T_trans = {difference:+.2f} ± {difference_error:.2f} K"
-    for made in records.make_missing(path, tasks, run, settings.processes):
-        report.note(made["broken"] or records.cell(form, made))
-    runs = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan})
+    tasks = []
+    for name, dt, seed in product(settings.methods or known, settings.dt, settings.seeds):
+        step = {"step": dt * known[name].forces, "fs_per_force": dt}
+        tasks.append(Task(settings, {"method": known[name].name, **step, "time": settings.time, "seed": seed}, name))
+    form = "{method} at {fs_per_force:g} fs per force: T_rot - T_trans = {difference_text} K"
+    runs = records.all_runs(settings, "equipartition", tasks, run, report, form)
     rows = pooled(runs)
     title = f"Equipartition, {settings.ensemble.upper()}; velocities at whole steps"
     report.table(records.table(title, rows, COLUMNS))
-    record = Record(shared, {"rows": rows, "runs": runs}, {}).write(settings.out / "equipartition.json")
+    record = Record(settings.shared(), {"rows": rows, "runs": runs}, {}).write(settings.out / "equipartition.json")
     figure(record, settings.out / "equipartition.png")
     return record
 

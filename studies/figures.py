@@ -37,28 +37,23 @@ def bath(record: Record, path: Path) -> None:
     """Errors of averages against speed, by integrator and step, in a heat bath: temperature of water, and energy."""
     rows = record.tables["rows"]
     rows = rows[rows["box"] == BATH_BOX].dropna(subset=["over"])
-    if "at" in rows:  # at constant volume or pressure: energies of one of them can be compared
-        rows = rows[rows["at"] == rows["at"].iloc[0]]
+    # At constant volume or pressure: energies of one of them can be compared.
+    rows = rows[rows["at"] == rows["at"].iloc[0]]
     asked = record.settings["temperature"]
     rows = rows.assign(warm=rows["water"] - asked, warm_error=rows["water_error"])
     exact = rows[rows["method"].str.contains(EXACT)]
-    with style.figure(path, 2 if len(exact) else 1, bath_title(rows)) as (made, (temperature, *others)):
+    with style.figure(path, 2, bath_title(rows)) as (made, (temperature, energies)):
         _against_speed(temperature, rows, "warm")
         temperature.set(ylabel=f"temperature of water, less {asked:g} K")
-        for energies in others:
-            mean = exact["potential"].mean()
-            _against_speed(
-                energies, rows.assign(off=rows["potential"] - mean, off_error=rows["potential_error"]), "off"
-            )
-            energies.set(ylabel="V, less that of hybrid Monte Carlo (kJ/mol)")
+        off = rows["potential"] - exact["potential"].mean()
+        _against_speed(energies, rows.assign(off=off, off_error=rows["potential_error"]), "off")
+        energies.set(ylabel="V, less that of hybrid Monte Carlo (kJ/mol)")
         style.shared_legend(made, temperature)
 
 
 def bath_title(rows: pd.DataFrame) -> str:
     """What was found at the usual step of SIER2 with heavy hydrogens, or at the nearest that was tried."""
     ours = rows[rows["method"].str.startswith(f"{SIER2.name},") & ~rows["method"].str.endswith("light")]
-    if ours.empty:
-        return "Speed in a heat bath, and errors of averages"
     steps = ours["method"].str.extract(r"([\d.]+) fs")[0].astype(float)
     best = ours.loc[(steps - 1e3 * (SIER2.heavy_bath_step or 0)).abs().idxmin()]
     warm = f"{best['warm']:+.1f} ± {best['warm_error']:.1f} K"

@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import unit
 
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure import forcefields
@@ -43,21 +42,12 @@ FACTORS = (2, 3, 5, 7)
 TIGHT, DENSITY = 1e-7, 17.0
 
 #: Names of the two ways in which OpenMM's tolerance becomes parameters.
-OPENMM, BALANCED = "OpenMM", "balanced"
+_SPLITS = OPENMM, BALANCED = "OpenMM", "balanced"
 
-COLUMNS = {
-    "molecules": "{molecules}",
-    "tolerance": "{tolerance:g}",
-    "split": "{split}",
-    "mesh": "{mesh:.0f}",
-    "alpha": "{alpha:.2f}",
-    "error": "{error:.2g}",
-    "ms": "{milliseconds:.3g}",
-    "fastest mesh": "{best_mesh:.0f}",
-    "its alpha": "{best_alpha:.2f}",
-    "its error": "{best_error:.2g}",
-    "time over that of the choice": "{ratio:.3f} ± {ratio_error:.3f}",
-}
+COLUMNS = records.columns(
+    *("molecules", "tolerance", "split", "mesh", "alpha", "error", "milliseconds"),
+    *("best_mesh", "best_alpha", "best_error", "ratio"),
+)
 
 
 @dataclass(frozen=True)
@@ -95,8 +85,8 @@ class Parameters(NamedTuple):
 class Forces:
     """A Context that computes forces with some parameters."""
 
-    def __init__(self, replica: boxes.Replica, settings: MeshSettings, platform: str | None = None):
-        self.context = make_context(replica.system, openmm.VerletIntegrator(1e-3), platform or settings.platform)
+    def __init__(self, replica: boxes.Replica, settings: MeshSettings):
+        self.context = make_context(replica.system, openmm.VerletIntegrator(1e-3), settings.platform)
         self.context.setPositions(replica.positions)
         self.positions = replica.positions
         # Before the first forces OpenMM tells the mesh that was asked for, afterwards that which it took.
@@ -107,8 +97,7 @@ class Forces:
 
     def read(self) -> np.ndarray:
         """Forces (N, 3), kJ/mol/nm."""
-        state = self.context.getState(forces=True)
-        return state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+        return md(self.context.getState(forces=True).getForces(asNumpy=True))
 
     def again(self, count: int) -> None:
         """Compute forces so many times, of positions that are given each time."""
@@ -151,19 +140,17 @@ def _with(replica: boxes.Replica, settings: MeshSettings, parameters: Parameters
 def _by_tolerance(replica: boxes.Replica, settings: MeshSettings, tolerance: float, split: str) -> Forces:
     boxes.with_tolerance(replica.system, tolerance)
     if split == OPENMM:
-        for force in meshed_forces(replica.system):
-            force.setPMEParameters(0, 0, 0, 0)
+        boxes.split_by_openmm(replica.system)
     return Forces(replica, settings)
 
 
 def _replica(settings: MeshSettings, molecules: int) -> tuple[boxes.Replica, int]:
     """The box repeated, with the cut-off of the settings, and how often along each edge."""
     box = forcefields.read_box(settings.box, settings.forcefield)
-    copies = boxes.copies_for(molecules, box.topology.getNumResidues())
+    there = box.topology.getNumResidues()
+    copies = boxes.copies_for(molecules, there)
     if len(set(copies)) > 1:
-        raise ValueError(
-            f"{molecules} molecules are no cube of copies of the {box.topology.getNumResidues()} of the box"
-        )
+        raise ValueError(f"{molecules} molecules are no cube of copies of the {there} of the box")
     replica = boxes.repeated(box, settings.box.parent, copies)
     for force in meshed_forces(replica.system):
         force.setCutoffDistance(settings.cutoff)
@@ -250,9 +237,6 @@ def _fastest(
     ratio, ratio_error, _ = median_and_error(seconds[best] / seconds[choice])
     found = {f"best_{name}": meshes[best][name] for name in ("mesh", "alpha", "error")}
     return found | {"ratio": ratio, "ratio_error": ratio_error}
-
-
-_SPLITS = (OPENMM, BALANCED)
 
 
 def _row(molecules: int, forces: Forces, its_error: float, seconds: np.ndarray) -> dict[str, Any]:

@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import openmm
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, Scheme
-from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, KICK, Stage
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 
@@ -50,15 +50,16 @@ class OwnMethod(Method):
     rotation: Rotation = rotation.exact
 
 
-def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "") -> OwnMethod:
+def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "", **options: Any) -> OwnMethod:
     """A scheme at constant energy.
 
     Args:
         scheme: what is done in a step.
         turn: the free-rotation map in it.
         name: for tables; that of the scheme unless given.
+        options: of `SIERIntegrator`.
     """
-    make = partial(SIERIntegrator, scheme=scheme, rotation=turn)
+    make = partial(SIERIntegrator, scheme=scheme, rotation=turn, **options)
     bias = BIAS_NVE if scheme is SIER2 and turn is rotation.exact else math.nan
     return OwnMethod(name or scheme.name, scheme.force_evaluations, scheme.order, make, bias, scheme, turn)
 
@@ -84,38 +85,15 @@ REVERSIBLE = {"verlet": of_scheme(SIER2, rotation.rattle, "Verlet, RATTLE"), **S
 def with_bath(temperature: float, friction: float, seed: int) -> dict[str, Method]:
     """OpenMM's LangevinMiddle and every scheme of the catalogue with a heat bath, by lower-case name."""
 
-    def middle(h: float) -> openmm.Integrator:
-        integrator = openmm.LangevinMiddleIntegrator(temperature, friction, h)
+    def seeded(h: float, kind: Callable[..., openmm.Integrator]) -> openmm.Integrator:
+        integrator = kind(temperature, friction, h)
         integrator.setRandomNumberSeed(seed)
         return integrator
 
-    def langevin(h: float, scheme: Scheme) -> openmm.Integrator:
-        integrator = SIERLangevinIntegrator(temperature, friction, h, scheme=scheme)
-        integrator.setRandomNumberSeed(seed)
-        return integrator
-
+    middle = partial(seeded, kind=openmm.LangevinMiddleIntegrator)
     methods = {"langevinmiddle": Method("OpenMM LangevinMiddle", 1, 2, middle)}
     for name, scheme in CATALOGUE.items():
-        make, bias = partial(langevin, scheme=scheme), BIAS_NVT if scheme is SIER2 else math.nan
+        make = partial(seeded, kind=partial(SIERLangevinIntegrator, scheme=scheme))
+        bias = BIAS_NVT if scheme is SIER2 else math.nan
         methods[name] = Method(f"{scheme.name} Langevin", scheme.force_evaluations, scheme.order, make, bias)
     return methods
-
-
-# --- published schemes beside the catalogue ---
-
-_OMELYAN_2003 = "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), "
-
-
-def _gradients_outside(share: float) -> tuple[Stage, ...]:
-    """The family drift, gradient kick, drift, kick, drift, gradient kick, drift of fourth order."""
-    outer = 0.5 - 1 / math.sqrt(24 * share)
-    bracket = (1 - math.sqrt(6 * share) * (1 - share)) / 24
-    half = (Stage(DRIFT, outer), Stage(GRADIENT_KICK, share, 2 * bracket / share), Stage(DRIFT, 0.5 - outer))
-    return (*half, Stage(KICK, 1 - 2 * share), *reversed(half))
-
-
-#: A published scheme that the catalogue leaves out, because for any number of forces it has one that does as well or
-#: better. Palindromes of kicks and drifts are compared by their fractions, see `studies.schemes`.
-OTHERS = {
-    "omf3gg": Scheme("OMF, 3 forces and 2 gradients", _gradients_outside(0.3152315246820299), _OMELYAN_2003 + "Eq. 43"),
-}

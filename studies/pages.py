@@ -24,7 +24,7 @@ USUAL = "rows"
 
 
 def chosen(name: str, where: str = "", sort: str = "") -> pd.DataFrame:
-    """Rows of a table, with `NAME_text` for every value NAME that has a standard error.
+    """Rows of a table.
 
     Args:
         name: a file of `studies/data`, and after a space one of its tables, `USUAL` unless given.
@@ -44,39 +44,12 @@ def chosen(name: str, where: str = "", sort: str = "") -> pd.DataFrame:
         raise ValueError(f"{file} has no {table} where {where}")
     if sort:
         rows = rows.sort_values(sort.split(), kind="stable")
-    # A column of other things than numbers and nulls has no error.
-    measured = [each for each in rows if f"{each}_error" in rows and pd.api.types.is_numeric_dtype(rows[each])]
-    return records.with_text(rows.reset_index(drop=True), *measured)
+    return rows.reset_index(drop=True)
 
 
 def table(rows: pd.DataFrame, columns: Mapping[str, str], across: str = "") -> Table:
-    """A table of rows, without columns in which nothing is known.
-
-    Args:
-        rows: of `chosen`.
-        columns: for each heading what stands in its cells, see `records.table`.
-        across: a column of which each value becomes a column of the table. The last of `columns` is then what stands
-            there, and the others tell the lines of the table; its heading, such as a unit, is added to the values
-            unless it is "-".
-    """
-    if not across:
-        return without_unknown(records.table("", rows, columns))
-    *leading, (heading, form) = columns.items()
-    values = list(dict.fromkeys(rows[across]))
-    lines: dict[tuple[str, ...], dict[Any, str]] = {}
-    for row in rows.to_dict("records"):
-        line = tuple(records.cell(each, row) for _, each in leading)
-        lines.setdefault(line, {})[row[across]] = records.cell(form, row)
-    names = [_heading(value, heading) for value in values]
-    body = [[*line, *(cells.get(value, "-") for value in values)] for line, cells in lines.items()]
-    return without_unknown(Table("", [*(name for name, _ in leading), *names], body))
-
-
-def _heading(value: Any, unit: str) -> str:
-    """The heading of a column for a value: a number has its unit after a space, a name after a comma."""
-    number = isinstance(value, (int, float))
-    name = f"{value:.6g}" if number else str(value)
-    return name if unit == "-" else f"{name}{' ' if number else ', '}{unit}"
+    """A table of rows of `chosen`, without columns in which nothing is known; see `records.table`."""
+    return without_unknown(records.table("", rows, columns, across=across))
 
 
 def without_unknown(made: Table) -> Table:

@@ -13,12 +13,10 @@ Comput. 18, 223 (1997).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, Stage
@@ -26,10 +24,10 @@ from openmm_sier.measure.observables import energy_error, energy_walk
 from studies import records
 from studies.command import command
 from studies.methods import of_scheme
-from studies.records import Record
+from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import follow
-from studies.whole_run import Task, WholeRunSettings, start, tasks
+from studies.whole_run import WholeRunSettings, start, tasks
 
 TAKAHASHI_IMADA = Scheme(
     "Takahashi-Imada",
@@ -37,14 +35,8 @@ TAKAHASHI_IMADA = Scheme(
     "Takahashi and Imada, J. Phys. Soc. Jpn. 53, 3765 (1984)",
 )
 
-COLUMNS = {
-    "liquid": "{liquid}",
-    "step/fs": "{step:g}",
-    "fs per force": "{fs_per_force:g}",
-    "seed": "{seed}",
-    "rms(H)/rms(V)/%": "{percent:.3g}",
+COLUMNS = records.columns("liquid", "step", "fs_per_force", "seed", "percent", "walk") | {
     "of the processed state/%": "{processed:.3g}",
-    "walk/%": "{walk:.2g}",
 }
 
 
@@ -63,8 +55,8 @@ def processed(V: np.ndarray, H: np.ndarray) -> np.ndarray:
 def run(task: Task) -> dict[str, Any]:
     """Errors of the energy, in per cent of rms(V), without and with the processor."""
     method, settings = of_scheme(TAKAHASHI_IMADA), task.settings
-    per_force = task.step / method.forces
-    series = follow(start(task), method, per_force, settings.time, interval=task.step).series
+    per_force = task.point["step"] / method.forces
+    series = follow(start(task), method, per_force, settings.time, interval=task.point["step"]).series
     inner, better = slice(1, -1), processed(series.potential, series.total)
     return task.point | {
         "fs_per_force": per_force,
@@ -76,10 +68,9 @@ def run(task: Task) -> dict[str, Any]:
 
 def study(settings: ProcessedSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write processed.json."""
-    path, tried = settings.out / "processed.jsonl", replace(settings, methods=("sier4g",))
-    for made in records.make_missing(path, tasks(tried), run, settings.processes):
-        report.note(records.cell("{liquid}, {step:g} fs, seed {seed}: {percent:.3f}, {processed:.3f} %", made))
-    rows = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan}).assign(method=TAKAHASHI_IMADA.name)
+    form = "{liquid}, {step:g} fs, seed {seed}: {percent:.3f}, {processed:.3f} %"
+    tried = tasks(replace(settings, methods=("sier4g",)))
+    rows = records.all_runs(settings, "processed", tried, run, report, form).assign(method=TAKAHASHI_IMADA.name)
     report.table(records.table("Takahashi and Imada's scheme over whole runs", rows, COLUMNS))
     return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "processed.json")
 

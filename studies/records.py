@@ -15,7 +15,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import pandas as pd
 
@@ -24,7 +24,8 @@ from openmm_sier.dynamics.backend import threads
 from openmm_sier.measure import statistics
 from openmm_sier.measure.statistics import Estimate
 from openmm_sier.version import __version__
-from studies.report import Table
+from studies.command import RunsSettings, claim
+from studies.report import Report, Table
 
 #: Packages that results can depend on.
 PACKAGES = ("numpy", "openmm", "numba", "mpmath", "pandas")
@@ -119,7 +120,7 @@ def keep_run(path: Path, run: Mapping[str, Any]) -> None:
         file.write(json.dumps(_plain(run), allow_nan=False) + "\n")
 
 
-class Task(Protocol):
+class Identified(Protocol):
     """A run that may be made by another process."""
 
     @property
@@ -127,7 +128,21 @@ class Task(Protocol):
         """What identifies the run, a part of what is kept of it."""
 
 
-Some = TypeVar("Some", bound=Task)
+class Task(NamedTuple):
+    """A run of a study.
+
+    Attributes:
+        settings: of the study.
+        point: what identifies the run, a part of what is kept of it.
+        method: the name of its method for users, where it has one.
+    """
+
+    settings: Any
+    point: dict[str, Any]
+    method: str = ""
+
+
+Some = TypeVar("Some", bound=Identified)
 
 
 def make_missing(
@@ -162,32 +177,114 @@ def pooled(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
     return found
 
 
+def all_runs(
+    settings: RunsSettings,
+    name: str,
+    tasks: Iterable[Task],
+    run: Callable[[Task], dict[str, Any]],
+    report: Report,
+    form: str,
+) -> pd.DataFrame:
+    """All runs that `out` has of a study, after those were made that it lacks.
+
+    Args:
+        settings: of the study; those that are `SHARED` are noted beside the runs.
+        name: of the study's files.
+        tasks, run: see `make_missing`.
+        report: gets a note of each run that is made.
+        form: of the note, see `cell`; what has broken down has the reason.
+
+    Raises:
+        ValueError: the directory has runs of other settings.
+    """
+    claim(settings.out / f"{name}-settings.json", settings.shared())
+    path = settings.out / f"{name}.jsonl"
+    for made in make_missing(path, tasks, run, settings.processes):
+        report.note(made.get("broken") or cell(form, made))
+    return pd.DataFrame(kept_runs(path)).replace({None: math.nan})
+
+
 # --- as text ---
 
+#: Headings of what several studies have, by its name in their tables.
+HEADINGS = {
+    "label": "run",
+    "fast": "fast forces",
+    "step": "step/fs",
+    "time": "ps",
+    "length": "trial/fs",
+    "percent": "rms(H)/rms(V)/%",
+    "walk": "walk/%",
+    "drift": "drift of the box/kJ/mol/ps",
+    "spread": "sd/kT",
+    "translation": "T_trans/K",
+    "rotation": "T_rot/K",
+    "difference": "T_rot - T_trans/K",
+    "potential": "V/kJ/mol",
+    "density": "g/cm³",
+    "relative": "over Verlet at 2 fs",
+}
 
-def table(title: str, frame: pd.DataFrame, columns: Mapping[str, str], left: int = 1) -> Table:
+
+def columns(*names: str) -> dict[str, str]:
+    """Columns for `table`: values, with their errors where there are any; names that `HEADINGS` lacks are headings."""
+    return {HEADINGS.get(name, name.replace("_", " ")): f"{{{name}_text}}" for name in names}
+
+
+def table(title: str, frame: pd.DataFrame, columns: Mapping[str, str], left: int = 1, across: str = "") -> Table:
     """A table of text.
 
     Args:
         title: above the table.
         frame: of which each row becomes one.
-        columns: for each heading what stands in its cells, such as "{rotation:.1f} ± {rotation_error:.1f}"; a cell of
-            which a number is not known, or that the table does not have, is "-".
+        columns: for each heading what stands in its cells, see `cell`.
         left: number of leading columns that are aligned to the left, the others being numbers.
+        across: a column of which each value becomes a column of the table. The last of `columns` is then what stands
+            there, and the others tell the lines of the table; its heading, such as a unit, is added to the values
+            unless it is "-".
     """
     rows = [[cell(form, row) for form in columns.values()] for row in frame.to_dict("records")]
-    return Table(title, list(columns), rows, left)
+    if not across:
+        return Table(title, list(columns), rows, left)
+    *leading, heading = columns
+    values = list(dict.fromkeys(frame[across]))
+    lines: dict[tuple[str, ...], dict[Any, str]] = {}
+    for value, (*line, last) in zip(frame[across], rows, strict=True):
+        lines.setdefault(tuple(line), {})[value] = last
+    body = [[*line, *(cells.get(value, "-") for value in values)] for line, cells in lines.items()]
+    return Table(title, [*leading, *(_heading(value, heading) for value in values)], body, len(leading))
+
+
+def _heading(value: Any, unit: str) -> str:
+    """The heading of a column for a value: a number has its unit after a space, a name after a comma."""
+    number = isinstance(value, (int, float))
+    name = f"{value:.6g}" if number else str(value)
+    return name if unit == "-" else f"{name}{' ' if number else ', '}{unit}"
 
 
 class _Known(dict[str, Any]):
-    """A row in which whatever it does not have is not a number."""
+    """A row in which `NAME_text` is a value with its error, and whatever else it does not have is not a number."""
 
-    def __missing__(self, name: str) -> float:
-        return math.nan
+    def __missing__(self, name: str) -> Any:
+        of = name.removesuffix("_text")
+        if of == name or of not in self:
+            return math.nan
+        value = self[of]
+        if f"{of}_error" in self:
+            return str(Estimate(value, self[f"{of}_error"]))
+        if not isinstance(value, float):
+            return str(value)
+        return f"{value:.0f}" if value.is_integer() or abs(value) >= 1000 else f"{value:.3g}"
 
 
 def cell(form: str, row: Mapping[str, Any]) -> str:
-    """What stands in one cell, see `table`."""
+    """What stands in one cell.
+
+    Args:
+        form: such as "{rotation:.1f} ± {rotation_error:.1f}", or "{rotation_text}" for a value with its error as far as
+            that is known.
+        row: the numbers. What is not known, or not there, makes the cell "-".
+    """
     text = form.format_map(_Known(row)).replace(" ± nan", "").replace("±nan", "")
     return "-" if "nan" in text else text
 

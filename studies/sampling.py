@@ -26,14 +26,11 @@ from openmm_sier.measure.statistics import slope_and_error
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
 from studies import boxes
-from studies.command import BoxSettings
+from studies.command import BoxSettings, RunsSettings
 from studies.methods import Method
 from studies.records import replace_file
 from studies.report import SILENT, Report
 from studies.units import md
-
-#: Tolerance of constraints for OpenMM's own integrators.
-CONSTRAINT_TOLERANCE = stock.CONSTRAINT_TOLERANCE
 
 #: K, beyond which a run counts as broken.
 HIGHEST_TEMPERATURE = 3000.0
@@ -87,7 +84,7 @@ class Liquid:
     """A System with its rigid bodies and a phase point from which runs start.
 
     Attributes:
-        platform: of OpenMM; None takes the fastest.
+        platform: of OpenMM, and after a colon its precision; None takes the fastest.
     """
 
     system: openmm.System
@@ -119,20 +116,18 @@ def equilibrated_liquid(
 
 
 @dataclass(frozen=True)
-class GridSettings(BoxSettings):
-    """What studies take that make runs of a box from several starts, and keep them one by one.
+class GridSettings(BoxSettings, RunsSettings):
+    """What studies take that make runs of a box from several starts.
 
     Attributes:
         starts: equilibrated phase points, from which all runs start; their seeds follow `seed`.
         time: of each run, ps.
         equilibrate: before them, ps.
-        processes: that make runs at the same time.
     """
 
     starts: int = 4
     time: float = 1.0
     equilibrate: float = 3.0
-    processes: int = 1
 
     @property
     def seeds(self) -> range:
@@ -172,6 +167,18 @@ def equilibrated(
     return state
 
 
+def warmed(system: openmm.System, positions: Any, settings: BoxSettings, time: float) -> openmm.State:
+    """Positions, velocities and box after some ps of LangevinMiddle in steps of 2 fs."""
+    integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
+    integrator.setRandomNumberSeed(settings.seed)
+    context = make_context(system, integrator, settings.platform)
+    context.setPositions(positions)
+    context.applyConstraints(1e-6)
+    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
+    integrator.step(round(time / 0.002))
+    return context.getState(positions=True, velocities=True)
+
+
 class Followed(NamedTuple):
     """A run: its samples, and the simulated time in fs per second of wall and of processor time."""
 
@@ -205,9 +212,9 @@ def follow(
     """
     step = dt * method.forces
     integrator = method.make(1e-3 * step)
-    integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
+    integrator.setConstraintTolerance(stock.CONSTRAINT_TOLERANCE)
     try:
-        context = make_context(liquid.system, integrator, liquid.platform)
+        context = _context(liquid, integrator)
     except openmm.OpenMMException as error:
         if "is too long" not in str(error):
             raise
@@ -228,6 +235,14 @@ def follow(
             return Followed(series, simulated / wall, simulated / processor)
     except openmm.OpenMMException as error:
         raise Unstable(" ".join(str(error).split())) from error
+
+
+def _context(liquid: Liquid, integrator: openmm.Integrator) -> openmm.Context:
+    platform, _, precision = (liquid.platform or "").partition(":")
+    if not precision:
+        return make_context(liquid.system, integrator, liquid.platform)
+    named = openmm.Platform.getPlatformByName(platform)
+    return openmm.Context(liquid.system, integrator, named, {"Precision": precision})
 
 
 def conserved(

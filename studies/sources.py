@@ -39,7 +39,6 @@ COMMANDS = {
     "mixture.json": (
         "python -m studies.hmc.mixture --method hmc --step 2 --time 60",
         "python -m studies.hmc.mixture --method langevin --step 4 --time 120",
-        "python -m studies.hmc.mixture --table mixture/hmc-*.json mixture/langevin-*.json",
     ),
     "native-accuracy.json": ("python -m studies.native.accuracy systems/tip3p-512.pdb",),
     "native-accuracy-peptide.json": (
@@ -54,23 +53,12 @@ COMMANDS = {
     "paper-free-rotation.json": ("python -m studies.paper free-rotation --quick",),
     "paper-water.json": ("python -m studies.paper water",),
     "processed.json": ("python -m studies.processed --time 50 --starts 1",),
-    "samples.json": (
-        "python -m studies.hmc.samples --length 120 --time 80 --out samples",
-        "python -m studies.hmc.samples --table samples/*.json",
-    ),
-    "samples-held.json": (
-        "python -m studies.hmc.samples --held --time 60 --out held",
-        "python -m studies.hmc.samples --table held/*.json",
-    ),
     "schemes.json": (
         "python -m studies.schemes systems/tip3p-512.pdb --starts 2",
         "python -m studies.schemes systems/BOX.pdb --schemes sier2p3 --dt 4",
     ),
     "schemes-scan.json": ("python -m studies.schemes --dt 4 --schemes drift:0.1125,0.292453,0.3875",),
-    "solvated.json": (
-        "python -m studies.hmc.solvated dhfr --trials 100 --out solvated",
-        "python -m studies.hmc.solvated --table solvated/*.json",
-    ),
+    "solvated.json": ("python -m studies.hmc.solvated dhfr",),
     "speed.json": ("OPENMM_CPU_THREADS=1 python -m studies.speed --platform CPU",),
     "step-study.json": (
         "python -m studies.step_study",

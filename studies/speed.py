@@ -1,7 +1,6 @@
 """Simulated time per day of OpenMM's integrators and of these, at the steps for which each is meant.
 
     python -m studies.speed [--platform CUDA] [--boxes water-512 peptide]
-    python -m studies.speed --table studies/data/speed.json
 
 takes boxes of water, a peptide and a protein, with OpenMM's default tolerance. OpenMM's integrators have the System as
 OpenMM makes it, those of this package have it prepared; in a heat bath all have heavy hydrogens. All take turns; ratios
@@ -9,7 +8,7 @@ are those within a round, of processor time on the CPU platform and of wall time
 to LAMMPS (lmp) and GROMACS (gmx) at their own settings where they are on the PATH; they use no GPU unless they were
 built to. For water it also gives the speed at equal energy error: the steps that have it are found in the box of 512
 molecules. Set OPENMM_CPU_THREADS to 1 for a machine that does other work: ns/day are then those of processor time too.
-Writes speed.json and speed.md. With `--table` it prints those of an earlier measurement.
+Writes speed.json.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from studies.command import BoxSettings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report, Table
 from studies.sampling import equilibrated_liquid
-from studies.speed_boxes import SYSTEMS_OF, Start
+from studies.speed_boxes import SOLUTES, Start
 
 #: What ratios are taken over: OpenMM's Verlet at its usual step.
 REFERENCE = "OpenMM Verlet, 2 fs"
@@ -68,14 +67,6 @@ STEPS = {
 }
 LEVELS = (0.3, 0.7)
 
-EQUAL = {
-    "box": "{box}",
-    "rms(H)/rms(V)/%": "{percent:g}",
-    "method": "{method}",
-    "fs per force": "{fs_per_force:.2f} ± {fs_per_force_error:.2f}",
-    "over Verlet": "{over:.2f} ± {over_error:.2f}",
-}
-
 
 @dataclass(frozen=True)
 class SpeedSettings(BoxSettings):
@@ -91,7 +82,6 @@ class SpeedSettings(BoxSettings):
         time: of each run that measures an energy error, ps.
         equilibrate: before these, ps.
         starts: of these.
-        table: the file of an earlier measurement, whose tables are printed; nothing is measured then.
     """
 
     boxes: tuple[str, ...] = ("water-512", "water-4096", "water-32768", "peptide", "dhfr")
@@ -101,7 +91,6 @@ class SpeedSettings(BoxSettings):
     time: float = 1.0
     equilibrate: float = 2.0
     starts: int = 3
-    table: Path | None = None
 
 
 class Contestant(NamedTuple):
@@ -132,30 +121,30 @@ def contestants(has_solute: bool) -> list[Contestant]:
     """All of them; with solutes SIER2P3 has the step that bonds allow."""
 
     def own(scheme: Scheme, step: float) -> Contestant:
-        return Contestant(
-            scheme.name, step, scheme.force_evaluations, True, None, lambda h, _: SIERIntegrator(h, scheme)
-        )
+        make = partial(_at_constant_energy, scheme)
+        return Contestant(scheme.name, step, scheme.force_evaluations, True, None, make)
 
     def bath(scheme: Scheme, step: float) -> Contestant:
         make = partial(_in_bath, scheme)
         return Contestant(f"{scheme.name} in a bath", step, scheme.force_evaluations, True, 4.0, make)
 
-    def verlet(h: float, _: float) -> openmm.Integrator:
-        return openmm.VerletIntegrator(h)
-
-    def middle(h: float, temperature: float) -> openmm.Integrator:
-        return openmm.LangevinMiddleIntegrator(temperature, FRICTION, h)
-
-    def several_steps(h: float, temperature: float) -> openmm.Integrator:
-        return openmm.MTSLangevinIntegrator(temperature, FRICTION, h, [(0, 1), (1, 4)])
-
-    found = [Contestant("OpenMM Verlet", step, 1, False, None, verlet) for step in (1.0, 2.0)]
+    found = [Contestant("OpenMM Verlet", step, 1, False, None, _verlet) for step in (1.0, 2.0)]
     found += [own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 4.0)]
-    found += [Contestant("OpenMM LangevinMiddle", step, 1, False, 3.0, middle) for step in (2.0, 4.0, 5.0)]
-    found.append(
-        Contestant("OpenMM MTSLangevin", 8.0, 1, True, 4.0, several_steps) if has_solute else bath(SIER2P3, 18.0)
-    )
-    return [*found, *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
+    found += [Contestant("OpenMM LangevinMiddle", step, 1, False, 3.0, _middle) for step in (2.0, 4.0, 5.0)]
+    several = Contestant("OpenMM MTSLangevin", 8.0, 1, True, 4.0, _several_steps)
+    return [*found, several if has_solute else bath(SIER2P3, 18.0), *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
+
+
+def _verlet(h: float, _: float) -> openmm.Integrator:
+    return openmm.VerletIntegrator(h)
+
+
+def _middle(h: float, temperature: float) -> openmm.Integrator:
+    return openmm.LangevinMiddleIntegrator(temperature, FRICTION, h)
+
+
+def _several_steps(h: float, temperature: float) -> openmm.Integrator:
+    return openmm.MTSLangevinIntegrator(temperature, FRICTION, h, [(0, 1), (1, 4)])
 
 
 def _at_constant_energy(scheme: Scheme, h: float, _: float) -> openmm.Integrator:
@@ -312,43 +301,28 @@ def tables(record: Record) -> list[Table]:
     rows = record.tables["speeds"]
     platform = rows["platform"].iloc[0]
     of_processor = platform in ON_PROCESSORS and record.notes["threads"] == 1
-    form = "{ns_per_day_processor:.3g}" if of_processor else "{ns_per_day:.3g}"
+    speed = "{ns_per_day_processor:.3g}" if of_processor else "{ns_per_day:.3g}"
     unit = f"ns/day{' of processor time' if of_processor else ''}; {platform} platform"
-    made = [
-        _by_box(f"{unit}, and over Verlet at 2 fs", rows, form + ", {over:.2f} ± {over_error:.2f}"),
-        _by_box("Over LangevinMiddle at 4 fs", rows, "{over_middle:.2f} ± {over_middle_error:.2f}"),
-    ]
+    forms = {
+        f"{unit}, and over Verlet at 2 fs": f"{speed}, {{over_text}}",
+        f"Over {BATH_REFERENCE}": "{over_middle_text}",
+    }
+    made = [records.table(name, rows, {"method": "{name}", "-": form}, across="box") for name, form in forms.items()]
     if "equal" in record.tables:
-        made.append(records.table("At equal energy error; - where no step has it", record.tables["equal"], EQUAL))
+        columns = records.columns("percent", "method", "fs_per_force") | {"-": "{over_text}"}
+        made.append(records.table("At equal energy error, over Verlet", record.tables["equal"], columns, across="box"))
     return made
 
 
-def _by_box(title: str, rows: pd.DataFrame, form: str) -> Table:
-    """A row for each method and a column for each box."""
-    cells = {(row["name"], row["box"]): records.cell(form, row) for row in rows.to_dict("records")}
-    names, there = rows["name"].unique(), rows["box"].unique()
-    body = [[name, *(cells.get((name, box), "") for box in there)] for name in names]
-    return Table(title, ["method", *there], body, 1)
-
-
 def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
-    """Measure, and write speed.json and speed.md; or print the tables of an earlier measurement.
+    """Measure, and write speed.json.
 
     Raises:
         ValueError: a box is unknown.
         ImportError: dhfr is to be measured without openmmtools.
     """
-    record = _measured(settings, report) if settings.table is None else records.read(settings.table)
-    shown = tables(record)
-    for table in shown:
-        report.table(table)
-    (settings.out / "speed.md").write_text("\n".join(records.markdown(table) for table in shown))
-    return record
-
-
-def _measured(settings: SpeedSettings, report: Report) -> Record:
     with_solute = [name for name in settings.boxes if not name.startswith("water-")]
-    chosen(with_solute, SYSTEMS_OF, "box")
+    chosen(with_solute, SOLUTES, "box")
     made: list[dict[str, Any]] = []
     for name in settings.boxes:
         made += speeds(speed_boxes.start(name, settings, report), settings, report)
@@ -357,8 +331,10 @@ def _measured(settings: SpeedSettings, report: Report) -> Record:
         found["points"] = energy_errors(settings, report)
         found["equal"] = at_equal_error(found["speeds"], found["points"])
     builds = {peer.name: peer.build for peer in usual_inputs.installed()}
-    notes = {"peers": builds, "threads": threads.count()}
-    return Record(settings.recorded(), found, notes).write(settings.out / "speed.json")
+    record = Record(settings.recorded(), found, {"peers": builds, "threads": threads.count()})
+    for table in tables(record):
+        report.table(table)
+    return record.write(settings.out / "speed.json")
 
 
 main = command(SpeedSettings, study, __doc__, __name__)

@@ -41,14 +41,9 @@ PROPERTIES = {
 #: What follows from runs, with its heading in the table.
 MEASURED = {"translation": "T_trans, K", "rotation": "T_rot, K"} | {key: name for key, (name, _) in PROPERTIES.items()}
 
-COLUMNS = {
-    "box": "{box}",
-    "method": "{method}",
-    "step, fs": "{step:g}",
-    "fs per force": "{fs_per_force:g}",
-    "runs": "{runs}",
-    "ps": "{time:.4g}",
-} | {heading: f"{{{key}_text}}" for key, heading in MEASURED.items()}
+COLUMNS = records.columns("box", "method", "step", "fs_per_force", "runs", "time") | {
+    heading: f"{{{key}_text}}" for key, heading in MEASURED.items()
+}
 
 #: Columns of the log.
 LOGGED = {
@@ -252,8 +247,8 @@ def in_order(rows: pd.DataFrame) -> pd.DataFrame:
 
 def tables(record: Record) -> list[Table]:
     """The rows as text, and the tables of deviations, in the order of `PROPERTIES`."""
-    rows = records.with_text(record.tables["rows"], *MEASURED)
-    found = deviations(record.tables["rows"])
+    rows = record.tables["rows"]
+    found = deviations(rows)
     return [
         records.table(record.notes["title"], rows, COLUMNS, left=2),
         *(_deviations(found[found["property"] == key], PROPERTIES[key][0]) for key in PROPERTIES),
@@ -294,17 +289,12 @@ def _reference(rows: pd.DataFrame) -> pd.DataFrame:
 
 def _deviations(found: pd.DataFrame, name: str) -> Table:
     """A line for each method and step, with a column for each box; errors have that of the reference in them."""
-    lines: dict[tuple[str, str], dict[str, str]] = {}
-    for row in found.to_dict("records"):
-        lines.setdefault(("reference", ""), {})[row["box"]] = str(Estimate(row["reference"], row["reference_error"]))
-        error = math.hypot(row["difference_error"], row["reference_error"])
-        point = row["method"], f"{row['fs_per_force']:g}"
-        lines.setdefault(point, {})[row["box"]] = str(Estimate(row["difference"], error))
-    boxes = list(found["box"].unique())
-    cells = [[*point, *(texts.get(box, "-") for box in boxes)] for point, texts in lines.items()]
-    return Table(
-        f"{name}, less the reference", ["method", "fs per force", *(style.MODELS.get(box, box) for box in boxes)], cells
-    )
+    error = np.hypot(found["difference_error"], found["reference_error"])
+    own = found.assign(box=found["box"].replace(style.MODELS), value=found["difference"], value_error=error)
+    reference = own.drop_duplicates("box").assign(method="reference", fs_per_force="")
+    reference = reference.assign(value=reference["reference"], value_error=reference["reference_error"])
+    columns = records.columns("method", "fs_per_force") | {"-": "{value_text}"}
+    return records.table(f"{name}, less the reference", pd.concat([reference, own]), columns, across="box")
 
 
 def figure(record: Record, path: Path) -> None:

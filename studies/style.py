@@ -46,10 +46,6 @@ METHODS = {
     "LAMMPS rigid/nve/small": ("#8c6d31", "d"),
     "GROMACS md-vv, mixed": ("#9c9ede", ">"),
     "GROMACS md-vv, double": ("#5254a3", "p"),
-    "Blanes-Moan S6": ("#bcbd22", "h"),
-    "Blanes-Moan SRKN6b": ("#8ca252", "8"),
-    "PEFRL": ("#c49c94", "*"),
-    "OMF, 3 forces and 2 gradients": ("#17becf", "H"),
 }
 
 UNKNOWN = ("#000000", "x")
@@ -164,8 +160,5 @@ def logarithmic(axes: Axes) -> None:
 
 def plain_ticks(axis: Any, values: Sequence[float]) -> None:
     """Ticks of a logarithmic axis at given values, written out."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
-
-    axis.set_major_locator(FixedLocator(list(values)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_ticks(list(values), labels=[f"{value:g}" for value in values])
+    axis.set_ticks([], minor=True)

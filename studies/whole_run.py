@@ -16,8 +16,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
@@ -32,27 +33,20 @@ from openmm_sier.prepare.pme import DIRECT_SHARE
 from openmm_sier.system import find_bodies
 from openmm_sier.system.vibrations import WATER
 from studies import boxes, records, style
-from studies.command import SYSTEMS, Settings, chosen, claim, command
+from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.methods import CONSTANT_ENERGY
-from studies.records import Record
+from studies.records import Record, Task
 from studies.report import SILENT, Report, Table
 from studies.sampling import Liquid, conserved, equilibrated, over_starts
 
-
-class Kind(NamedTuple):
-    """A liquid: its PDB file in `systems`, and a force field if it is not the one that the file names."""
-
-    file: str
-    forcefield: tuple[str, ...] = ()
-
-
-LIQUIDS = {
-    "TIP3P": Kind("tip3p-512.pdb"),
-    "SPC/E": Kind("spce-512.pdb"),
-    "TIP4P/2005": Kind("tip4p2005-512.pdb"),
-    "OPC": Kind("tip4p2005-512.pdb", ("opc.xml",)),
-    "TIP5P": Kind("tip5p-512.pdb"),
-    "peptide": Kind("peptide.pdb"),
+#: Liquids: the PDB file in `systems`, and a force field if it is not the one that the file names.
+LIQUIDS: dict[str, tuple[str, ...]] = {
+    "TIP3P": ("tip3p-512.pdb",),
+    "SPC/E": ("spce-512.pdb",),
+    "TIP4P/2005": ("tip4p2005-512.pdb",),
+    "OPC": ("tip4p2005-512.pdb", "opc.xml"),
+    "TIP5P": ("tip5p-512.pdb",),
+    "peptide": ("peptide.pdb",),
 }
 
 #: fs between two samples of the energy. It is far below the 1 ps over which the walk is averaged.
@@ -65,26 +59,17 @@ WALK_LAGS = (5, 20)
 #: of PME's two sums, `prepare.pme.DIRECT_SHARE`.
 POINT = ["liquid", "molecules", "time", "tolerance", "share", "method", "step"]
 
-COLUMNS = {
-    "liquid": "{liquid}",
-    "molecules": "{molecules}",
-    "ps": "{time:g}",
-    "PME": "{tolerance:g}/{share:g}",
-    "scheme": "{method}",
-    "step/fs": "{step:.3g}",
-    "fs per force": "{fs_per_force:.3g}",
-    "starts": "{starts}",
+PME = {"PME": "{tolerance:g}/{share:g}"}
+
+COLUMNS = records.columns("liquid", "molecules", "time", "method", "step", "fs_per_force", "starts") | {
     "rms(H)/rms(V)/%": "{percent:.3g} ± {percent_error:.1g}",
     "walk/%": "{walk:.2g} ± {walk_error:.1g}",
     "drift of the box/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
+    **PME,
 }
 
-
-GAINS = {
-    "liquid": "{liquid}",
-    "molecules": "{molecules}",
-    "ps": "{time:g}",
-    "PME": "{tolerance:g}/{share:g}",
+GAINS = records.columns("liquid", "molecules", "time") | {
+    **PME,
     "fs per force": "{per_force:.3g}",
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
     "SIER4G/%": "{percent:.3f} ± {percent_error:.1g}",
@@ -101,7 +86,7 @@ FITTED = (0.025, 5.0)
 
 
 @dataclass(frozen=True)
-class WholeRunSettings(Settings):
+class WholeRunSettings(RunsSettings):
     """Settings of the comparison; the seeds of the starts follow `seed`.
 
     Attributes:
@@ -115,7 +100,6 @@ class WholeRunSettings(Settings):
         equilibrate: before them, ps.
         temperature: K.
         tolerance: OpenMM's ewaldErrorTolerance.
-        processes: that make runs at the same time.
         platform: of OpenMM.
     """
 
@@ -129,73 +113,47 @@ class WholeRunSettings(Settings):
     equilibrate: float = 5.0
     temperature: float = 297.0
     tolerance: float = 1e-4
-    processes: int = 1
     platform: str = "CPU"
 
-
-class Task(NamedTuple):
-    """One run."""
-
-    settings: WholeRunSettings
-    liquid: str
-    method: str
-    step: float
-    seed: int
-
-    @property
-    def molecules(self) -> int:
-        """Of water boxes; 0 for boxes that are taken as they are."""
-        return self.settings.molecules if LIQUIDS[self.liquid].file.endswith("-512.pdb") else 0
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """What identifies the run."""
-        return {
-            "liquid": self.liquid,
-            "molecules": self.molecules,
-            "time": self.settings.time,
-            "tolerance": self.settings.tolerance,
-            "share": DIRECT_SHARE,
-            "method": CONSTANT_ENERGY[self.method].name,
-            "step": round(self.step, 6),
-            "seed": self.seed,
-        }
+    SHARED = ("temperature", "equilibrate", "platform")
 
 
 def tasks(settings: WholeRunSettings) -> Iterator[Task]:
-    """All runs that the settings ask for, seed by seed."""
+    """All runs that the settings ask for, seed by seed; boxes that are taken as they are have 0 molecules."""
     chosen(settings.liquids, LIQUIDS, "liquid")
     chosen(settings.methods, CONSTANT_ENERGY, "method")
-    for seed in range(settings.seed, settings.seed + settings.starts):
-        for liquid in settings.liquids:
-            for name in settings.methods or CONSTANT_ENERGY:
-                forces = CONSTANT_ENERGY[name].forces
-                for step in settings.steps or [forces * each for each in settings.per_force]:
-                    yield Task(settings, liquid, name, step, seed)
+    shared = {"time": settings.time, "tolerance": settings.tolerance, "share": DIRECT_SHARE}
+    seeds = range(settings.seed, settings.seed + settings.starts)
+    for seed, liquid, name in product(seeds, settings.liquids, settings.methods or CONSTANT_ENERGY):
+        method, repeated = CONSTANT_ENERGY[name], LIQUIDS[liquid][0].endswith("-512.pdb")
+        place = {"liquid": liquid, "molecules": settings.molecules if repeated else 0} | shared
+        for step in settings.steps or [method.forces * each for each in settings.per_force]:
+            yield Task(settings, place | {"method": method.name, "step": round(step, 6), "seed": seed}, name)
 
 
 def start(task: Task) -> Liquid:
     """The equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
-    settings, kind = task.settings, LIQUIDS[task.liquid]
-    kept = settings.out / f"start of {task.liquid.replace('/', '-')}, {task.molecules}, seed {task.seed}.xml"
-    box = forcefields.read_box(SYSTEMS / kind.file, kind.forcefield or None, None if task.molecules else "hbonds")
+    settings, (liquid, molecules, seed) = task.settings, (task.point[name] for name in ("liquid", "molecules", "seed"))
+    file, *forcefield = LIQUIDS[liquid]
+    kept = settings.out / f"start of {liquid.replace('/', '-')}, {molecules}, seed {seed}.xml"
+    box = forcefields.read_box(SYSTEMS / file, forcefield or None, None if molecules else "hbonds")
     topology, positions, system = box.topology, box.positions, box.system
-    if task.molecules:
-        replica = boxes.of_size(box, SYSTEMS, task.molecules)
+    if molecules:
+        replica = boxes.of_size(box, SYSTEMS, molecules)
         positions, system = replica.positions * openmm.unit.nanometer, replica.system
     boxes.with_tolerance(system, settings.tolerance)
-    if not task.molecules:
+    if not molecules:
         prepare_system(system)
     context = make_context(system, CONSTANT_ENERGY["sier4g"].make(0.003), settings.platform)
-    state = equilibrated(context, positions, settings.temperature, task.seed, settings.equilibrate, kept)
-    bodies = find_bodies.RigidBodies.from_system(system, None if task.molecules else topology)
+    state = equilibrated(context, positions, settings.temperature, seed, settings.equilibrate, kept)
+    bodies = find_bodies.RigidBodies.from_system(system, None if molecules else topology)
     return Liquid(system, bodies, state, settings.platform)
 
 
 def run(task: Task) -> dict[str, Any]:
     """The energy error of a run, its walk and drift, see `studies.sampling.conserved`."""
     method = CONSTANT_ENERGY[task.method]
-    found = task.point | {"forces": method.forces, "fs_per_force": task.step / method.forces}
+    found = task.point | {"forces": method.forces, "fs_per_force": task.point["step"] / method.forces}
     figures, series = conserved(start(task), method, found["fs_per_force"], task.settings.time, INTERVAL)
     if series is None:
         return found | figures | {"walk": math.nan}
@@ -210,13 +168,6 @@ def run(task: Task) -> dict[str, Any]:
             "means": np.round([each.mean() for each in np.array_split(H, max(1, round(task.settings.time)))], 4),
         }
     )
-
-
-def run_missing(settings: WholeRunSettings, path: Path, report: Report = SILENT) -> None:
-    """Make the runs that a file lacks, and add each to it."""
-    for found in records.make_missing(path, tasks(settings), run, settings.processes):
-        told = found["broken"] or records.cell("{percent:.3f} %, walk {walk:.3f} %, {drift:+.4f} kJ/mol/ps", found)
-        report.note(", ".join(str(found[name]) for name in (*POINT, "seed")) + f": {told}")
 
 
 def points(runs: pd.DataFrame) -> pd.DataFrame:
@@ -246,13 +197,10 @@ def walk_slope(means: np.ndarray) -> float:
 
 def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write whole-run.json and the figure of the walk."""
-    shared = {name: settings.recorded()[name] for name in ("temperature", "equilibrate", "platform")}
-    claim(settings.out / "whole-run-settings.json", shared)
-    path = settings.out / "whole-run.jsonl"
-    run_missing(settings, path, report)
-    runs = pd.DataFrame(records.kept_runs(path)).replace({None: math.nan})
+    form = "{liquid}, {molecules}, {method}, {step:g} fs, seed {seed}: {percent:.3f} %, walk {walk:.3f} %"
+    runs = records.all_runs(settings, "whole-run", tasks(settings), run, report, form)
     rows = points(runs).sort_values(POINT, kind="stable")
-    record = Record(shared, {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)})
+    record = Record(settings.shared(), {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)})
     for table in tables(record):
         report.table(table)
     record.write(settings.out / "whole-run.json")

@@ -28,14 +28,13 @@ from studies.bench.timing import counts_processor_time
 from studies.command import BoxSettings, command
 from studies.methods import CONSTANT_ENERGY, Method
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.sampling import INTERVAL, Energies, Liquid, Unstable, equilibrated_liquid, follow
 
 #: fs per force evaluation: of methods of second order, and of those of fourth.
 SECOND_ORDER = (0.25, 0.5, 1.0, 2.0)
 FOURTH_ORDER = (0.75, 1.0, 1.5, 2.0, 2.5)
-METHODS = {"verlet": SECOND_ORDER, "sier2": SECOND_ORDER, "sier4": FOURTH_ORDER, "sier4g": FOURTH_ORDER}
-METHODS["sier4p"] = FOURTH_ORDER
+METHODS = dict.fromkeys(("verlet", "sier2"), SECOND_ORDER) | dict.fromkeys(("sier4", "sier4g", "sier4p"), FOURTH_ORDER)
 
 #: Values of rms(H)/rms(V) in per cent at which costs are compared; 0.003 % is the floor of forces in single precision.
 LEVELS = (0.02, 0.05, 0.1)
@@ -44,20 +43,8 @@ LEVELS = (0.02, 0.05, 0.1)
 #: Of which the figure has multiples: the speed of Verlet at its usual step.
 VERLET, USUAL = CONSTANT_ENERGY["verlet"].name, 2.0
 
-POINTS = {
-    "method": "{method}",
-    "fs per force": "{fs_per_force:g}",
-    "rms(H)/rms(V)/%": "{percent:.4f}",
-    "simulated fs per second": "{fs_per_second:.0f}",
-}
-
-COSTS = {
-    "rms(H)/rms(V)/%": "{percent:g}",
-    "method": "{method}",
-    "fs per force": "{fs_per_force:.2f}",
-    "forces per ps": "{forces_per_ps:.0f}",
-    "simulated fs per second": "{fs_per_second:.0f}",
-}
+POINTS = records.columns("method", "fs_per_force", "percent", "fs_per_second")
+COSTS = records.columns("percent", "method", "fs_per_force", "forces_per_ps", "fs_per_second")
 
 
 @dataclass(frozen=True)
@@ -75,23 +62,6 @@ class BenchSettings(BoxSettings):
 
 #: What is measured: energies, and simulated fs per second, of processor time if `counts_processor_time`.
 Measured = tuple[Energies, float]
-
-
-def find(settings: BenchSettings, report: Report) -> dict[str, pd.DataFrame]:
-    """All methods at all their steps from one equilibrated start, and what an energy error costs.
-
-    Returns:
-        `points` with rms(H)/rms(V) in per cent and the simulated time per second, both NaN where a method broke
-        down, and `costs`, see `costs_of`.
-    """
-    liquid = equilibrated_liquid(settings, settings.equilibrate, report)
-    points = measure(liquid, METHODS, settings.time, report)
-    for peer, water in _peers(liquid, report):
-        for dt in SECOND_ORDER:
-            run = partial(_of_peer, peer, water, dt, settings)
-            points.append(_point(peer.name, dt, run, report))
-    made = pd.DataFrame(points)
-    return {"points": made, "costs": costs_of(made)}
 
 
 def measure(liquid: Liquid, methods: Mapping[str, tuple[float, ...]], time: float, report: Report) -> list[dict]:
@@ -150,7 +120,7 @@ def step_at(points: pd.DataFrame, method: str, level: float) -> float:
     Between two points the error is taken as a power of the step. The longest such step is returned.
 
     Args:
-        points: of `find`.
+        points: of `study`.
         method: name of it.
         level: rms(H)/rms(V) in per cent.
     """
@@ -173,31 +143,17 @@ def costs_of(points: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
-    """Errors and costs, for the report."""
-    title = "Cost of an accuracy; - where the steps do not enclose it"
-    return [
-        records.table("Energy error and speed", found["points"], POINTS),
-        records.table(title, found["costs"], COSTS),
-    ]
-
-
 def figure(record: Record, path: Path) -> None:
     """Energy error against speed, one line per method, the title saying what SIER4G gains over Verlet."""
     points, costs = record.tables["points"], record.tables["costs"]
     usual = points[(points["method"] == VERLET) & (points["fs_per_force"] == USUAL)]["fs_per_second"].mean()
     speeds = costs.pivot(index="percent", columns="method", values="fs_per_second")
-    gains = (speeds[SIER4G.name] / speeds[VERLET]).dropna() if {SIER4G.name, VERLET} <= set(speeds) else pd.Series()
-    title = "Energy error and speed, of one core"
-    if len(gains) and not math.isnan(usual):
-        title = (
-            f"At the same energy error SIER4G simulates\n{gains.min():.1f} to {gains.max():.1f} times as much as Verlet"
-        )
+    gains = (speeds[SIER4G.name] / speeds[VERLET]).dropna()
+    title = f"At the same energy error SIER4G simulates\n{gains.min():.1f} to {gains.max():.1f} times as much as Verlet"
     with style.one_message(path, title, height=6) as axes:
-        shown = points.assign(speed=points["fs_per_second"] / (1.0 if math.isnan(usual) else usual))
+        shown = points.assign(speed=points["fs_per_second"] / usual)
         style.curves(axes, shown, "speed", "percent", lw=2, markersize=8)
-        unit = "simulated fs per second" if math.isnan(usual) else f"speed over Verlet's at {USUAL:g} fs"
-        axes.set(xlabel=unit, ylabel="energy error within 1 ps\n(% of rms(V))")
+        axes.set(xlabel=f"speed over Verlet's at {USUAL:g} fs", ylabel="energy error within 1 ps\n(% of rms(V))")
         style.logarithmic(axes)
         axes.annotate(
             "better", (0.97, 0.03), (0.86, 0.1), "axes fraction", fontsize=13, arrowprops={"arrowstyle": "->"}
@@ -206,10 +162,20 @@ def figure(record: Record, path: Path) -> None:
 
 
 def study(settings: BenchSettings, report: Report = SILENT) -> Record:
-    """Measure, and write bench.json and bench.png."""
-    found = find(settings, report)
-    for table in tables(found):
-        report.table(table)
+    """All methods at all their steps from one equilibrated start, and what an energy error costs.
+
+    Writes bench.json and bench.png, with `points`, rms(H)/rms(V) in per cent and the simulated time per second, both
+    NaN where a method broke down, and `costs`, see `costs_of`.
+    """
+    liquid = equilibrated_liquid(settings, settings.equilibrate, report)
+    made = measure(liquid, METHODS, settings.time, report)
+    for peer, water in _peers(liquid, report):
+        for dt in SECOND_ORDER:
+            made.append(_point(peer.name, dt, partial(_of_peer, peer, water, dt, settings), report))
+    points = pd.DataFrame(made)
+    found = {"points": points, "costs": costs_of(points)}
+    report.table(records.table("Energy error and speed", points, POINTS))
+    report.table(records.table("Cost of an accuracy; - where the steps do not enclose it", found["costs"], COSTS))
     of_processor = counts_processor_time(settings.platform)
     builds = {peer.name: peer.build for peer in peers.installed()}
     notes = {"peers": builds, "clock": "processor" if of_processor else "wall", "threads": threads.count()}

@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -117,14 +118,14 @@ def lammps(name: str, script: Input) -> Peer | None:
     """LAMMPS with an input, where it is installed."""
     if (program := _find("lmp")) is None:
         return None
-    return Peer(name, _Lammps(program, script), f"{_lammps_build(program)}, {threads.count()} threads")
+    return Peer(name, partial(_of_lammps, program, script), f"{_lammps_build(program)}, {threads.count()} threads")
 
 
 def gromacs(name: str, mdp: Input, command: str = "gmx") -> Peer | None:
     """GROMACS with parameters of a run, where it is installed."""
     if (program := _find(command)) is None:
         return None
-    return Peer(name, _Gromacs(program, mdp), f"{_gromacs_build(program)}, {threads.count()} threads")
+    return Peer(name, partial(_of_gromacs, program, mdp), f"{_gromacs_build(program)}, {threads.count()} threads")
 
 
 def _lammps_build(program: str) -> str:
@@ -187,27 +188,23 @@ def _execute(command: list[str], directory: Path, given: str = "") -> str:
     return done.stdout
 
 
-class _Lammps:
-    """LAMMPS, with threads if the `mpiexec` that belongs to it lies beside it."""
-
-    def __init__(self, program: str, script: Input):
-        # An MPI other than the one that LAMMPS was built with would start that many independent runs.
-        launcher = shutil.which("mpiexec", path=str(Path(program).parent)) if threads.count() > 1 else None
-        launch = [launcher, "-n", str(threads.count())] if launcher else []
-        self.command = [*launch, program, "-in", "in.lmp", "-log", "log"]
-        self.script = script
-
-    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> Run:
-        (directory / "data").write_text(_lammps_data(liquid))
-        (directory / "in.lmp").write_text(self.script(liquid, step, steps, every))
-        text = _execute(self.command, directory)
-        table = re.search(r"^ *Step +PotEng +KinEng *\n((?: *\d.*\n)+)Loop time of ([\d.eE+-]+)", text, re.M)
-        if table is None:
-            raise PeerError("LAMMPS printed no energies")
-        rows = np.array([line.split() for line in table[1].splitlines()], dtype=float)
-        energies = Energies(1e-3 * step * rows[:, 0], KCAL * rows[:, 1], KCAL * rows[:, 2])
-        seconds, use = float(table[2]), re.search(r"([\d.]+)% CPU use with (\d+) MPI tasks", text)
-        return Run(energies, seconds, seconds * float(use[1]) / 100 * int(use[2]) if use else math.nan)
+def _of_lammps(
+    program: str, script: Input, liquid: Liquid, step: float, steps: int, every: int, directory: Path
+) -> Run:
+    """A run of LAMMPS, with threads if the `mpiexec` that belongs to it lies beside it."""
+    # An MPI other than the one that LAMMPS was built with would start that many independent runs.
+    launcher = shutil.which("mpiexec", path=str(Path(program).parent)) if threads.count() > 1 else None
+    launch = [launcher, "-n", str(threads.count())] if launcher else []
+    (directory / "data").write_text(_lammps_data(liquid))
+    (directory / "in.lmp").write_text(script(liquid, step, steps, every))
+    text = _execute([*launch, program, "-in", "in.lmp", "-log", "log"], directory)
+    table = re.search(r"^ *Step +PotEng +KinEng *\n((?: *\d.*\n)+)Loop time of ([\d.eE+-]+)", text, re.M)
+    if table is None:
+        raise PeerError("LAMMPS printed no energies")
+    rows = np.array([line.split() for line in table[1].splitlines()], dtype=float)
+    energies = Energies(1e-3 * step * rows[:, 0], KCAL * rows[:, 1], KCAL * rows[:, 2])
+    seconds, use = float(table[2]), re.search(r"([\d.]+)% CPU use with (\d+) MPI tasks", text)
+    return Run(energies, seconds, seconds * float(use[1]) / 100 * int(use[2]) if use else math.nan)
 
 
 def _lammps_input(liquid: Liquid, step: float, steps: int, every: int) -> str:
@@ -248,20 +245,10 @@ def _lammps_data(liquid: Liquid) -> str:
     n = liquid.molecules
     edges = liquid.box / ANGSTROM
     lines = ["water", "", f"{3 * n} atoms", f"{2 * n} bonds", f"{n} angles", "2 atom types", "1 bond types"]
-    lines += [
-        "1 angle types",
-        "",
-        *(f"0 {edge:.12g} {axis}lo {axis}hi" for edge, axis in zip(edges, "xyz", strict=True)),
-    ]
-    lines += [
-        "",
-        "Masses",
-        "",
-        *(f"{i + 1} {mass:.12g}" for i, mass in enumerate(liquid.masses)),
-        "",
-        "Atoms # full",
-        "",
-    ]
+    lines += ["1 angle types", ""]
+    lines += [f"0 {edge:.12g} {axis}lo {axis}hi" for edge, axis in zip(edges, "xyz", strict=True)]
+    lines += ["", "Masses", "", *(f"{i + 1} {mass:.12g}" for i, mass in enumerate(liquid.masses))]
+    lines += ["", "Atoms # full", ""]
     for i, place in enumerate(liquid.positions / ANGSTROM):
         kind = 1 if i % 3 == 0 else 2
         where = " ".join(f"{x:.12f}" for x in place)
@@ -275,26 +262,21 @@ def _lammps_data(liquid: Liquid) -> str:
     return "\n".join(lines) + "\n"
 
 
-class _Gromacs:
-    """GROMACS."""
-
-    def __init__(self, program: str, mdp: Input):
-        self.program, self.mdp = program, mdp
-
-    def __call__(self, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> Run:
-        (directory / "conf.gro").write_text(_gro(liquid))
-        (directory / "topol.top").write_text(_topology(liquid))
-        (directory / "grompp.mdp").write_text(self.mdp(liquid, step, steps, every))
-        _execute([self.program, "grompp", "-maxwarn", "10"], directory)
-        before, begun = _children(), time.perf_counter()
-        _execute([self.program, "mdrun", "-ntmpi", "1", "-ntomp", str(threads.count()), "-pin", "off"], directory)
-        share = (_children() - before) / (time.perf_counter() - begun)
-        _execute([self.program, "energy", "-dp", "-o", "e.xvg"], directory, "Potential\nKinetic-En.\n\n")
-        times, potential, kinetic = np.loadtxt(directory / "e.xvg", comments=("#", "@")).T
-        wall = re.search(r"^ +Time: +[\d.]+ +([\d.]+)", (directory / "md.log").read_text(), re.M)
-        seconds = float(wall[1]) if wall else math.nan
-        # Its own "core time" is wall time times threads.
-        return Run(Energies(times, potential, kinetic), seconds, seconds * share)
+def _of_gromacs(program: str, mdp: Input, liquid: Liquid, step: float, steps: int, every: int, directory: Path) -> Run:
+    """A run of GROMACS."""
+    (directory / "conf.gro").write_text(_gro(liquid))
+    (directory / "topol.top").write_text(_topology(liquid))
+    (directory / "grompp.mdp").write_text(mdp(liquid, step, steps, every))
+    _execute([program, "grompp", "-maxwarn", "10"], directory)
+    before, begun = _children(), time.perf_counter()
+    _execute([program, "mdrun", "-ntmpi", "1", "-ntomp", str(threads.count()), "-pin", "off"], directory)
+    share = (_children() - before) / (time.perf_counter() - begun)
+    _execute([program, "energy", "-dp", "-o", "e.xvg"], directory, "Potential\nKinetic-En.\n\n")
+    times, potential, kinetic = np.loadtxt(directory / "e.xvg", comments=("#", "@")).T
+    wall = re.search(r"^ +Time: +[\d.]+ +([\d.]+)", (directory / "md.log").read_text(), re.M)
+    seconds = float(wall[1]) if wall else math.nan
+    # Its own "core time" is wall time times threads.
+    return Run(Energies(times, potential, kinetic), seconds, seconds * share)
 
 
 def _children() -> float:

@@ -4,7 +4,7 @@
 
 Another process sends real SIGINTs while a small box of water is run, mostly into calls of `step`. One more step is made
 after each KeyboardInterrupt. Time, energies and momenta at all these steps, and positions, velocities and box at the
-end, must be those of a run that nothing disturbed, bit for bit. Writes interrupts.json.
+end, must be those of a run that nothing disturbed, bit for bit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import openmm
-import pandas as pd
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
@@ -29,7 +28,6 @@ from openmm_sier.cli.stopping import interrupt_behind
 from openmm_sier.measure import forcefields
 from studies import boxes, records
 from studies.command import Settings, chosen, command
-from studies.records import Record
 from studies.report import SILENT, Report
 from studies.units import md
 
@@ -60,15 +58,6 @@ for line in sys.stdin:
 """
 
 ENGINES = ("exact", "native")
-
-COLUMNS = {
-    "run": "{run}",
-    "engine": "{engine}",
-    "interrupts": "{interrupts}",
-    "after a step": "{after}",
-    "as SystemError": "{errors}",
-    "steps": "{steps}",
-}
 
 #: Makes the integrator of a kind of run; `barostat` has OpenMM's in its System.
 RUNS: dict[str, Callable[..., SIERIntegrator]] = {
@@ -158,19 +147,8 @@ def place(context: openmm.Context) -> np.ndarray:
 @contextmanager
 def sender() -> Iterator[Callable[[float], None]]:
     """A process that interrupts this one so many seconds after each call."""
-    process = subprocess.Popen([sys.executable, "-c", SENDER], stdin=subprocess.PIPE, text=True)
-    assert process.stdin is not None
-    orders = process.stdin
-
-    def send(seconds: float) -> None:
-        orders.write(f"{seconds}\n")
-        orders.flush()
-
-    try:
-        yield send
-    finally:
-        orders.close()
-        process.wait()
+    with subprocess.Popen([sys.executable, "-c", SENDER], stdin=subprocess.PIPE, text=True) as process:
+        yield lambda seconds: print(seconds, file=process.stdin, flush=True)
 
 
 def interrupt(context: openmm.Context, send: Callable[[float], None], seconds: float, lengths: Iterator[int]) -> bool:
@@ -255,8 +233,8 @@ def row(run: str, engine: str, start: openmm.State, settings: InterruptSettings)
     return made | {"after": after, "errors": errors, "steps": tested.getStepCount()}
 
 
-def study(settings: InterruptSettings, report: Report = SILENT) -> Record:
-    """Interrupt all runs with both engines, and write interrupts.json.
+def study(settings: InterruptSettings, report: Report = SILENT) -> list[dict[str, Any]]:
+    """Interrupt all runs with both engines.
 
     Raises:
         Broken: an interrupt left a trace.
@@ -265,13 +243,12 @@ def study(settings: InterruptSettings, report: Report = SILENT) -> Record:
     chosen(settings.runs, RUNS, "run")
     chosen(settings.engines, dict.fromkeys(ENGINES), "engine")
     start = start_of(settings)
+    form = "{run}, {engine}: {interrupts} interrupts, {after} after a step, {errors} as SystemError, {steps} steps"
     rows = []
     for run, engine in product(settings.runs or RUNS, settings.engines or ENGINES):
         rows.append(row(run, engine, start, settings))
-        report.note(records.cell("{run}, {engine}: {interrupts} interrupts, {steps} steps", rows[-1]))
-    found = pd.DataFrame(rows)
-    report.table(records.table(f"SIGINT, {settings.molecules} molecules of water", found, COLUMNS, left=2))
-    return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "interrupts.json")
+        report.note(records.cell(form, rows[-1]))
+    return rows
 
 
 main = command(InterruptSettings, study, __doc__, __name__)

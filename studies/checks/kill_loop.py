@@ -1,6 +1,6 @@
 """`openmm-sier run` on a small box of water, ended by signals at random moments and continued again and again.
 
-    python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--ensemble npt] [--signals KILL TERM]
+    python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--signals KILL TERM]
 
 At the end the trajectory must have every frame once, in order. Trajectory and log must be those of an undisturbed run,
 byte for byte. A signal that can be handled must give its exit code and, after the first step, leave a checkpoint of the
@@ -39,7 +39,7 @@ from openmm_sier.cli.main import main
 sys.exit(main())
 """
 COMMAND = [sys.executable, "-c", LAUNCH, "run", "box.pdb", "--platform", "Reference"]
-PLAN = ["--scheme", "sier2", "--dt", "1", "--equilibrate", "0.05"]
+PLAN = ["--scheme", "sier2", "--ensemble", "npt", "--dt", "1", "--equilibrate", "0.05"]
 PLAN += ["--every", "0.004", "--report-every", "0.006", "--checkpoint-every", "0.01"]
 
 #: Signals by the names that `kill` uses.
@@ -60,15 +60,15 @@ class Lost(ValueError):
     """Something did not survive the kills."""
 
 
-def line_of(directory: Path, out: str, steps: int, ensemble: str) -> list[str]:
+def line_of(directory: Path, out: str, steps: int) -> list[str]:
     """The command that begins a run, or goes on from its checkpoint if there is one."""
     checkpoint = Path(out).with_suffix(".chk")
-    begin = [*PLAN, "--ensemble", ensemble, "--overwrite", "--out", out]
+    begin = [*PLAN, "--overwrite", "--out", out]
     way = ["--restart", str(checkpoint)] if (directory / checkpoint).exists() else begin
     return [*COMMAND, *way, "--steps", str(steps)]
 
 
-def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, ensemble: str, name: str) -> None:
+def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, name: str) -> None:
     """Start or continue the endless run and end it by a signal.
 
     Raises:
@@ -78,7 +78,7 @@ def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, 
     checkpoint = (directory / out).with_suffix(".chk")
     before = _changed(checkpoint)
     with open(directory / "said.txt", "w") as said:
-        process = subprocess.Popen(line_of(directory, out, ENDLESS, ensemble), cwd=directory, stdout=said, stderr=said)
+        process = subprocess.Popen(line_of(directory, out, ENDLESS), cwd=directory, stdout=said, stderr=said)
     while not early and _changed(checkpoint) == before:
         if process.poll() is not None:
             raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
@@ -110,9 +110,9 @@ def last_step(directory: Path, out: str) -> int:
     return checkpoints.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
 
 
-def finish(directory: Path, out: str, steps: int, ensemble: str) -> None:
+def finish(directory: Path, out: str, steps: int) -> None:
     """Run to a step undisturbed."""
-    line = line_of(directory, out, steps, ensemble)
+    line = line_of(directory, out, steps)
     done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
     if done.returncode:
         raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
@@ -140,13 +140,11 @@ class LoopSettings(Settings):
     Attributes:
         kills: how many.
         suffix: of the trajectory.
-        ensemble: of the run.
         signals: which take turns.
     """
 
     kills: int = 50
     suffix: Literal[".dcd", ".xtc"] = ".dcd"
-    ensemble: Literal["nve", "nvt", "npt"] = "npt"
     signals: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = SIGNALS
     out: Path = Path("killed")
 
@@ -166,11 +164,11 @@ def kill_loop(settings: LoopSettings) -> Counter[str]:
     for number in range(settings.kills):
         # Shifted by one in every `ONE_IN` kills, so that early kills meet all signals.
         name = settings.signals[(number + number // ONE_IN) % len(settings.signals)]
-        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, settings.ensemble, name)
+        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, name)
         met[f"kills by SIG{name}"] += 1
     met["steps"] = last_step(directory, out) + CHECKPOINTS
     for each in (out, whole):
-        finish(directory, each, met["steps"], settings.ensemble)
+        finish(directory, each, met["steps"])
     compare(directory, out, whole, met["steps"])
     return met
 

@@ -4,7 +4,7 @@
 
 The files of the command that goes on must be those of one that was alone, byte for byte, and nothing else may be left.
 A second command that comes when the first has ended finds its files, or begins anew with --overwrite. The status is 1
-if anything differs. Writes two-commands.json.
+if anything differs.
 """
 
 from __future__ import annotations
@@ -20,13 +20,9 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-import pandas as pd
-
-from studies import records
 from studies.boxes import write_lattice
 from studies.command import Settings, chosen, command
 from studies.command_runs import CHECKPOINT, TRAJECTORY
-from studies.records import Record
 from studies.report import SILENT, Report
 
 #: Steps of a run, of which `HALF` are done where a restart begins.
@@ -50,11 +46,6 @@ PATIENCE = 120.0
 
 #: Pairs by the names that users give.
 PAIRS = {f"{pair[0]},{pair[1]}": pair for pair in product(("run", "restart"), repeat=2)}
-
-#: How the two commands of a collision met.
-MEETINGS = ("second refused", "first refused", "second came after the first")
-
-COLUMNS = {"pair": "{pair}", "started": "{times}", **{name: f"{{{name}}}" for name in MEETINGS}}
 
 
 class Disturbed(ValueError):
@@ -104,7 +95,7 @@ def results(directory: Path) -> dict[str, bytes]:
 
 
 def collide(directory: Path, first: str, second: str, times: int, seed: int) -> Counter[str]:
-    """Start two commands again and again in a directory; how often they met in each of the ways of `MEETINGS`.
+    """Start two commands again and again in a directory; how often they met in each of the ways of `meeting`.
 
     Raises:
         Disturbed: something differs from an undisturbed run.
@@ -160,25 +151,20 @@ class TwoSettings(Settings):
     pairs: tuple[str, ...] = ()
 
 
-def study(settings: TwoSettings, report: Report = SILENT) -> Record:
-    """Start all pairs in directories that are removed, and write two-commands.json.
+def study(settings: TwoSettings, report: Report = SILENT) -> None:
+    """Start all pairs in directories that are removed.
 
     Raises:
         Disturbed: something differs from an undisturbed run.
         ValueError: there is no such pair.
     """
-    rows = []
     for first, second in chosen(settings.pairs, PAIRS, "pair"):
         try:
             with tempfile.TemporaryDirectory() as directory:
                 met = collide(Path(directory), first, second, settings.times, settings.seed)
         except Disturbed as error:
             raise Disturbed(f"{first}, {second}: {error}") from error
-        rows.append({"pair": f"{first}, {second}", "times": settings.times, **{name: met[name] for name in MEETINGS}})
         report.note(f"{first}, {second}: {', '.join(f'{count} {what}' for what, count in met.items())}")
-    found = pd.DataFrame(rows)
-    report.table(records.table("Two commands on one output", found, COLUMNS))
-    return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "two-commands.json")
 
 
 main = command(TwoSettings, study, __doc__, __name__)

@@ -23,13 +23,13 @@ import openmm
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.dynamics.statistics import inefficiency_and_error
 from openmm_sier.measure.forcefields import read_box
-from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.measure.statistics import Estimate, mean_and_error
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
 from studies import command_runs, records
 from studies.command import SYSTEMS, Settings, chosen, claim, command
 from studies.hmc.dihedrals import backbone, dihedral
-from studies.hmc.samples import cost
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.units import md
@@ -175,6 +175,17 @@ def run(task: Task) -> dict[str, Any]:
         if (np.ptp(samples.to_numpy(), axis=0) > 0).all():
             row[f"{name}_cost"], row[f"{name}_cost_error"], _ = cost(samples, forces_per_sample(options))
     return row
+
+
+def cost(samples: pd.DataFrame, forces: float) -> Estimate:
+    """Forces for an independent sample; the mean over columns, which are components of one vector.
+
+    Args:
+        samples: a column for each component.
+        forces: from one sample to the next.
+    """
+    found = np.array([inefficiency_and_error(samples[name].to_numpy()) for name in samples])
+    return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
 
 
 def in_frames(directory: Path, skip: float) -> dict[str, pd.DataFrame]:

@@ -1,13 +1,12 @@
 """The bias of long steps that hybrid Monte Carlo removes: N-methylacetamide, flexible, mixed with water.
 
-    python -m studies.hmc.mixture --method hmc --step 2 --time 60 --out mixture
-    python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 1 --out mixture
-    python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 3 --out mixture
-    python -m studies.hmc.mixture --table mixture/*.json      the others are compared with the first
-    python -m studies.hmc.mixture --pdb systems/mixture.pdb   the start alone, for `openmm-sier`
+    python -m studies.hmc.mixture --method hmc --step 2 --time 60
+    python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 1
+    python -m studies.hmc.mixture --method langevin --step 4 --hydrogen-mass 3
 
-Bonds to hydrogen are constrained; 1 bar; steps are in fs for each force evaluation. A hydrogen mass of 1 leaves masses
-as they are. Kinetic energies are tested with `openmm_sier.measure.validation`. Configurational temperatures are
+Each command adds a run to those of `--out`, and the others are compared with the first. Bonds to hydrogen are
+constrained; 1 bar; steps are in fs for each force evaluation. A hydrogen mass of 1 leaves masses as they are. Kinetic
+energies are tested with `openmm_sier.measure.validation`. Configurational temperatures are
 kT = <|F|^2/M> / <-div F/M>, of water's translation and rotation and of the groups of atoms that constraints hold
 together in the other molecules, the divergence from forces at places displaced at random. The last column is the
 probability by a Kolmogorov-Smirnov test that independent potential energies of two methods are from one distribution.
@@ -17,8 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import openmm
@@ -34,10 +32,9 @@ from openmm_sier.measure.starts import make_context
 from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, pooled
 from openmm_sier.observe.conservation import density
 from studies import records
-from studies.command import Settings, command
+from studies.command import RunsSettings, command
 from studies.hmc.curvature import KINDS, Curvature
-from studies.hmc.solutes import by_label, kept_series
-from studies.records import Record
+from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import body_state
 from studies.units import md
@@ -49,44 +46,33 @@ EDGE, CUTOFF = 2.0, 0.7
 #: Amides along each edge, at most.
 LATTICE = (2, 2, 3)
 
-#: ps between two samples, and between two records of a run that goes on.
-EVERY, SAVED = 0.06, 4.0
+#: ps between two samples.
+EVERY = 0.06
 
-COLUMNS = {
-    "run": "{label}",
-    "ps": "{time:.0f}",
-    "accepted": "{accepted:.3f}",
-    "V, kJ/mol": "{potential_text}",
-    "g/cm³": "{density_text}",
-    "T_trans, K": "{translation_text}",
-    "T_rot": "{rotation_text}",
+COLUMNS = records.columns("label", "time", "accepted", "potential", "density", "translation", "rotation") | {
     "T_amide": "{flexible_text}",
     "configurational: T_trans": "{conf_translation_text}",
-    "T_rot ": "{conf_rotation_text}",
+    "T_rot": "{conf_rotation_text}",
     "T_amide ": "{conf_flexible_text}",
     "V: p": "{probability:.2g}",
 }
 
 
 @dataclass(frozen=True)
-class MixtureSettings(Settings):
-    """What is run or read.
+class MixtureSettings(RunsSettings):
+    """What is run.
 
     Attributes:
-        table: records of runs to be read, in place of a run.
-        pdb: where to write the start of all runs, in place of a run.
         method: of the run.
         step: fs for each force evaluation.
         hydrogen_mass: of hydrogens outside water, dalton.
         friction: of LangevinMiddle, 1/ps.
         temperature: K.
         time: of the run, ps.
-        settling: ps before it, after the equilibration at 2 fs, whose end `--out` keeps.
+        settling: ps before it, after the equilibration at 2 fs, whose end is mixture.pdb of `--out`.
         platform: of OpenMM; None takes the fastest.
     """
 
-    table: tuple[Path, ...] = ()
-    pdb: Path | None = None
     method: Literal["hmc", "langevin"] = "hmc"
     step: float = 2.0
     hydrogen_mass: float = 1.0
@@ -96,10 +82,7 @@ class MixtureSettings(Settings):
     settling: float = 5.0
     platform: str | None = None
 
-    @property
-    def name(self) -> str:
-        """Of its file."""
-        return f"{self.method}-{self.step:g}-{self.hydrogen_mass:g}-{self.seed}"
+    SHARED: ClassVar[tuple[str, ...]] = ("friction", "temperature", "settling")
 
     @property
     def label(self) -> str:
@@ -109,20 +92,11 @@ class MixtureSettings(Settings):
 
 
 def study(settings: MixtureSettings, report: Report = SILENT) -> None:
-    """Make a run, or tables of runs, which are written to mixture.json; or the start of runs alone."""
-    if settings.pdb is not None:
-        begun = start(settings)
-        peptide.write(settings.pdb, begun.topology, begun.positions)
-        report.note(f"wrote {settings.pdb}")
-        return
-    if not settings.table:
-        run(settings, report)
-        return
-    runs = by_label(settings.table)
-    rows = table(runs)
-    names = [name.removesuffix("_error") for name in rows if name.endswith("_error")]
-    report.table(records.table("A mixture at 1 bar", records.with_text(rows, *names), COLUMNS))
-    tests = kinetic_tests(runs)
+    """Make a run if it is missing in the directory `out`, and write mixture.json."""
+    task = Task(settings, {"label": settings.label, "seed": settings.seed, "time": settings.time})
+    runs = records.all_runs(settings, "mixture", [task], run, report, "{label}, seed {seed}")
+    rows, tests = table(runs), kinetic_tests(runs, settings.temperature)
+    report.table(records.table("A mixture at 1 bar", rows, COLUMNS))
     report.table(records.table("Tests of kinetic energies, standard errors", tests, TESTS, left=2))
     Record(settings.recorded(), {"rows": rows, "tests": tests}, {}).write(settings.out / "mixture.json")
 
@@ -192,8 +166,9 @@ def integrator_of(settings: MixtureSettings, system: openmm.System) -> tuple[ope
     return SIERHMCIntegrator(settings.temperature, step, SIER4G, round(EVERY / step), pressure=1), 1
 
 
-def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
-    """One run, in a file of its own, which is written as it goes on."""
+def run(task: Task) -> dict[str, Any]:
+    """One run: its `samples` by their names, and what is known of its box."""
+    settings = task.settings
     pdb = start(settings)
     system = system_of(pdb.topology, settings.hydrogen_mass)
     bodies = RigidBodies.from_system(system, pdb.topology)
@@ -208,8 +183,6 @@ def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
     is_hmc = isinstance(integrator, SIERHMCIntegrator)
     if is_hmc:
         integrator.resetStatistics()
-    waters = sum(residue.name == "HOH" for residue in pdb.topology.residues())
-    known = {"mass": float(bodies.masses.sum()), "atoms": system.getNumParticles(), "waters": waters}
 
     def sample() -> dict[str, float]:
         integrator.step(every)
@@ -218,28 +191,30 @@ def run(settings: MixtureSettings, report: Report = SILENT) -> Record:
         row = {"potential": md(state.getPotentialEnergy()), "kinetic": md(state.getKineticEnergy())}
         return row | {"volume": md(state.getPeriodicBoxVolume()), **found._asdict()} | curvature(state)
 
-    def notes(done: int) -> dict[str, Any]:
-        return known | {"accepted": integrator.acceptanceRate if is_hmc else None}
-
-    count, saved = round(settings.time / EVERY), round(SAVED / EVERY)
-    return kept_series(settings, settings.name, settings.label, count, saved, sample, notes, report)
+    samples = pd.DataFrame([sample() for _ in range(round(settings.time / EVERY))])
+    return task.point | {
+        "mass": float(bodies.masses.sum()),
+        "atoms": system.getNumParticles(),
+        "waters": sum(residue.name == "HOH" for residue in pdb.topology.residues()),
+        "accepted": integrator.acceptanceRate if is_hmc else None,
+        "samples": samples.to_dict("list"),
+    }
 
 
 # --- tables ---
 
 
-def table(runs: dict[str, list[Record]]) -> pd.DataFrame:
+def table(runs: pd.DataFrame) -> pd.DataFrame:
     """A row for each kind of run; runs that differ in their seeds alone are pooled."""
     rows, compared = [], None
-    for label, several in runs.items():
-        accepted = [record.notes["accepted"] for record in several]
-        row: dict[str, Any] = {"label": label, "accepted": math.nan if None in accepted else np.mean(accepted)}
-        tables = [record.tables["samples"] for record in several]
-        row["time"] = EVERY * sum(map(len, tables))
-        densities = [density(record.notes["mass"], record.tables["samples"]["volume"].to_numpy()) for record in several]
+    for label, several in runs.groupby("label", sort=False):
+        row: dict[str, Any] = {"label": label, "accepted": several["accepted"].mean(), "time": several["time"].sum()}
+        tables = [pd.DataFrame(samples) for samples in several["samples"]]
         series = {name: [samples[name].to_numpy() for samples in tables] for name in ("potential", *TEMPERATURES)}
-        for name, found in {**series, "density": densities}.items():
-            row[name], row[f"{name}_error"], _ = pooled([mean_and_error(values) for values in found])
+        volumes = [samples["volume"].to_numpy() for samples in tables]
+        series["density"] = [density(mass, each) for mass, each in zip(several["mass"], volumes, strict=True)]
+        for name, values in series.items():
+            row[name], row[f"{name}_error"], _ = pooled([mean_and_error(each) for each in values])
         for kind in KINDS:
             found = [configurational(samples, kind) for samples in tables]
             row[f"conf_{kind}"], row[f"conf_{kind}_error"], _ = pooled(found)
@@ -260,17 +235,14 @@ def configurational(samples: pd.DataFrame, kind: str) -> Estimate:
     return found.times(1 / GAS_CONSTANT)
 
 
-TESTS = {
-    "run": "{label}",
-    "group": "{group}",
-    "samples": "{samples}",
+TESTS = records.columns("label", "group", "samples") | {
     "mean": "{mean:.1f}",
     "width": "{width:.1f}",
     "shape, p": "{shape:.2g}",
 }
 
 
-def kinetic_tests(runs: dict[str, list[Record]]) -> pd.DataFrame:
+def kinetic_tests(runs: pd.DataFrame, temperature: float) -> pd.DataFrame:
     """physical_validation's tests: standard errors of mean and width, and the probability of Kolmogorov and Smirnov."""
     from physical_validation.kinetic_energy import distribution
 
@@ -278,9 +250,9 @@ def kinetic_tests(runs: dict[str, list[Record]]) -> pd.DataFrame:
     columns |= dict(zip(TEMPERATURES, validation.GROUPS.values(), strict=True))
     options = {"data_is_uncorrelated": True, "bootstrap_seed": 5, "verbosity": 0}
     rows = []
-    for label, several in runs.items():
-        logs = [record.tables["samples"].rename(columns=columns) for record in several]
-        for group, data in validation.kinetic_data(logs, several[0].settings["temperature"]).items():
+    for label, several in runs.groupby("label", sort=False):
+        logs = [pd.DataFrame(samples).rename(columns=columns) for samples in several["samples"]]
+        for group, data in validation.kinetic_data(logs, temperature).items():
             mean, width = distribution(data, strict=False, **options)
             row = {"label": label, "group": group, "samples": len(data.observables.kinetic_energy)}
             rows.append(row | {"mean": mean, "width": width, "shape": distribution(data, strict=True, **options)})

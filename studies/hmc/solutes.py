@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import openmm
-import pandas as pd
-from openmm import app, unit
+from openmm import app
 from tyro.conf import Positional
 
 from openmm_sier import prepare_system
-from openmm_sier.measure import forcefields
 from openmm_sier.measure.forcefields import Interactions
 from openmm_sier.measure.starts import make_context
-from studies import boxes, records
-from studies.command import Settings
-from studies.records import Record
-from studies.report import Report
-
-#: The name that stands for DHFR in water, the benchmark of Amber and CHARMM, whose files openmmtools has.
-DHFR = "dhfr"
+from studies import boxes
+from studies.command import BoxSettings, RunsSettings
+from studies.sampling import warmed
+from studies.units import md
 
 #: Masses of hydrogen and of water, dalton.
 HYDROGEN, WATER = 1.008, 18.0154
@@ -33,29 +27,25 @@ Moving = Literal["all", "water", "solute"]
 
 
 @dataclass(frozen=True)
-class SoluteSettings(Settings):
+class SoluteSettings(BoxSettings, RunsSettings):
     """What studies of a solvated molecule take.
 
     Attributes:
         box: PDB file that names its force field, or `dhfr`.
-        temperature: K.
         cutoff: of PME, nm; interactions are switched off over the last sixth.
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
         hydrogen_mass: of hydrogens outside water, dalton.
         heavy_water: whether those of water have it too; averages of positions depend on no mass.
         moving: atoms that are not frozen.
-        platform: of OpenMM; None takes the fastest.
         equilibrate: ps with LangevinMiddle before the first run of a box, whose end `--out` keeps.
     """
 
-    box: Positional[Path] = Path(DHFR)
-    temperature: float = 297.0
+    box: Positional[Path] = boxes.DHFR
     cutoff: float = 0.9
     tolerance: float = 1e-4
     hydrogen_mass: float = 3.0
     heavy_water: bool = False
     moving: Moving = "all"
-    platform: str | None = None
     equilibrate: float = 1.0
 
 
@@ -81,26 +71,17 @@ class Solution(NamedTuple):
 
 def read(settings: SoluteSettings) -> Solution:
     """The box of a study."""
-    system, topology, positions = _dhfr(settings) if settings.box == Path(DHFR) else _of_pdb(settings)
+    cutoff = settings.cutoff
+    interactions = Interactions(cutoff, cutoff * 5 / 6, settings.tolerance, settings.hydrogen_mass)
+    box = boxes.solute(settings.box, interactions, settings.forcefield)
+    topology, system = box.topology, box.system
     dry = np.array([atom.residue.name != "HOH" for atom in topology.atoms()])
     waters = sum(residue.name == "HOH" for residue in topology.residues())
     _weigh_water(system, topology, settings.hydrogen_mass if settings.heavy_water else HYDROGEN)
     if settings.moving != "all":
         freeze(system, np.flatnonzero(dry == (settings.moving == "water")))
     prepare_system(system)
-    return Solution(settings.box.stem, topology, positions, system, np.flatnonzero(dry), waters)
-
-
-def _of_pdb(settings: SoluteSettings) -> tuple[openmm.System, app.Topology, np.ndarray]:
-    mass, cutoff = settings.hydrogen_mass, settings.cutoff
-    interactions = Interactions(cutoff, cutoff * 5 / 6, settings.tolerance, mass)
-    box = forcefields.read_box(settings.box, None, "hbonds", interactions)
-    return box.system, box.topology, np.array(box.positions.value_in_unit(unit.nanometer))
-
-
-def _dhfr(settings: SoluteSettings) -> tuple[openmm.System, app.Topology, np.ndarray]:
-    made = boxes.dhfr(settings.cutoff, settings.cutoff * 5 / 6, settings.tolerance, settings.hydrogen_mass)
-    return made.system, made.topology, np.array(made.positions.value_in_unit(unit.nanometer))
+    return Solution(settings.box.stem, topology, np.array(md(box.positions)), system, np.flatnonzero(dry), waters)
 
 
 def _weigh_water(system: openmm.System, topology: app.Topology, hydrogen: float) -> None:
@@ -140,58 +121,8 @@ def _start(solution: Solution, settings: SoluteSettings) -> tuple[np.ndarray, np
     if not kept.exists():
         if settings.moving != "all":
             raise ValueError(f"{settings.out} has no start of {solution.name}: make a run with --moving all first")
-        integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
-        integrator.setRandomNumberSeed(settings.seed)
-        running = make_context(solution.system, integrator, settings.platform)
-        running.setPositions(solution.positions)
-        running.applyConstraints(1e-6)
-        running.setVelocitiesToTemperature(settings.temperature, settings.seed)
-        integrator.step(round(settings.equilibrate / 0.002))
-        state = running.getState(positions=True)
-        vectors = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
-        np.savez(kept, positions=state.getPositions(asNumpy=True).value_in_unit(unit.nanometer), vectors=vectors)
+        state = warmed(solution.system, solution.positions, settings, settings.equilibrate)
+        vectors = md(state.getPeriodicBoxVectors(asNumpy=True))
+        np.savez(kept, positions=md(state.getPositions(asNumpy=True)), vectors=vectors)
     found = np.load(kept)
     return found["positions"], found["vectors"]
-
-
-# --- runs that are kept as they go on ---
-
-
-def kept_series(
-    settings: Settings,
-    name: str,
-    label: str,
-    count: int,
-    every: int,
-    sample: Callable[[], dict[str, float]],
-    notes: Callable[[int], dict[str, Any]],
-    report: Report,
-) -> Record:
-    """Take samples, and write them to a file of their own, NAME.json in `out`, as the run goes on.
-
-    Args:
-        settings: of the run.
-        name, label: of the file, and for the report.
-        count, every: number of samples, and between two records.
-        sample: goes on to the next sample.
-        notes: of a record after so many samples.
-        report: gets progress.
-    """
-    rows = []
-    with report.progress(label, count) as show:
-        for done in range(1, count + 1):
-            rows.append(sample())
-            if done % every == 0 or done == count:
-                record = Record(settings.recorded(), {"samples": pd.DataFrame(rows)}, {"label": label, **notes(done)})
-                record.write(settings.out / f"{name}.json")
-                show(done)
-    return record
-
-
-def by_label(files: Sequence[Path]) -> dict[str, list[Record]]:
-    """Records of `kept_series` by their labels; those of one label differ in their seeds alone."""
-    runs: dict[str, list[Record]] = {}
-    for path in files:
-        record = records.read(path)
-        runs.setdefault(record.notes["label"], []).append(record)
-    return runs

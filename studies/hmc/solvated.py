@@ -1,95 +1,79 @@
 """Acceptance of hybrid Monte Carlo of solvated molecules by step and by size, and whether solute or water limits it.
 
-    python -m studies.hmc.solvated dhfr --scheme sier4g --step 2 --trials 100 --out solvated
+    python -m studies.hmc.solvated dhfr --schemes sier4g verlet --steps 2 --out solvated
     python -m studies.hmc.solvated dhfr --moving water --trials 20 --out solvated      the protein is frozen
     python -m studies.hmc.solvated dhfr --moving solute --trials 20 --out solvated     water is frozen
-    python -m studies.hmc.solvated systems/peptide.pdb --scheme verlet --out solvated
-    python -m studies.hmc.solvated --table solvated/*.json
+    python -m studies.hmc.solvated systems/peptide.pdb --out solvated
 
-Steps are in fs for each force evaluation, bonds to hydrogen are constrained, and fast forces act within the drifts.
-`verlet` is the control: kick, drift, kick with all forces in the kicks, and water that RATTLE turns, solved to rounding
-so that trajectories can be reversed. All schemes begin at one equilibrated start of each box, which `--out` keeps.
+Commands with one `--out` add to the same tables. Steps are in fs for each force evaluation, bonds to hydrogen are
+constrained, and fast forces act within the drifts. `verlet` is the control: kick, drift, kick with all forces in the
+kicks, and water that RATTLE turns, solved to rounding so that trajectories can be reversed. All schemes begin at one
+equilibrated start of each box, which `--out` keeps.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
+from itertools import product
 from time import process_time
-from typing import Any, Literal
+from typing import Any, ClassVar
 
+import numpy as np
 import pandas as pd
 
 from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.metropolis import spread_at
-from openmm_sier.dynamics.rotation import exact, rattle
-from openmm_sier.dynamics.schemes import CATALOGUE, SIER2
 from studies import records
 from studies.acceptance import expected_acceptance, pooled_spread, statistics
-from studies.command import command
+from studies.command import chosen, command
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
-from studies.records import Record
+from studies.methods import REVERSIBLE
+from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.units import md
 
-COLUMNS = {
-    "box": "{box}",
-    "moves": "{moving}",
-    "scheme": "{scheme}",
-    "atoms": "{atoms}",
-    "of the solute": "{solute}",
-    "hydrogens": "{masses}",
-    "fs per force": "{per_force:g}",
-    "trial/fs": "{length:g}",
-    "trials": "{trials}",
-    "accepted": "{accepted}",
-    "acceptance": "{acceptance:.3f} ± {acceptance_error:.3f}",
-    "sd/kT": "{spread:.3f} ± {spread_error:.3f}",
-    "mean/kT": "{mean:+.3f} ± {mean_error:.3f}",
-    "by the sd": "{expected:.3f}",
-}
+COLUMNS = records.columns(
+    *("box", "moving", "scheme", "atoms", "solute", "masses", "per_force", "length"),
+    *("trials", "accepted", "acceptance", "spread", "mean", "expected"),
+)
 
-LAWS = {
-    "moves": "{moving}",
-    "scheme": "{scheme}",
-    "hydrogens": "{masses}",
-    "fs per force": "{per_force:g}",
-    "boxes": "{boxes}",
-    "sd/kT for one": "{one:.5f} ± {one_error:.5f} {of}",
-    "atoms at 0.8": "{atoms_80:.2g}",
-    "at 0.5": "{atoms_50:.2g}",
-}
+LAWS = records.columns("moving", "scheme", "masses", "per_force", "boxes", "one", "of", "atoms_80", "atoms_50")
 
 
 @dataclass(frozen=True)
 class SolvatedSettings(SoluteSettings):
-    """What is run or read.
+    """What is run.
 
     Attributes:
-        table: records of trials to be read, in place of a run.
-        scheme: by name, or `verlet`.
-        step: fs for each force evaluation.
+        schemes: by name, or `verlet`.
+        steps: fs for each force evaluation.
         length: of a trial, fs, rounded to a whole number of steps.
         trials: how many.
         discarded: trials before them, in which the box settles.
     """
 
-    table: tuple[Path, ...] = ()
-    scheme: Literal["sier2", "sier4g", "sier4p", "sier4v", "verlet"] = "sier4g"
-    step: float = 2.0
+    schemes: tuple[str, ...] = ("sier4g",)
+    steps: tuple[float, ...] = (2.0,)
     length: float = 30.0
     trials: int = 100
     discarded: int = 3
 
+    SHARED: ClassVar[tuple[str, ...]] = ("temperature", "cutoff", "tolerance", "seed", "discarded")
+
 
 def study(settings: SolvatedSettings, report: Report = SILENT) -> None:
-    """Make trials, or tables of those made, which are written to solvated.json with all energy errors."""
-    if not settings.table:
-        report.table(records.table("Trials", pd.DataFrame([row_of(run(settings, report))]), COLUMNS, left=3))
-        return
-    rows = pd.DataFrame([row_of(records.read(path)) for path in settings.table])
+    """Make the trials that are missing in the directory `out`, and write solvated.json with all energy errors there."""
+    chosen(settings.schemes, REVERSIBLE, "scheme")
+    masses = f"{settings.hydrogen_mass:g}{', water too' if settings.heavy_water else ''}"
+    shared = {"box": settings.box.stem, "moving": settings.moving, "masses": masses, "asked": settings.length}
+    tasks = [
+        Task(settings, shared | {"scheme": scheme, "per_force": step, "trials": settings.trials})
+        for scheme, step in product(settings.schemes, settings.steps)
+    ]
+    form = "{box}, {moving}, {masses}, {scheme}, {per_force:g} fs per force: {accepted} of {trials} accepted"
+    rows = records.all_runs(settings, "solvated", tasks, run, report, form)
     rows = rows.sort_values(["atoms", "moving", "masses", "scheme", "per_force"])
     found = laws(rows)
     report.table(records.table("Trials of solvated molecules", rows, COLUMNS, left=3))
@@ -97,61 +81,45 @@ def study(settings: SolvatedSettings, report: Report = SILENT) -> None:
     Record(settings.recorded(), {"rows": rows, "laws": found}, {}).write(settings.out / "solvated.json")
 
 
-def integrator_of(settings: SolvatedSettings) -> SIERHMCIntegrator:
+def integrator_of(settings: SolvatedSettings, scheme: str, per_force: float) -> SIERHMCIntegrator:
     """An integrator whose step is a trial."""
-    scheme = SIER2 if settings.scheme == "verlet" else CATALOGUE[settings.scheme]
-    step = settings.step * scheme.force_evaluations
+    method = REVERSIBLE[scheme]
+    step = per_force * method.forces
+    # The control has all forces in its kicks.
+    control: dict[str, Any] = {"fastForceGroups": set()} if scheme == "verlet" else {}
     steps = max(1, round(settings.length / step))
-    control: dict[str, Any] = {"rotation": rattle, "fastForceGroups": set()} if settings.scheme == "verlet" else {}
-    control = control or {"rotation": exact}
-    integrator = SIERHMCIntegrator(settings.temperature, 1e-3 * step, scheme, steps, **control)
+    integrator = SIERHMCIntegrator(
+        settings.temperature, 1e-3 * step, method.scheme, steps, rotation=method.rotation, **control
+    )
     integrator.setRandomNumberSeed(settings.seed)
     return integrator
 
 
-def run(settings: SolvatedSettings, report: Report = SILENT) -> Record:
-    """Trials of one scheme in one box, in a file of its own, which is written as they are made."""
+def run(task: Task) -> dict[str, Any]:
+    """What trials tell, see `studies.acceptance.statistics`, and the acceptance that is expected by the spread."""
+    settings = task.settings
     solution = solutes.read(settings)
-    integrator = integrator_of(settings)
+    integrator = integrator_of(settings, task.point["scheme"], task.point["per_force"])
     context = solutes.context(solution, integrator, settings)
-    masses = f"{settings.hydrogen_mass:g}{'-heavy' if settings.heavy_water else ''}"
-    name = f"{solution.name}-{settings.moving}-{masses}-{settings.scheme}-{settings.step:g}-{settings.length:g}"
     integrator.step(settings.discarded)
     integrator.resetStatistics()
-    forces, begun = integrator.forceEvaluations, process_time()
-    known: dict[str, Any] = {
-        "box": solution.name,
+    forces, begun, errors = integrator.forceEvaluations, process_time(), []
+    for _ in range(settings.trials):
+        integrator.step(1)
+        errors.append(integrator.lastEnergyError)
+    found = statistics(errors)
+    return task.point | {
+        **found,
         "atoms": context.getSystem().getNumParticles(),
         "solute": len(solution.solute),
         "waters": solution.waters,
         "length": 1e3 * md(integrator.getStepSize()),
         "reversal": integrator.reversalError,
-    }
-
-    def trial() -> dict[str, float]:
-        integrator.step(1)
-        return {"error": integrator.lastEnergyError}
-
-    def notes(_: int) -> dict[str, Any]:
-        spent = {"forces": integrator.forceEvaluations - forces, "processor_seconds": process_time() - begun}
-        return known | {"accepted": integrator.accepted, **spent}
-
-    return solutes.kept_series(settings, name, name, settings.trials, 1, trial, notes, report)
-
-
-def row_of(record: Record) -> dict[str, Any]:
-    """What trials tell, see `studies.acceptance.statistics`, and the acceptance that is expected by the spread."""
-    settings, errors = record.settings, record.tables["samples"]["error"].to_numpy(dtype=float)
-    found = statistics(errors)
-    return {
-        **record.notes,
-        **found,
-        "moving": settings["moving"],
-        "masses": f"{settings['hydrogen_mass']:g}{', water too' if settings['heavy_water'] else ''}",
-        "scheme": settings["scheme"],
-        "per_force": settings["step"],
+        "accepted": integrator.accepted,
+        "forces": integrator.forceEvaluations - forces,
+        "processor_seconds": process_time() - begun,
         "expected": expected_acceptance(found["spread"]),
-        "errors": errors.round(6),
+        "errors": np.round(errors, 6),
     }
 
 

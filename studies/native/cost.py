@@ -30,8 +30,6 @@ STEP, EVALUATIONS = 0.002, 12
 
 VERLET = "Verlet"
 
-COLUMNS = {"scheme": "{scheme}", "": "{what}", "ratio": "{ratio:.3f} ± {ratio_error:.3f}"}
-
 
 @dataclass(frozen=True)
 class CostSettings(BoxSettings):
@@ -72,7 +70,11 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
             ratio, error, _ = median_and_error(native / seconds[other])
             rows.append({"scheme": scheme.name, "what": what, "ratio": ratio, "ratio_error": error})
     found = pd.DataFrame(rows)
-    report.table(records.table(f"{settings.box.stem} on {settings.platform}", found, COLUMNS, left=2))
+    report.table(
+        records.table(
+            f"{settings.box.stem} on {settings.platform}", found, records.columns("scheme", "what", "ratio"), left=2
+        )
+    )
     return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "native-cost.json")
 
 

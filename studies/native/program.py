@@ -32,18 +32,10 @@ FORCE = re.compile(r"\bf(\d*)/m")
 #: The force group that is fast in programs that have one.
 FAST = 1
 
-COLUMNS = {
-    "scheme": "{scheme}",
-    "fast forces": "{fast}",
-    "native steps": "{native_steps}",
-    "statements": "{statements}",
-    "constrain x": "{constrain_x}",
-    "constrain v": "{constrain_v}",
-    "forces": "{forces}",
-    "fast alone": "{fast_alone}",
-    "kernels": "{kernels}",
-    "kernels/force": "{kernels_per_force:.1f}",
-}
+COLUMNS = records.columns(
+    *("scheme", "fast", "native_steps", "statements", "constrain_x", "constrain_v"),
+    *("forces", "fast_alone", "kernels", "kernels_per_force"),
+)
 
 
 @dataclass(frozen=True)

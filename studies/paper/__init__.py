@@ -19,25 +19,24 @@ from tyro.conf import Positional
 from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.measure.report import duration
 from studies import records
-from studies.command import Settings
+from studies.command import RunsSettings
 from studies.paper import dipole, free_rotation, liquids, water, water_runs
 from studies.records import Record
 from studies.report import SILENT, Report, Table
 
 
 @dataclass(frozen=True)
-class PaperSettings(Settings):
+class PaperSettings(RunsSettings):
     """What is repeated.
 
     Attributes:
         experiment: one of the paper's three, or all.
         quick: less of everything, to see it work.
-        processes: for the runs of water, at a time; one for each core unless given.
     """
 
     experiment: Positional[Literal["free-rotation", "dipole", "water", "all"]] = "all"
     quick: bool = False
-    processes: int | None = None
+    processes: int = cores()
     out: Path = Path("sier-paper")
 
 
@@ -76,11 +75,9 @@ def _turn_in_field(settings: PaperSettings, report: Report) -> Record:
 
 def _simulate_water(settings: PaperSettings, report: Report) -> Record:
     chosen = replace(water_runs.QUICK if settings.quick else water_runs.WaterSettings(), seed=settings.seed)
-    tasks = [water_runs.Task(chosen, point) for point in water_runs.phase_points(chosen)]
-    path = settings.out / "water.jsonl"
-    for made in records.make_missing(path, tasks, water_runs.run, settings.processes or cores()):
-        report.note(f"{made['kind']}, phase point {made['number']}: {len(made['runs'])} runs")
-    mine = [each for each in records.kept_runs(path) if any(task.point.items() <= each.items() for task in tasks)]
+    tasks = water_runs.tasks(chosen)
+    made = records.all_runs(settings, "water", tasks, water_runs.run, report, "{kind}, phase point {number}")
+    mine = [each for each in made.to_dict("records") if any(task.point.items() <= each.items() for task in tasks)]
     runs = [run for each in mine for run in each["runs"]]
     return water.evaluate(chosen, liquids.water_box(chosen.molecules).edge, runs)
 

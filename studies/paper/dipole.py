@@ -97,13 +97,12 @@ def find(settings: DipoleSettings, report: Report = SILENT) -> Record:
         mean over trajectories of rms(L_z), over the mean of |L_z|, and `momentum_median`, that of rms(L_z)/|<L_z>|.
     """
     runs = [(method, step) for step in settings.force_steps_fs for method in PAPER]
-    rows, done = [], 0.0
-    with report.progress("dipole in a field", sum(1 / step for _, step in runs)) as advance:
-        for method, step in runs:
+    rows = []
+    with report.progress("dipole in a field", len(runs)) as advance:
+        for done, (method, step) in enumerate(runs):
             advance(done, f"dipole in a field: {method.name}, h/f = {step:g} fs")
             rows.append({"method": method.name, "force_step_fs": step} | _averages(*_spreads(method, step, settings)))
-            done += 1 / step
-        advance(done)
+        advance(len(runs))
     return Record(asdict(settings), {"rows": pd.DataFrame(rows)}, {})
 
 

@@ -28,7 +28,7 @@ from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.measure.statistics import Estimate, jackknife
 from studies import records
 from studies.methods import PAPER, OwnMethod
-from studies.paper import published, reference, rotations, tip4p
+from studies.paper import published, reference, tip4p
 from studies.paper.published import FS
 from studies.records import Record
 from studies.report import SILENT, Report, Table
@@ -48,7 +48,6 @@ class FreeRotationSettings:
         bodies: in the ensemble of MRDL and SEJ4.
         exact_bodies: in the ensemble of SIER2 and SIER4, whose reference takes some 10 ms per body.
         marks_per_decade: times at which delta is recorded.
-        timed_bodies, timings: numbers of bodies and of repetitions for the cost of a map.
         seed: of the initial states.
     """
 
@@ -58,12 +57,10 @@ class FreeRotationSettings:
     bodies: int = 8000
     exact_bodies: int = 100
     marks_per_decade: int = 3
-    timed_bodies: int = 1000
-    timings: int = 60
     seed: int = 1
 
 
-QUICK = FreeRotationSettings(span=10.0, bodies=2000, exact_bodies=24, marks_per_decade=2, timings=20)
+QUICK = FreeRotationSettings(span=10.0, bodies=2000, exact_bodies=24, marks_per_decade=2)
 
 
 TAUS = {
@@ -78,14 +75,6 @@ TAUS = {
     "dE/E (%)": "{energy:.1e}",
 }
 
-COSTS = {
-    "h (fs)": "{step_fs:g}",
-    "map": "{name}",
-    "ns a body": "{nanoseconds:.0f}",
-    "paper, over MRDL": "{paper}",
-    "over MRDL": "{over_mrdl:.2f} ± {over_mrdl_error:.2f}",
-}
-
 
 def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
     """Carry out the experiment.
@@ -96,25 +85,17 @@ def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
         in place of the rms; `exponent`, that of the growth of delta over the last decade of times up to `MODERATE`, and
         `tau_power`, the time at which the power law with it reaches 10 %, all times in ps; and `energy`, the rms over
         bodies of the deviation of the energy at the last time over the mean energy, in per cent.
-        `costs`: see `studies.paper.rotations`.
     """
     runs = [(method, step) for step in settings.steps_fs for method in PAPER]
-    work = [method.forces * settings.span / step for method, step in runs]
-    curves, taus, done = [], [], 0.0
-    with report.progress("free rotation", sum(work)) as advance:
-        for (method, step), part in zip(runs, work, strict=True):
+    curves, taus = [], []
+    with report.progress("free rotation", len(runs)) as advance:
+        for done, (method, step) in enumerate(runs):
             advance(done, f"free rotation: {method.name}, {step:g} fs")
             curve, tau = _curve(method, step, settings)
             curves.append(curve)
             taus.append({"method": method.name, "step_fs": step} | tau)
-            done += part
-        advance(done, "free rotation: cost of the maps")
-        costs = [
-            rotations.time_rotations(settings.timed_bodies, settings.timings, step * FS).assign(step_fs=step)
-            for step in settings.steps_fs
-        ]
-    tables = {"curves": pd.concat(curves), "taus": pd.DataFrame(taus), "costs": pd.concat(costs)}
-    return Record(asdict(settings), tables, {})
+        advance(len(runs))
+    return Record(asdict(settings), {"curves": pd.concat(curves), "taus": pd.DataFrame(taus)}, {})
 
 
 def _start(n: int, settings: FreeRotationSettings) -> tuple[RigidBodies, BodyState]:
@@ -201,15 +182,11 @@ def _root_mean(squares: np.ndarray) -> Callable[[np.ndarray], float]:
 
 
 def tables(record: Record) -> list[Table]:
-    """tau and the cost of the maps, with the paper's values beside ours."""
-    taus = pd.DataFrame([row | _beside(row) for row in record.tables["taus"].to_dict("records")])
-    costs = record.tables["costs"].assign(paper=lambda costs: costs["name"].map(published.COST).fillna("-"))
+    """tau, with the paper's values beside ours."""
     settings = record.settings
+    taus = pd.DataFrame([row | _beside(row) for row in record.tables["taus"].to_dict("records")])
     title = f"Free rotation of water, {settings['temperature']:g} K: tau from delta = t/(10 tau), "
-    return [
-        records.table(f"{title}runs of {settings['span']:g} ps", taus, TAUS, left=2),
-        records.table("Cost of the free-rotation maps, NumPy but for the last", costs, COSTS, left=2),
-    ]
+    return [records.table(f"{title}runs of {settings['span']:g} ps", taus, TAUS, left=2)]
 
 
 def _beside(row: dict[str, Any]) -> dict[str, str]:

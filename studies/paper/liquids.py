@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.integrators.integrator import SIERIntegrator
@@ -17,6 +16,7 @@ from studies import boxes
 from studies.command import SYSTEMS
 from studies.paper import tip4p
 from studies.paper.molecular_cutoff import MolecularCutoff
+from studies.units import md
 
 #: The project's box of the paper's water.
 BOX = "tip4p-512.pdb"
@@ -63,7 +63,7 @@ class Water(NamedTuple):
 def water_box(n: int) -> Water:
     """Liquid TIP4P water: the project's box, or molecules of it in a smaller box of the same density."""
     _, positions, system = boxes.of_size(forcefields.read_box(SYSTEMS / BOX), SYSTEMS, n)
-    return Water(system, positions, system.getDefaultPeriodicBoxVectors()[0][0].value_in_unit(unit.nanometer))
+    return Water(system, positions, md(system.getDefaultPeriodicBoxVectors()[0][0]))
 
 
 def build(kind: str, water: Water, cutoffs: Cutoffs) -> openmm.System:
@@ -143,5 +143,4 @@ def phase_point(
 def energies(context_: openmm.Context) -> tuple[float, float]:
     """Kinetic and potential energy of a Context, kJ/mol."""
     state = context_.getState(energy=True)
-    kinetic, potential = state.getKineticEnergy(), state.getPotentialEnergy()
-    return kinetic.value_in_unit(unit.kilojoule_per_mole), potential.value_in_unit(unit.kilojoule_per_mole)
+    return md(state.getKineticEnergy()), md(state.getPotentialEnergy())

@@ -17,9 +17,6 @@ TAU = {
     ("SIER2", 8.0): 48e9,
 }
 
-#: Sec. IV A: time of a step over that of MRDL, as ranges. SEJ4 is said to be 20 % slower than the exact rotation.
-COST = {"MRDL": "1", "exact": "1.7 - 2", "SEJ4": "2 - 2.4"}
-
 #: Table 1: rms(H)/rms(V) in per cent for (method, h/f in fs). The error of SIER2 at 11 fs is printed as 0.4; for SEJ4,
 #: with the same value, it is 0.04.
 ENERGY = {

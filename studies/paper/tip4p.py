@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
@@ -51,20 +52,7 @@ def canonical_rotation(bodies: RigidBodies, temperature: float, rng: np.random.G
         temperature: K.
         rng: numpy.random.Generator.
     """
-    A = _uniform_attitudes(bodies.n, rng)
+    A = np.moveaxis(Rotation.random(bodies.n, random_state=rng).as_matrix(), 0, 2)
     body_L = rng.normal(size=(3, bodies.n)) * np.sqrt(bodies.moments * GAS_CONSTANT * temperature)
     L = A[0] * body_L[0] + A[1] * body_L[1] + A[2] * body_L[2]
     return BodyState(np.zeros((3, bodies.n)), np.zeros((3, bodies.n)), A, L)
-
-
-def _uniform_attitudes(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Rotation matrices (3, 3, n) of unit quaternions that are uniform on the sphere."""
-    q = rng.normal(size=(4, n))
-    w, x, y, z = q / np.linalg.norm(q, axis=0)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -135,14 +135,13 @@ def tables(record: Record) -> list[Table]:
     settings, points = record.settings, record.tables["points"]
     told = f"{_molecules(settings)}: rms(H)/rms(V) in %, {settings['runs']} runs of {settings['span']:g} ps"
     made = []
+    columns = {"h/f (fs)": "{force_step_fs:g}", "-": "{shown}"}
     for kind in settings["kinds"]:
-        mine = records.with_text(points[points["kind"] == kind], "percent")
-        mine["percent_text"] = mine["percent_text"].where(mine["runs"] > 0, "breaks")
-        wide = mine.pivot(index="force_step_fs", columns="method", values="percent_text").fillna("").reset_index()
-        columns = {"h/f (fs)": "{force_step_fs:g}"} | {method.name: f"{{{method.name}}}" for method in PAPER}
-        made.append(records.table(f"Liquid water, {kind}, {told}", wide, columns))
-    crossings = records.with_text(record.tables["crossings"], "force_step_fs")
-    crossings["ratio"] = [published.ratio(value, published.CROSSING) for value in crossings["force_step_fs"]]
+        mine = points[points["kind"] == kind].sort_values("force_step_fs", kind="stable")
+        shown = records.with_text(mine, "percent")["percent_text"].where(mine["runs"] > 0, "breaks")
+        made.append(records.table(f"Liquid water, {kind}, {told}", mine.assign(shown=shown), columns, across="method"))
+    ratios = [published.ratio(value, published.CROSSING) for value in record.tables["crossings"]["force_step_fs"]]
+    crossings = record.tables["crossings"].assign(ratio=ratios)
     title = "h/f in fs below which SIER4 conserves energy better than SIER2, and slopes of the curves"
     return [*made, records.table(title, crossings, CROSSINGS)]
 

@@ -14,6 +14,7 @@ from openmm_sier.measure.statistics import rms, slope_and_error
 from studies.methods import PAPER, Method
 from studies.paper import liquids
 from studies.paper.published import FS
+from studies.records import Task
 
 #: Beyond this rms(H)/rms(V) a method has broken down, and longer steps are not tried.
 BROKEN = 1.0
@@ -92,17 +93,10 @@ def phase_points(settings: WaterSettings) -> list[PhasePoint]:
     return [PhasePoint(kind, 1 + i) for kind in kinds for i in range(settings.runs)]
 
 
-class Task(NamedTuple):
-    """The runs from one phase point."""
-
-    settings: WaterSettings
-    start: PhasePoint
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """What identifies the runs."""
-        shared = {"seed": self.settings.seed, "molecules": self.settings.molecules, "span": self.settings.span}
-        return self.start._asdict() | shared
+def tasks(settings: WaterSettings) -> list[Task]:
+    """The runs from each phase point."""
+    shared = {"seed": settings.seed, "molecules": settings.molecules, "span": settings.span}
+    return [Task(settings, point._asdict() | shared) for point in phase_points(settings)]
 
 
 def run(task: Task) -> dict[str, Any]:
@@ -111,7 +105,7 @@ def run(task: Task) -> dict[str, Any]:
     A run has its `kind`, `number` of the phase point, `method`, `force_step_fs`, and about the run's own means `rms_H`,
     `rms_V` in kJ/mol and the `drift` of H in kJ/mol/ps, None if the run did not finish.
     """
-    settings, point = task.settings, task.start
+    settings, point = task.settings, PhasePoint(task.point["kind"], task.point["number"])
     water = liquids.water_box(settings.molecules)
     # From a box of its own the liquid has to settle first; the project's has.
     time = settings.relax * point.number if settings.molecules == WaterSettings.molecules else None

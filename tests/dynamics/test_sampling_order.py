@@ -11,9 +11,6 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, KICK, Stage
-from studies.methods import OTHERS
-
-ALL = {**CATALOGUE, **OTHERS}
 
 #: The frequency of 585/cm, that of a hard libration of water, and a friction, both in 1/ps.
 OMEGA = 2 * math.pi * 585 * 0.0299792458
@@ -49,7 +46,7 @@ def largest(scheme: Scheme, fs_per_force: float) -> float:
 
 
 @pytest.mark.parametrize(
-    "scheme", [scheme for scheme in ALL.values() if scheme is not SIER2], ids=lambda scheme: scheme.name
+    "scheme", [scheme for scheme in CATALOGUE.values() if scheme is not SIER2], ids=lambda scheme: scheme.name
 )
 def test_averages_keep_the_order_of_the_scheme(scheme):
     """The slope at three steps is the order of the scheme; SIER2 has no error at all, see below."""
@@ -81,7 +78,7 @@ def test_sier2_with_a_bath_is_exact():
     assert p == pytest.approx(-((2e-3 * OMEGA) ** 2) / 4, rel=1e-6)
 
 
-@pytest.mark.parametrize("scheme", ALL.values(), ids=ALL)
+@pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
 def test_a_bath_can_be_taken_out_again(scheme):
     assert scheme.with_bath().without_bath() == scheme
 

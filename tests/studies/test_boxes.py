@@ -10,6 +10,7 @@ import pytest
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.measure import forcefields
+from openmm_sier.prepare.pme import meshed_forces
 from studies import acceptance, boxes, speed_boxes
 from studies.speed import SpeedSettings
 from tests.support.commands import SYSTEMS, write_lattice
@@ -72,7 +73,7 @@ def test_part_of_a_box():
 def test_systems_are_as_openmm_makes_them():
     """The Ewald parameter and mesh are OpenMM's own choice, whatever the box was read with."""
     start = speed_boxes.start("water-512", SpeedSettings(platform="Reference"), Told())
-    (force,) = speed_boxes.meshed_forces(start.system)
+    (force,) = meshed_forces(start.system)
     assert force.getPMEParameters()[1:] == [0, 0, 0]
     assert force.getEwaldErrorTolerance() == speed_boxes.TOLERANCE
     assert start.molecules == 512

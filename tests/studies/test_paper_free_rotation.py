@@ -61,9 +61,7 @@ def test_squared_deviations(rng):
 @functools.cache
 def miniature():
     """Until MRDL's delta is near 10 % at 8 fs, the paper's longer step."""
-    return free_rotation.find(
-        FreeRotationSettings(steps_fs=(4.0, 8.0), span=8.0, bodies=1500, exact_bodies=12, timed_bodies=100, timings=3)
-    )
+    return free_rotation.find(FreeRotationSettings(steps_fs=(4.0, 8.0), span=8.0, bodies=1500, exact_bodies=12))
 
 
 def taus():

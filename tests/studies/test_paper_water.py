@@ -16,7 +16,7 @@ from openmm_sier import SIERIntegrator
 from studies.paper import liquids, molecular_cutoff, tip4p, water, water_runs
 from studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from studies.paper.molecular_cutoff import MolecularCutoff
-from studies.paper.water_runs import Task, WaterSettings
+from studies.paper.water_runs import WaterSettings
 from tests.support.oracles import random_attitudes
 
 ON, OFF, EDGE = 0.3, 0.5, 1.5
@@ -139,7 +139,7 @@ def known_phase_points(monkeypatch):
 
 def evaluated(settings):
     """The record of the experiment in miniature."""
-    made = [run for point in water_runs.phase_points(settings) for run in water_runs.run(Task(settings, point))["runs"]]
+    made = [run for task in water_runs.tasks(settings) for run in water_runs.run(task)["runs"]]
     return water.evaluate(settings, box().edge, made)
 
 

@@ -60,7 +60,7 @@ class Numbers(Settings):
 def test_fields_are_options(tmp_path):
     found = []
     arguments = ["--dt", "2", "3", "--pressure", "-5", "--out", str(tmp_path / "new" / "out")]
-    assert command.execute(Numbers, lambda settings, report: found.append(settings), "what", arguments) == 0
+    assert command.command(Numbers, lambda settings, report: found.append(settings), "what", "")(arguments) == 0
     assert found == [Numbers(tmp_path / "new" / "out", 1, (2.0, 3.0), -5.0)]
     assert (tmp_path / "new" / "out").is_dir()
 
@@ -69,10 +69,10 @@ def test_errors_are_one_line(tmp_path, capsys):
     def study(settings, report):
         raise ValueError("too\nlittle")
 
-    assert command.execute(Numbers, study, "", ["--out", str(tmp_path)]) == 1
+    assert command.command(Numbers, study, "", "")(["--out", str(tmp_path)]) == 1
     assert capsys.readouterr().err == "too little\n"
     with pytest.raises(SystemExit) as stop:
-        command.execute(Numbers, study, "", ["--dt", "-1"])
+        command.command(Numbers, study, "", "")(["--dt", "-1"])
     assert stop.value.code == 2
     assert "dt must be above 0, got -1.0" in capsys.readouterr().err
 

@@ -7,9 +7,9 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from studies import figures, methods, records, schemes, style
+from studies import figures, methods, records, style
 
-COMPARED = {method.name for method in (*schemes.KNOWN.values(), *methods.PAPER, *methods.REVERSIBLE.values())}
+COMPARED = {method.name for method in (*methods.CONSTANT_ENERGY.values(), *methods.PAPER, *methods.REVERSIBLE.values())}
 COMPARED |= {method.name for method in methods.with_bath(300, 1, 1).values()}
 
 

@@ -22,7 +22,8 @@ def runs_of_water(settings, broken=()):
 def make_at_once(path, tasks, run, processes):
     """In place of `records.make_missing`."""
     for task in tasks:
-        runs = [each for each in runs_of_water(task.settings) if each.items() >= task.start._asdict().items()]
+        start = {name: task.point[name] for name in ("kind", "number")}
+        runs = [each for each in runs_of_water(task.settings) if each.items() >= start.items()]
         made = task.point | {"runs": runs}
         records.keep_run(path, made)
         yield made
