@@ -1,7 +1,5 @@
 """`run` beyond constant energy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

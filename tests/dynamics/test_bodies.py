@@ -1,7 +1,5 @@
 """Rigid bodies: the way between atoms and bodies, and what is derived from either."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

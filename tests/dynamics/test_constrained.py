@@ -1,7 +1,5 @@
 """Schemes on constrained and flexible molecules: order, reversal, conservation, temperature, nested fast forces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

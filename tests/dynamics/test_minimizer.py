@@ -1,7 +1,5 @@
 """Minimization of rigid bodies."""
 
-from __future__ import annotations
-
 from itertools import islice, pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The schemes on interacting rigid bodies, without OpenMM: order, symplecticity, reversal and conservation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

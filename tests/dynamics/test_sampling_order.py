@@ -1,7 +1,5 @@
 """Schemes with a heat bath: the exact stationary distribution of a harmonic oscillator, and the order claimed."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

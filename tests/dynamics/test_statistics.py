@@ -1,7 +1,5 @@
 """How many values of a series are worth an independent one: one rule for means and for the tuning."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Few Contexts are made here: OpenMM compiles some hundred kernels for each, which takes 20 s on a CPU.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -5,8 +5,6 @@ depend on the distances and angles of those atoms alone. So bonded terms and non
 exclusion: they add a constant to the energy, and to the motion their rounding.
 """
 
-from __future__ import annotations
-
 import io
 from itertools import combinations, pairwise
 

@@ -1,7 +1,5 @@
 """What goes wrong stops a run with a reason, and leaves Context and integrator where the run can go on."""
 
-from __future__ import annotations
-
 import gc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Atoms frozen by the mass 0: they exert forces and stay where they are, and their constraints are ignored."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -4,8 +4,6 @@ The replay keeps one phase point and does to it what each call means. It uses th
 code that keeps an integrator and a Context in agreement.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from itertools import combinations, pairwise

@@ -1,7 +1,5 @@
 """OpenMM's minimization with bodies that no constraint holds."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

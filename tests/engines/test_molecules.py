@@ -1,7 +1,5 @@
 """Molecules that are not rigid, in the exact engine: order, reversal, conservation, restarts, and what is refused."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import math

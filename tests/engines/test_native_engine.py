@@ -1,7 +1,5 @@
 """The native engine: OpenMM executes the integrator's program, with SETTLE and SHAKE in place of the exact rotation."""
 
-from __future__ import annotations
-
 import io
 import json
 

@@ -1,7 +1,5 @@
 """Programs with fast forces in the drift, executed by plain CustomIntegrators on Reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """Fast forces of flexible molecules with the native engine, beside the exact one."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """The program that a scheme becomes: as data, and executed on particles without constraints."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """Bonded forces from a Context of some atoms: those of the whole System, parameters and box, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """Degrees of freedom and temperatures: what counts as heat, by what is conserved."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """What joins an integrator to its Context stands behind one name, and belongs to one Context."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Constant pressure: the distribution of the volume, what is moved, restarts, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

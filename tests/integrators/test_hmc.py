@@ -1,7 +1,5 @@
 """Hybrid Monte Carlo as users of OpenMM meet it, with either engine: samples, restarts, changes from outside."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ The molecule has no water, and a torsion that holds each angle in one basin, so 
 solvated molecule are in docs/measurements/sampling.md.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

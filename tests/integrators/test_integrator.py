@@ -1,7 +1,5 @@
 """The integrators in OpenMM Contexts: conservation, order, agreement with OpenMM, and what users do to a Context."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

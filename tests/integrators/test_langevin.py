@@ -1,7 +1,5 @@
 """The heat bath: its distribution, its noise, its bookkeeping, and the integrator that has it."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Bodies of sixty atoms that no constraint holds, named by lists of atoms: energy, and constant pressure."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

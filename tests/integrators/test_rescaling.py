@@ -1,7 +1,5 @@
 """Stochastic velocity rescaling: its distribution, what it leaves alone, its bookkeeping, and restarts."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -5,8 +5,6 @@ cut-off the CPU platform adds up a neighbour list that depends on the atoms' pas
 more than one thread its forces are left to chance, and no two runs are the same.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import combinations
 

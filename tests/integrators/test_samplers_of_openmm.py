@@ -1,7 +1,5 @@
 """OpenMM's own samplers over several temperatures, with the integrators of this package."""
 
-from __future__ import annotations
-
 import random
 
 import numpy as np

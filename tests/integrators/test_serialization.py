@@ -1,7 +1,5 @@
 """XML, copies and caches keyed by XML: all settings are in what OpenMM serializes, and come back from it."""
 
-from __future__ import annotations
-
 import copy
 import importlib
 import itertools

@@ -1,7 +1,5 @@
 """PDB files that are refused, and how interactions are cut off in those that are not."""
 
-from __future__ import annotations
-
 import openmm
 import pytest
 from openmm import app, unit

@@ -1,7 +1,5 @@
 """The start of a run: settled, at the temperature, with the energy that keeps it there."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Prepared Systems: what is done to them, what they remain through later changes, and what integrators find in them."""
 
-from __future__ import annotations
-
 import copy
 import warnings
 

@@ -1,7 +1,5 @@
 """The benchmark: what it measures is measured rightly; how fast anything is, no test says."""
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -1,7 +1,5 @@
 """Boxes of many sizes, made of one; which of them are refused; the noise of their energies."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

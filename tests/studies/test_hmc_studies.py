@@ -1,7 +1,5 @@
 """The studies of solvated molecules by hybrid Monte Carlo, in miniature."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pandas as pd

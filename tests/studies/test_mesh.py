@@ -1,7 +1,5 @@
 """The scan of PME's meshes: which meshes are tried, what their error is, and its files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Studies from command line to files, in miniature; how fast anything is, no test says."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The dipole in a field in miniature."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables, files and figures of the paper's experiments, and the function behind the command."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """The paper's liquid: the molecular cut-off against OpenMM's own forces, and Fig. 1 in miniature."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Samples of runs and what ends one; what steps of second order do to temperatures, predicted and simulated."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """Properties against the step: what belongs together, what is left out, and the plan that is shipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

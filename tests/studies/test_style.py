@@ -1,7 +1,5 @@
 """One look for every method in every figure."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb

@@ -1,7 +1,5 @@
 """What studies make of numbers: pooled runs, points with errors, costs, laws, and what a pool refuses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

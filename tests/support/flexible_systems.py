@@ -1,7 +1,5 @@
 """The points of `flexible` as OpenMM Systems, alone and beside rigid water, and what their runs are compared by."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 

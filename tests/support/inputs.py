@@ -4,8 +4,6 @@
 apart, on a lattice in a cubic box.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Runs of the paper's experiment on water whose errors are known, in place of those that would take long."""
 
-from __future__ import annotations
-
 from studies import records
 from studies.methods import PAPER
 from studies.paper import water_runs

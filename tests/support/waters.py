@@ -1,7 +1,5 @@
 """Small water systems for the tests that need a Context."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

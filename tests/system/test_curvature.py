@@ -1,7 +1,5 @@
 """Bonded forces that are expressions limit the step as harmonic bonds do: their curvature is measured."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -1,7 +1,5 @@
 """Rigid bodies found in the constraints of an OpenMM System, and the Systems that are refused."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from itertools import combinations

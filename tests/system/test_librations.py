@@ -1,7 +1,5 @@
 """Steps that are too long for the librations of molecules: said where they are inaccurate, refused where hopeless."""
 
-from __future__ import annotations
-
 import warnings
 
 import openmm

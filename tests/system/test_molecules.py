@@ -1,7 +1,5 @@
 """Molecules that the periodic box has cut are made whole, and broken ones are refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """Molecules that are not rigid, by name: each runs, conserves energy to fourth order, and restarts to the bit."""
 
-from __future__ import annotations
-
 import openmm
 import pytest
 from openmm import app

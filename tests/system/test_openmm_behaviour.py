@@ -1,7 +1,5 @@
 """What OpenMM promises of any integrator, run once with one of its own, as a control, and with ours."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

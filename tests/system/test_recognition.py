@@ -1,7 +1,5 @@
 """Positions that are not quite those of the bodies: molecules that are recognized are mended, others refused."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

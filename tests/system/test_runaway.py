@@ -1,7 +1,5 @@
 """Integrators stop when steps have made a System impossibly hot, and say nothing of what users do themselves."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import warnings

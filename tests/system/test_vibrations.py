@@ -1,7 +1,5 @@
 """Bonds that nothing holds: steps that they do not bear are refused, and those that they hardly bear said."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

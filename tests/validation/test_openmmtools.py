@@ -1,7 +1,5 @@
 """openmmtools with these integrators: its cache of Contexts, its Monte Carlo moves, and replica exchange."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 from typing import ClassVar

@@ -4,8 +4,6 @@ Merz and Shirts, PLoS ONE 13, e0202764 (2018). Results are distances from what s
 standard errors.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """The backends: Numba gives what NumPy gives, and NumPy alone is enough."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Distance constraints: projections, moves on the manifold and geodesics, by NumPy and by Numba."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The elliptic functions and integrals of the free top against mpmath and SciPy."""
 
-from __future__ import annotations
-
 import mpmath
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The exact propagator against independent solutions, over every kind of body and state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What the exact propagator leaves out, and the ends of the range of its arguments."""
 
-from __future__ import annotations
-
 import mpmath
 import numpy as np
 import pytest

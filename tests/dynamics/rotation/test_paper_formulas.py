@@ -3,8 +3,6 @@
 Source: van Zon and Schofield (2007).
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
