@@ -29,8 +29,8 @@ def cluster():
     return topology, system, relaxed(topology, positions, system)
 
 
-def langevin(scheme=SIER2):
-    integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=scheme)
+def langevin(scheme=SIER2, **options):
+    integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=scheme, **options)
     integrator.setRandomNumberSeed(3)
     return integrator
 
@@ -107,25 +107,29 @@ def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
     assert reached == {0, 1, 2}
 
 
-@pytest.mark.slow
-def test_a_fault_at_any_line_at_constant_pressure():
-    """The box is that of the completed step too, though each step changes it, or tries to."""
+@pytest.fixture(scope="module")
+def box():
     topology, positions, system = periodic_system(molecules=27)
     for force in system.getForces():
         if isinstance(force, openmm.NonbondedForce):
             force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
             force.setCutoffDistance(0.4)
-    point = relaxed(topology, positions, system)
+    return topology, system, relaxed(topology, positions, system)
+
+
+@pytest.mark.slow
+def test_a_fault_at_any_line_at_constant_pressure(box):
+    """The box is that of the completed step too, though each step changes it, or tries to."""
 
     def make():
-        integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=SIER2, pressure=1e3, barostatInterval=1)
+        integrator = langevin(pressure=1e3, barostatInterval=1)
         integrator.setRandomNumberSeed(1)
         return integrator
 
-    trajectory = Trajectory(system, make, point)
+    trajectory = Trajectory(box[1], make, box[2])
     # Of the first three moves some are accepted and some are not.
     assert len({trajectory[step][3].tobytes() for step in range(4)}) in (2, 3)
-    test_a_fault_at_any_line_leaves_a_completed_step((topology, system, point), make, Fault)
+    test_a_fault_at_any_line_leaves_a_completed_step(box, make, Fault)
 
 
 @pytest.mark.slow
@@ -139,38 +143,14 @@ def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     assert set(shared) == {3}
 
 
-def crowded_system():
-    """A periodic box of four-site water with a fixed massless particle, under a barostat that acts each step."""
-    _, positions, system = periodic_system("tip4pew", 64)
-    system = openmm.XmlSerializer.clone(system)
-    for force in system.getForces():
-        if isinstance(force, openmm.NonbondedForce):
-            force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-            force.addParticle(0.0, 0.3, 0.1)
-    system.addParticle(0.0)
+@pytest.mark.slow
+def test_a_fault_at_any_line_with_a_barostat(box):
+    system = openmm.XmlSerializer.clone(box[1])
     barostat = openmm.MonteCarloBarostat(1.0, 297.0, 1)
     barostat.setRandomNumberSeed(5)
     system.addForce(barostat)
-    positions = np.vstack([positions, positions.mean(axis=0) + np.array([0.03, 0.02, 0.01])])
-    return system, positions
-
-
-def crowded_start(system, positions):
-    """A phase point without the overlaps of `crowded_system`, from which steps lead to NaN."""
-    minimizer = SIER2Integrator(0.001)
-    context = context_at(system, minimizer, (positions, 0 * positions))
-    openmm.LocalEnergyMinimizer.minimize(context, maxIterations=30)
-    context.setVelocitiesToTemperature(297.0, 1)
-    return phase_point(context)
-
-
-@pytest.mark.slow
-def test_a_fault_at_any_line_with_a_barostat():
-    system, positions = crowded_system()
-    point = crowded_start(system, positions)
-
     integrator = langevin()
-    context = context_at(system, integrator, point, "CPU")
+    context = context_at(system, integrator, box[2], "CPU")
     integrator.step(1)
     total = lines_run(lambda: integrator.step(1))
     moved = 0
@@ -218,12 +198,7 @@ def test_force_that_is_not_finite(cluster, name):
     system = with_external(system, "k*x", "k", 1.0)
 
     def make():
-        return langevin_of(RigidBodies.from_system(system, topology))
-
-    def langevin_of(bodies):
-        integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=SIER4, bodies=bodies)
-        integrator.setRandomNumberSeed(3)
-        return integrator
+        return langevin(SIER4, bodies=RigidBodies.from_system(system, topology))
 
     undisturbed, integrator = make(), make()
     reference = context_at(system, undisturbed, point, name)
@@ -323,16 +298,6 @@ def test_bodies_that_are_no_longer_rigid(cluster):
     # The same atoms, at the same places with the same velocities: the stored state is theirs.
     assert np.array_equal(phase_point(context)[0], end[0])
     assert np.array_equal(phase_point(context)[1], end[1])
-
-
-def test_positions_never_set(cluster):
-    _, system, _ = cluster
-    integrator = SIER2Integrator(0.001)
-    context = openmm.Context(system, integrator, platform())
-    for ask in (lambda: integrator.step(1), integrator.getBodyState, integrator.computeSystemTemperature):
-        with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):
-            ask()
-    assert context.getStepCount() == 0
 
 
 # --- integrators where they do not belong -----------------------------------------------------------------------

@@ -79,23 +79,6 @@ def test_order_four(model, scheme):
     assert slope_of(*make(), (4, 8), 0.008, scheme=scheme, **options) == pytest.approx(-4, abs=0.35)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_time_reversal(model):
-    make, options = MODELS[model]
-    system, positions = make()
-    integrator = SIERIntegrator(0.004, SIER4G, **options)
-    context = started(system, integrator, positions)
-    start = integrator.getBodyState()
-    integrator.step(25)
-    assert farthest(integrator.getBodyState(), start) > 1
-    context.setVelocities(-context.getState(velocities=True).getVelocities(asNumpy=True))
-    integrator.step(25)
-    back = integrator.getBodyState()
-    # Rounding of 1e-16 nm and 1e-15 dalton nm/ps in each of 150 stages, which the 0.2 ps hardly magnify.
-    assert np.abs(back.q - start.q).max() < 1e-12
-    assert np.abs(back.p + start.p).max() < 1e-10
-
-
 @pytest.mark.parametrize(("nested", "constrained"), [(False, True), (True, True), (False, False), (True, False)])
 def test_an_isolated_cluster_keeps_momentum_and_angular_momentum(nested, constrained):
     """Two chains and three waters, without a field; an ion would be a point without a group to turn."""
@@ -184,38 +167,7 @@ def test_temperatures_of_what_is_rigid_and_what_is_not():
     assert found.flexible == pytest.approx(chain, rel=1e-4)
 
 
-@pytest.mark.slow
-def test_a_bath_gives_constrained_atoms_their_temperature():
-    """A rotor in a strong bath: mean kinetic energy per degree of freedom, 9 of 12."""
-    system, positions = system_of(rotor(3))
-    integrator = SIERLangevinIntegrator(300, 200, 0.004)
-    integrator.setRandomNumberSeed(4)
-    context = started(system, integrator, positions)
-    found = []
-    for _ in range(500):
-        integrator.step(1)
-        found.append(integrator.computeTemperatures().flexible)
-    # 500 samples, independent by half after each step, of 9 degrees of freedom: 9 K; without projected noise 400 K.
-    assert np.mean(found) == pytest.approx(300, abs=36)
-    assert context.getStepCount() == 500
-
-
 # --- fast forces ---
-
-
-def test_fast_forces_leave_fewer_errors_than_kicks():
-    system, positions = system_of(chains(), waters=2)
-    found = {}
-    for groups in (None, {FAST}):
-        integrator = SIER4GIntegrator(0.004, fastForceGroups=groups)
-        context = started(system, integrator, positions)
-        integrator.step(0)
-        start, errors = total_energy(context), []
-        for _ in range(40):
-            integrator.step(1)
-            errors.append(total_energy(context) - start)
-        found[groups is None] = np.abs(errors).max()
-    assert found[False] < 0.5 * found[True]
 
 
 @pytest.mark.parametrize("early", [False, True])
@@ -248,14 +200,6 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
     fresh.step(2)
     # The new Context takes positions over from atoms, to rounding.
     assert farthest(integrator.getBodyState(), fresh.getBodyState()) < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("groups", "error"), [({32}, ValueError), ({-1}, ValueError), ("a", TypeError), (2.5, TypeError)]
-)
-def test_force_groups_that_do_not_exist(groups, error):
-    with pytest.raises(error, match="fastForceGroups"):
-        SIER4GIntegrator(0.004, fastForceGroups=groups)
 
 
 def test_forces_that_cannot_be_fast_are_refused():

@@ -1,7 +1,6 @@
 """The native engine: OpenMM executes the integrator's program, with SETTLE and SHAKE in place of the exact rotation."""
 
 import io
-import json
 
 import numpy as np
 import openmm
@@ -20,7 +19,7 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics.rotation import mrdl, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE
-from tests.support.subprocesses import run_python
+from tests.support.strangers import fails_as_stranger, run_as_stranger
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 MODELS = ["tip3p", "tip4pew"]
@@ -172,24 +171,6 @@ def test_degrees_of_freedom_and_body_states_agree_with_the_exact_engine(box):
 
 # --- what XML carries ---
 
-STRANGER = """
-import json, sys, openmm
-system, integrator, state = (openmm.XmlSerializer.deserialize(open(name).read()) for name in sys.argv[1:4])
-assert not any(name.startswith("openmm_sier") for name in sys.modules)
-assert type(integrator) is openmm.CustomIntegrator
-context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
-context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-context.setPositions(state.getPositions())
-context.setVelocities(state.getVelocities())
-integrator.setConstraintTolerance(1e-9)
-energies = []
-for _ in range(4):
-    integrator.step(int(sys.argv[4]))
-    found = context.getState(energy=True)
-    energies.append([found.getPotentialEnergy()._value, found.getKineticEnergy()._value])
-print(json.dumps([energies, context.getTime()._value]))
-"""
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bound", ["not bound", "exact", "native"])
@@ -202,12 +183,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     if bound != "not bound":
         _bound = context_at(system, given, point)
         given.step(2)
-    files = []
-    for name, thing in (("system", system), ("integrator", given), ("state", state)):
-        files.append(tmp_path / f"{name}.xml")
-        files[-1].write_text(openmm.XmlSerializer.serialize(thing))
-    native_steps = len(integrator.program.parts)
-    found, time = json.loads(run_python(STRANGER, *files, native_steps))
+    found, time, _ = run_as_stranger(tmp_path, system, given, state, len(integrator.program.parts))
     expected = []
     for _ in range(4):
         integrator.step(1)
@@ -239,16 +215,7 @@ def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings,
     with pytest.raises(openmm.OpenMMException, match=remedy + ".*engine='exact'"):
         openmm.Context(system, integrator)
     # Elsewhere it must not run as if it had been asked for less.
-    plain = tmp_path / "integrator.xml"
-    plain.write_text(xml)
-    program = (
-        "import sys, openmm\nsystem = openmm.System()\nsystem.addParticle(1.0)\n"
-        "integrator = openmm.XmlSerializer.deserialize(open(sys.argv[1]).read())\n"
-        "context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName('Reference'))\n"
-        "context.setPositions([[0, 0, 0]])\n"
-        "try:\n    integrator.step(1)\nexcept openmm.OpenMMException as error:\n    print(error)"
-    )
-    assert "import_openmm_sier" in run_python(program, plain)
+    assert fails_as_stranger(tmp_path, openmm.XmlSerializer.deserialize(xml))
 
 
 def test_named_bodies_that_constraints_hold_are_taken(cluster):
@@ -342,40 +309,6 @@ def test_constraints_that_cannot_be_satisfied_are_named():
     with pytest.raises((RigidityError, openmm.OpenMMException), match=r"atoms|onstraint"):
         integrator.step(1)
     del context
-
-
-def test_force_groups_and_forces_that_change_take_effect(cluster):
-    system, point = cluster
-    system = openmm.XmlSerializer.clone(system)
-    pull = openmm.CustomExternalForce("k*x")
-    pull.addGlobalParameter("k", 1000.0)
-    pull.setForceGroup(3)
-    pull.addParticle(0, [])
-    system.addForce(pull)
-    ends = {}
-    for engine in ("exact", "native"):
-        integrator = SIERIntegrator(0.001, SIER2, engine=engine, substeps=5)
-        context = context_at(system, integrator, point)
-        integrator.step(2)
-        integrator.setIntegrationForceGroups({0})
-        integrator.step(2)
-        integrator.setIntegrationForceGroups({0, 3})
-        integrator.step(2)
-        context.setParameter("k", -500.0)
-        integrator.step(2)
-        ends[engine] = phase_point(context)[0]
-        assert context.getStepCount() == 8
-    # Five substeps are exact to 1e-7 nm. The pull moves the molecule by 1e-4 nm in 2 fs.
-    assert np.abs(ends["native"] - ends["exact"]).max() < 1e-6
-
-
-def test_step_of_zero_moves_nothing(cluster):
-    system, point = cluster
-    integrator = SIERIntegrator(0, engine="native")
-    context = context_at(system, integrator, point)
-    integrator.step(3)
-    assert context.getStepCount() == 3
-    assert (phase_point(context)[0] == point[0]).all()
 
 
 def test_exact_engine_with_rattle_is_constrained_velocity_verlet():

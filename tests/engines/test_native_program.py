@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2, SIER4G, Scheme, SIERIntegrator
+from openmm_sier import SIER4G, Scheme, SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
@@ -75,12 +75,6 @@ def test_scheme_that_cannot_be_written_out_is_left_to_the_exact_engine():
     many = Scheme("many", ((KICK, 0.5), *[(DRIFT, 0.05), (KICK, 0.0)] * 20, (KICK, 0.5)))
     with pytest.raises(ValueError, match="21 native steps, more than 12"):
         native_program.write(many, 1)
-
-
-@pytest.mark.parametrize("name", ["engine", "substeps"])
-def test_bad_arguments_are_named(name):
-    with pytest.raises(ValueError, match=name):
-        SIERIntegrator(0.002, SIER2, **{name: 0})
 
 
 @pytest.fixture(scope="module")

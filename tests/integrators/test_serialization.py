@@ -360,12 +360,6 @@ def test_damaged_settings_are_refused():
             deserialize(serialize(plain))
 
 
-@pytest.mark.parametrize("bodies", [3, "0 1 2", [[0, 1.5]], [0, 1, 2]])
-def test_bodies_that_are_no_lists_of_indices(bodies):
-    with pytest.raises(TypeError, match="bodies must be RigidBodies or lists of particle indices"):
-        SIER2Integrator(0.001, bodies)
-
-
 def test_other_integrators_are_left_alone():
     plain = openmm.CustomIntegrator(0.001)
     plain.addTabulatedFunction("sierra nevada", openmm.Discrete1DFunction([1.0]))
