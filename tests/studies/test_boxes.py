@@ -8,10 +8,8 @@ import pytest
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.measure import forcefields
-from studies import acceptance, boxes, speed_boxes
-from studies.speed import SpeedSettings
+from studies import acceptance, boxes
 from tests.support.commands import SYSTEMS, write_lattice
-from tests.support.reports import Told
 from tests.support.waters import platform
 
 
@@ -65,12 +63,3 @@ def test_part_of_a_box():
     assert boxes.of_size(found, SYSTEMS, 1024).molecules == 1024
     with pytest.raises(ValueError, match="a part of a box of 512 molecules has 1 to 511, got 0"):
         boxes.of_size(found, SYSTEMS, 0)
-
-
-def test_systems_are_as_openmm_makes_them():
-    """The Ewald parameter and mesh are OpenMM's own choice, whatever the box was read with."""
-    start = speed_boxes.start("water-512", SpeedSettings(platform="Reference"), Told())
-    (force,) = speed_boxes.meshed_forces(start.system)
-    assert force.getPMEParameters()[1:] == [0, 0, 0]
-    assert force.getEwaldErrorTolerance() == speed_boxes.TOLERANCE
-    assert start.molecules == 512

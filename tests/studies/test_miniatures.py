@@ -4,7 +4,6 @@ import json
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -416,25 +415,3 @@ def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
     again = records.read(tmp_path / f"{made.record}.json").tables
     for key, table in record.tables.items():
         pd.testing.assert_frame_equal(again[key], table)
-
-
-def test_results_of_other_settings_are_refused(tmp_path, capsys):
-    """Studies whose runs are kept one by one."""
-    for study, kind, noted in (
-        (acceptance, acceptance.AcceptanceSettings, "acceptance-settings.json"),
-        (schemes, schemes.SchemesSettings, "schemes-settings.json"),
-        (defaults, defaults.DefaultsSettings, "settings.json"),
-        (equipartition, equipartition.EquipartitionSettings, "equipartition-settings.json"),
-        (whole_run, whole_run.WholeRunSettings, "whole-run-settings.json"),
-    ):
-        path = tmp_path / study.__name__ / noted
-        path.parent.mkdir(parents=True)
-        path.write_text(json.dumps(kind().recorded() | {"temperature": 350.0}))
-        assert study.main(["--out", str(tmp_path / study.__name__)]) == 1
-        assert "has results with temperature 350.0, got 297.0: take another directory" in capsys.readouterr().err
-
-
-def test_speed_tables_are_made_of_a_file(tmp_path, capsys):
-    data = Path(speed.__file__).parent / "data" / "speed.json"
-    assert speed.main(["--table", str(data), "--out", str(tmp_path)]) == 0
-    assert "| OpenMM Verlet, 1 fs |" in (tmp_path / "speed.md").read_text()

@@ -81,16 +81,6 @@ def test_tau_is_that_of_the_paper(method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("method", "order"), [("MRDL", 2), ("SEJ4", 4)])
-def test_tau_scales_with_the_order(method, order):
-    """Of the median body, which is not near the separatrix; higher orders change the slope by less than 0.2."""
-    slope = math.log2(taus().tau_median[method, 4.0] / taus().tau_median[method, 8.0])
-    assert slope == pytest.approx(order, abs=0.2)
-    # Linear growth; the median oscillates a little while the shortest marks are within a period.
-    assert taus().exponent["SEJ4", 8.0] == pytest.approx(1, abs=0.1)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["SIER2", "SIER4"])
 def test_sier_has_the_error_of_rounding(method):
     """The paper's tau is reached by linear extrapolation, and the first marks are at rounding of a few steps."""

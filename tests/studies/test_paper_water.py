@@ -3,7 +3,6 @@
 import functools
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -84,16 +83,6 @@ def test_molecular_cutoff_against_openmm(rng):
     d = positions[::4, None] - positions[None, ::4]
     R = np.linalg.norm(d - EDGE * np.rint(d / EDGE), axis=2)
     assert ((R > ON) & (R < OFF)).sum() > 50
-
-
-def test_periodic_images(rng):
-    """Molecules that are moved by edges of the box make no difference beyond rounding."""
-    positions, box = molecules(rng), np.array([1.5, 1.6, 1.7])
-    energy, forces = POTENTIAL.energy_and_forces(positions, box)
-    images = np.repeat(rng.integers(-2, 3, size=(27, 3)), 4, axis=0) * box
-    again, forces_again = POTENTIAL.energy_and_forces(positions + images, box)
-    assert again == pytest.approx(energy, rel=1e-11)
-    assert np.abs(forces_again - forces).max() < 1e-11 * np.abs(forces).max()
 
 
 @pytest.mark.parametrize("kind", [MOLECULAR, PME])
@@ -181,29 +170,3 @@ def test_crossing_is_where_the_paper_has_it():
     found = ratios(miniature()[1])
     assert found["SIER4", 1.0] < 0.15 * found["SIER2", 1.0]
     assert found["SIER4", 3.0] > found["SIER2", 3.0]
-
-
-def test_mrdl_and_sej4_lie_on_sier2():
-    """Forces make the error, not free rotation: from the same starts they agree within 2 %."""
-    found = ratios(miniature()[1])
-    assert found["MRDL", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)
-    assert found["SEJ4", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)
-
-
-@pytest.mark.slow
-def test_broken_runs_are_left_out():
-    """A step at which the integration fails gives no sample, and longer ones are not tried."""
-    settings = replace(miniature()[0], force_steps_fs=(1.0, 30.0, 60.0), compared_from_fs=100.0, runs=1, span=0.1)
-    points = evaluated(settings).tables["points"].set_index(["method", "force_step_fs"])
-    assert points["runs"]["SIER4", 1.0] == 1
-    assert points["runs"]["SIER4", 60.0] == 0
-    assert math.isnan(points["percent"]["SIER4", 60.0])
-
-
-@pytest.mark.slow
-def test_phase_points_are_liquid_water():
-    """64 molecules near -40 kJ/mol each."""
-    context = liquids.context(liquids.build(PME, box(), SMALL), openmm.VerletIntegrator(0.001), PME)
-    context.setState(phase(PME, 1))
-    # TIP4P: -41.8 kJ/mol (Jorgensen 1983); a short cut-off without its correction and 64 molecules change it by some.
-    assert -46 < liquids.energies(context)[1] / 64 < -36

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from openmm_sier.dynamics.schemes import SIER2V2, SIER4P, SIER4V
-from studies import acceptance, equipartition, records, schemes, speed, step_study, whole_run
+from openmm_sier.dynamics.schemes import SIER4P, SIER4V
+from studies import acceptance, equipartition, schemes, speed, step_study, whole_run
 from studies.bench import accuracy, timing
 from studies.equipartition import MEASURED
 from studies.hmc import solvated
@@ -50,15 +50,6 @@ def test_limits():
     # A spread that is larger by its error makes the box smaller by about as much as is said.
     smaller = limit["largest"] / (1 + limit["spread_error"] / limit["spread"]) ** 2
     assert limit["largest"] - smaller == pytest.approx(limit["largest_error"], rel=0.1)
-
-
-def test_spreads_of_boxes_of_several_sizes_are_pooled(rng):
-    sizes, trials, of_one = (100, 400, 1600), (4000, 1000, 250), 0.03
-    spreads = [rng.normal(0, of_one * n**0.5, k).std(ddof=1) for n, k in zip(sizes, trials, strict=True)]
-    rows = pd.DataFrame({"molecules": sizes, "trials": trials, "spread": spreads})
-    value, error = acceptance.pooled_spread(rows)
-    assert error == pytest.approx(of_one / (2 * 5250) ** 0.5, rel=0.05)
-    assert abs(value - of_one) < 4 * error
 
 
 def test_the_law_of_acceptance_by_size():
@@ -142,15 +133,6 @@ def test_means_over_liquids_need_all_of_them():
     assert mean == pytest.approx({"method": "X", "fs_per_force": 4.0, "relative": 1.5, "relative_error": 0.25})
 
 
-def test_palindromes_by_their_fractions():
-    first, verlet, second = schemes.methods_of(["kick:0.1931833275037836,0.5", "verlet", "drift:0.5"])
-    assert first.scheme.stages == SIER2V2.stages
-    assert verlet is schemes.KNOWN["verlet"]
-    assert [stage.fraction for stage in second.scheme.stages] == [0.5, 1.0, 0.5]
-    with pytest.raises(ValueError, match="'drift' must sum to 1"):
-        schemes.methods_of(["kick:0.2,0.6"])
-
-
 # --- steps and costs --------------------------------------------------------------------------------------------------
 
 
@@ -159,31 +141,6 @@ def point(method, h, forces=1, box="spce-512", time=180.0, **found):
     unknown = dict.fromkeys((name for key in step_study.MEASURED for name in (key, f"{key}_error")), math.nan)
     given = {name: x for key, pair in found.items() for name, x in zip((key, f"{key}_error"), pair, strict=True)}
     return place | unknown | given
-
-
-READ = pd.DataFrame(
-    [
-        point("SIER4G", 2.0, 3, rotation=(296.8, 0.4), density=(0.998, 0.002), diffusion=(2.5, 0.1)),
-        point("OpenMM Verlet", 4.0, density=(0.98, 0.001), energy=(-46.0, math.nan)),
-        point("OpenMM Verlet", 1.0, density=(0.99, 0.001)),
-        point("SIER4G HMC", 2.0, 3, density=(1.0, 0.003)),
-        point("SIER4G", 2.0, 3, box="tip3p-512", density=(0.985, 0.002)),
-    ]
-)
-
-
-@pytest.mark.slow
-def test_the_table_is_by_box_method_and_step(tmp_path):
-    record = Record({}, {"rows": step_study.in_order(READ)}, {"title": "Water"})
-    lines = records.markdown(step_study.tables(record)[0]).splitlines()
-    assert len(lines) == 2 + len(READ)
-    assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | 2.50 ± 0.10"
-    assert lines[2] == f"| spce-512 | SIER4G | 6 | 2 | 2 | 180 | {found} |"
-    assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
-    assert lines[-1].startswith("| tip3p-512")
-    step_study.figure(record, tmp_path / "figure.png")
-    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_errors_are_shared_by_rows_of_one_box_and_method():
@@ -235,13 +192,6 @@ def test_step_and_cost_at_a_level_of_a_power_law(power):
     assert row == pytest.approx(expected | {"method": "m"})
 
 
-def test_interleaved_timings_discard_the_first_round():
-    calls = []
-    seconds = timing.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
-    assert calls == ["a", "b"] * 3
-    assert [len(values) for values in seconds.values()] == [2, 2]
-
-
 def test_median_comes_with_its_standard_error(rng):
     """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
     found = np.array([timing.median_and_error(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
@@ -282,11 +232,6 @@ def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):
     assert verlet["fs_per_force"] == pytest.approx(math.sqrt(2.5))
     assert own["fs_per_force"] == pytest.approx(math.sqrt(10))
     assert (own["over"], own["over_error"]) == pytest.approx((2.0, 0.0))
-
-
-def test_steps_of_a_solute_are_those_that_its_bonds_allow():
-    steps = [{each.method: each.step for each in speed.contestants(solute)} for solute in (False, True)]
-    assert [(each["SIER2P3"], each["SIER4G"]) for each in steps] == [(12, 4), (9, 4)]
 
 
 def test_the_law_of_the_walk_is_found_again():

@@ -28,14 +28,20 @@ def squares(system, q):
     return ((q[:, i] - q[:, j]) ** 2).sum(axis=0)
 
 
+@pytest.fixture
+def mixed(executed_by):
+    """Molecules of every kind, their constraints, and positions (3, n) on these."""
+    system = mixture()
+    constraints = system.constraints()
+    return system, constraints, constraints.satisfied(system.x)
+
+
 # --- algebra ----------------------------------------------------------------------------------------------------------
 
 
-def test_projection_is_the_one_of_linear_algebra(rng, executed_by):
+def test_projection_is_the_one_of_linear_algebra(mixed, rng):
     """Against a dense pseudo-inverse: idempotent, tangent, orthogonal in the metric of the inverse masses."""
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+    system, constraints, q = mixed
     p = rng.normal(size=q.shape)
     found = constraints.project(q, p)
     G = gradients(system, q).reshape(len(system.pairs), -1)
@@ -48,10 +54,8 @@ def test_projection_is_the_one_of_linear_algebra(rng, executed_by):
     assert np.abs(constraints.project(q, found) - found).max() < 1e-13
 
 
-def test_projection_leaves_free_points_and_momenta_alone(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+def test_projection_leaves_free_points_and_momenta_alone(mixed, rng):
+    _, constraints, q = mixed
     p = rng.normal(size=q.shape)
     found = constraints.project(q, p)
     free = np.setdiff1d(np.arange(q.shape[1]), constraints.members)
@@ -61,10 +65,8 @@ def test_projection_leaves_free_points_and_momenta_alone(rng, executed_by):
     assert np.abs(np.cross(q, found - p, axis=0).sum(axis=1)).max() < 1e-13
 
 
-def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(mixed, rng):
+    system, constraints, q = mixed
     force, shift = rng.normal(size=q.shape), 0.02
     found = constraints.displaced(q, force, shift)
     # The iteration ends with the update that follows residuals of 1e-11 (`CLOSE`).
@@ -177,10 +179,8 @@ def test_geodesics_are_symplectic(rng, executed_by):
         assert abs(before) > 1e-3
 
 
-def test_what_momenta_have_along_the_bonds_does_not_matter(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+def test_what_momenta_have_along_the_bonds_does_not_matter(mixed, rng):
+    system, constraints, q = mixed
     free = rng.normal(size=q.shape) * np.sqrt(system.masses)
     found = [constraints.drift(q, p, 0.003, SUZUKI) for p in (free, constraints.project(q, free))]
     (one, p1), (other, p2) = [(x, constraints.project(x, p)) for x, p in found]
@@ -189,20 +189,8 @@ def test_what_momenta_have_along_the_bonds_does_not_matter(rng, executed_by):
     assert np.abs(p1 - p2).max() < 1e-11
 
 
-def test_a_drift_of_no_time_changes_nothing(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
-    p = thermal(rng, constraints, q)
-    found = constraints.drift(q, p, 0.0, SUZUKI)
-    assert np.array_equal(found[0], q)
-    assert np.array_equal(found[1], p)
-
-
-def test_inputs_are_left_as_they_were(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+def test_inputs_are_left_as_they_were(mixed, rng):
+    _, constraints, q = mixed
     p = thermal(rng, constraints, q)
     before = q.copy(), p.copy()
     found = [*constraints.drift(q, p, 0.002), constraints.displaced(q, p, 0.002), constraints.project(q, p)]
@@ -210,11 +198,9 @@ def test_inputs_are_left_as_they_were(rng, executed_by):
     assert not any(np.shares_memory(new, old) for new in found for old in (q, p))
 
 
-def test_far_from_the_origin(rng, executed_by):
+def test_far_from_the_origin(mixed, rng):
     """Bond vectors, not coordinates, carry the rounding: at 50 nm only the position itself is rounded."""
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+    _, constraints, q = mixed
     p = thermal(rng, constraints, q)
     near = constraints.drift(q, p, 0.003, SUZUKI)
     far = constraints.drift(q + 50.0, p, 0.003, SUZUKI)
