@@ -156,16 +156,6 @@ def test_what_acts_on_rigid_bodies_stays_in_the_kicks():
     assert {force.getForceGroup() for force in system.getForces()} == {0}
 
 
-def test_a_group_in_use_is_refused():
-    system, _ = system_of(chains())
-    system.getForce(0).setForceGroup(0)
-    with pytest.raises(ValueError, match="CustomExternalForce is in force group 0"):
-        prepare_system(system, fastForceGroup=0)
-    assert system.getForce(0).getForceGroup() == 0
-    with pytest.raises(ValueError, match="from 0 to 31, got 32"):
-        prepare_system(system, fastForceGroup=32)
-
-
 def test_water_is_prepared_and_told_of_what_limits_it():
     _, _, system = periodic_system("tip3p", 64)
     one_of(system, openmm.NonbondedForce).setEwaldErrorTolerance(5e-4)
@@ -424,6 +414,9 @@ def test_a_free_group_is_taken_where_the_first_has_other_forces():
     one_of(system, openmm.CustomNonbondedForce).setForceGroup(2)
     with pytest.raises(ValueError, match="CustomExternalForce is in force group 1"):
         prepare_system(system, fastForceGroup=1)
+    with pytest.raises(ValueError, match="from 0 to 31, got 32"):
+        prepare_system(system, fastForceGroup=32)
+    assert one_of(system, openmm.HarmonicBondForce).getForceGroup() == 0
     done = prepare_system(system)
     assert done.fastForceGroups == {3}
     integrator = SIER4GIntegrator(0.003)

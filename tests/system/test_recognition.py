@@ -87,19 +87,6 @@ def test_rounding_is_not_said():
     assert context.getStepCount() == 1
 
 
-def test_torn_molecules_are_refused_and_left_where_they_are():
-    topology, positions, system = cluster_system(6)
-    torn = positions.copy()
-    # One hydrogen is on the other side of a box of 1.2 nm.
-    torn[4] += [1.2, 0, 0]
-    integrator = SIER2Integrator(0.001, bodies=RigidBodies.from_system(system, topology))
-    context = context_at(system, integrator, (torn, 0 * torn))
-    with pytest.raises(RigidityError, match=r"residue HOH .*\(atoms 3, 4, 5\) does not have the shape.*periodic bound"):
-        integrator.step(1)
-    assert np.array_equal(phase_point(context)[0], torn)
-    assert context.getStepCount() == 0
-
-
 def test_exchanged_atoms_are_refused(rng):
     """Atoms in another order than the System's: an oxygen where a hydrogen is to be is 0.08 nm off its place."""
     bodies, x = waters_of("TIP3P", 3), turned_at_random(water("TIP3P"), rng, 3)

@@ -9,7 +9,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIER4, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
 from tests.support.waters import array, droplet, periodic_system, platform, relaxed
 
 pytest.importorskip("openmmtools", reason="pip install openmm-sier[validation]")
@@ -205,17 +205,6 @@ def test_moves_of_integrators_without_a_bath(drop, kind, least, most):
     assert len(contexts) == 1
     assert np.abs(array(found.positions) - start).max() > 0.01
     assert least < np.ptp(energies) < most
-
-
-def test_langevin_moves_after_moves_at_constant_energy(drop):
-    contexts = cache.ContextCache(platform=platform())
-    mixed = mcmc.SequenceMove(
-        [mcmc.IntegratorMove(SIERIntegrator(4 * FEMTOSECOND, SIER4), n_steps=5), LangevinMove(n_steps=5)]
-    )
-    sampler = mcmc.MCMCSampler(state_at(drop), sampler_state(drop), mixed)
-    sampler.run(3, contexts)
-    assert len(contexts) == 2
-    assert np.isfinite(array(sampler.sampler_state.positions)).all()
 
 
 @pytest.mark.parametrize(
