@@ -91,8 +91,7 @@ def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
     _, system, point = cluster
     trajectory = Trajectory(system, make, point)
     integrator = make()
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     total = lines_run(lambda: integrator.step(2))
     assert total > 50
     reached = set()
@@ -150,8 +149,7 @@ def test_a_fault_at_any_line_with_a_barostat(box):
     barostat.setRandomNumberSeed(5)
     system.addForce(barostat)
     integrator = langevin()
-    context = context_at(system, integrator, box[2], "CPU")
-    integrator.step(1)
+    context = context_at(system, integrator, box[2], "CPU", steps=1)
     total = lines_run(lambda: integrator.step(1))
     moved = 0
     for line in range(1, total + 1):
@@ -201,10 +199,8 @@ def test_force_that_is_not_finite(cluster, name):
         return langevin(SIER4, bodies=RigidBodies.from_system(system, topology))
 
     undisturbed, integrator = make(), make()
-    reference = context_at(system, undisturbed, point, name)
-    undisturbed.step(10)
-    context = context_at(system, integrator, point, name)
-    integrator.step(4)
+    reference = context_at(system, undisturbed, point, name, steps=10)
+    context = context_at(system, integrator, point, name, steps=4)
     before = phase_point(context)
     context.setParameter("k", float("nan"))
     with pytest.raises(openmm.OpenMMException, match=r"force on residue HOH \d+ \(atoms 0, 1, 2\) is not .* step 5"):
@@ -227,8 +223,7 @@ def test_force_that_is_not_finite(cluster, name):
 def test_positions_and_velocities_that_are_not_finite(cluster, what, error, value):
     _, system, point = cluster
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(2)
+    context = context_at(system, integrator, point, steps=2)
     good = phase_point(context)
     wrong = {"positions": good[0].copy(), "velocities": good[1].copy()}
     wrong[what][5, 1] = value
@@ -244,8 +239,7 @@ def test_positions_and_velocities_that_are_not_finite(cluster, what, error, valu
     context.setVelocities(good[1])
     integrator.step(1)
     undisturbed = SIER2Integrator(0.001)
-    reference = context_at(system, undisturbed, point)
-    undisturbed.step(3)
+    reference = context_at(system, undisturbed, point, steps=3)
     # The bodies were read anew from the atoms, which costs their rounding.
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-14
 
@@ -256,8 +250,7 @@ def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
     _, system, point = cluster
     drifting = Scheme("position Verlet", (("drift", 0.5), ("kick", 1.0), ("drift", 0.5)))
     integrator = SIERIntegrator(0.001, drifting)
-    context = context_at(system, integrator, (point[0], 0 * point[1]))
-    integrator.step(2)
+    context = context_at(system, integrator, (point[0], 0 * point[1]), steps=2)
     before = phase_point(context)
     velocities = before[1].copy()
     velocities[8:12] = [1e306, 0, 0]
@@ -277,8 +270,7 @@ def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
 def test_bodies_that_are_no_longer_rigid(cluster):
     topology, system, point = cluster
     integrator = SIER2Integrator(0.001, bodies=RigidBodies.from_system(system, topology))
-    context = context_at(system, integrator, point)
-    integrator.step(3)
+    context = context_at(system, integrator, point, steps=3)
     checkpoint = context.createCheckpoint()
     integrator.step(3)
     end = phase_point(context)
@@ -306,8 +298,7 @@ def test_bodies_that_are_no_longer_rigid(cluster):
 def test_context_that_is_gone(cluster):
     _, system, point = cluster
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     del context
     gc.collect()
     for ask in (lambda: integrator.step(1), integrator.getBodyState):
@@ -327,8 +318,7 @@ def test_contexts_are_freed(cluster):
     """Neither keeps the other alive in a circle that only the garbage collector opens."""
     _, system, point = cluster
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     gc.disable()
     try:
         engine = integrator.binding.engine
@@ -355,8 +345,7 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
     _, system, point = cluster
     system = openmm.XmlSerializer.clone(system)
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(0)
+    context = context_at(system, integrator, point, steps=0)
     for i in range(system.getNumParticles()):
         system.setParticleMass(i, 3 * system.getParticleMass(i))
     before = phase_point(context)
@@ -370,8 +359,7 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
     assert np.allclose(integrator.bodies.masses, 3 * light, rtol=1e-14)
     integrator.step(20)
     fresh = SIER2Integrator(0.001)
-    reference = context_at(system, fresh, before)
-    fresh.step(20)
+    reference = context_at(system, fresh, before, steps=20)
     # The same molecules, read from the atoms once or twice: rounding.
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-12
     assert np.abs(phase_point(context)[0] - before[0]).max() > 1e-3
@@ -382,8 +370,7 @@ def test_bodies_of_other_masses_are_refused(cluster):
     system = openmm.XmlSerializer.clone(system)
     bodies = RigidBodies.from_system(system, topology)
     integrator = SIER2Integrator(0.001, bodies=bodies)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     system.setParticleMass(6, 2.0)
     message = r"residue HOH \d+ .* made with a mass of 1.00\d+ for atom 6, the System has 2.0"
     with pytest.raises(ValueError, match=message):
@@ -398,8 +385,7 @@ def test_reinitialization_with_a_system_that_cannot_be_used(cluster):
     _, system, point = cluster
     system = openmm.XmlSerializer.clone(system)
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     first, second, length = system.getConstraintParameters(0)
     system.setConstraintParameters(0, first, second, 5 * length)
     with pytest.raises(RigidityError, match="contradict each other"):

@@ -37,8 +37,7 @@ X_H = ((0, 1), (0, 2), (0, 3), (4, 5))
 def end_of(system, positions, h, steps, scheme=SIER4G, **options):
     integrator = SIERIntegrator(h, scheme, engine="exact", **options)
     # Kept: an integrator's Context must live as long as it is asked.
-    context = started(system, integrator, positions)
-    integrator.step(steps)
+    context = started(system, integrator, positions, steps=steps)
     assert context.getStepCount() == steps
     return integrator.getBodyState()
 
@@ -130,8 +129,7 @@ def test_runs_conserves_and_restarts(case, bath):
         return langevin
 
     one = integrator()
-    context = started(system, one, positions)
-    one.step(0)
+    context = started(system, one, positions, steps=0)
     start, found = total_energy(context), []
     for _ in range(10):
         one.step(5)
@@ -181,8 +179,7 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
     custom = system.getForce(system.addForce(custom))
     springs = system.getForce(0)
     integrator = SIER4GIntegrator(0.002, fastForceGroups={FAST})
-    context = started(system, integrator, positions)
-    integrator.step(2)
+    context = started(system, integrator, positions, steps=2)
     if early:
         context.setParameter("stiffness", 300.0)
     i, j, length, constant = springs.getBondParameters(0)
@@ -238,8 +235,7 @@ def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step(monkeypatch)
     """A step in which hydrogens would go round the carbon."""
     system, positions = system_of(rotor(3))
     integrator = SIER4GIntegrator(0.002)
-    context = started(system, integrator, positions)
-    integrator.step(3)
+    context = started(system, integrator, positions, steps=3)
     good = everything(context)
     monkeypatch.setattr("openmm_sier.system.vibrations.Vibrations.check", lambda *_: None)
     integrator.setStepSize(2.0)
@@ -287,8 +283,7 @@ def test_atoms_in_a_row_are_refused_and_both_ways_out_work():
     dumbbell.addConstraint(0, 2, 0.232)
     for way, bodies in ((named, [[0, 1, 2]]), (dumbbell, None)):
         integrator = SIER4GIntegrator(0.002, bodies=bodies)
-        context = started(way, integrator, positions)
-        integrator.step(5)
+        context = started(way, integrator, positions, steps=5)
         assert integrator.bodies.dof == 5
         x = context.getState(positions=True).getPositions(asNumpy=True)._value
         assert np.linalg.norm(x[2] - x[0]) == pytest.approx(0.232, abs=1e-12)
@@ -332,8 +327,7 @@ def test_constant_pressure(own):
         return made
 
     one = integrator()
-    context = started(system, one, positions + 1.0)
-    one.step(30)
+    context = started(system, one, positions + 1.0, steps=30)
     box = context.getState().getPeriodicBoxVolume()._value
     assert box != pytest.approx(2.2**3, rel=1e-6)
     assert residual(one.bodies.constraints, one.getBodyState().q) < 1e-13
@@ -374,8 +368,7 @@ def test_an_engine_with_fast_forces_needs_no_garbage_collector():
     """Its second Context goes with the integrator; a collector might delete the System of that one first."""
     system, positions = system_of(chains())
     integrator = SIER4GIntegrator(0.002, fastForceGroups={FAST})
-    context = started(system, integrator, positions)
-    integrator.step(1)
+    context = started(system, integrator, positions, steps=1)
     motion = weakref.ref(integrator.binding.engine._moving.motion)
     gc.disable()
     try:

@@ -39,8 +39,7 @@ def box():
 
 def trajectory(system, point, steps=6, h=0.004, **settings):
     integrator = SIERIntegrator(h, **settings)
-    context = context_at(system, integrator, point)
-    integrator.step(steps)
+    context = context_at(system, integrator, point, steps=steps)
     return phase_point(context)[0]
 
 
@@ -147,8 +146,7 @@ def test_cold_bath_slows_bodies_exactly():
         system.removeForce(i)
     point = (positions, np.tile([1.0, 2.0, 3.0], (len(positions), 1)))
     integrator = SIERLangevinIntegrator(0, 10, 0.004, SIER4G, engine="native")
-    context = context_at(system, integrator, point)
-    integrator.step(5)
+    context = context_at(system, integrator, point, steps=5)
     # Rounding of 10 factors; SETTLE moves velocities by its 5e-9 nm over a substep of 1 fs.
     assert phase_point(context)[1] == pytest.approx(point[1] * np.exp(-10 * 0.02), rel=2e-5)
     integrator.setFriction(0)
@@ -181,8 +179,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     state = context.getState(positions=True, velocities=True)
     given = SIERIntegrator(0.003, SIER4G, engine="auto" if bound == "not bound" else bound)
     if bound != "not bound":
-        _bound = context_at(system, given, point)
-        given.step(2)
+        _bound = context_at(system, given, point, steps=2)
     found, time, _ = run_as_stranger(tmp_path, system, given, state, len(integrator.program.parts))
     expected = []
     for _ in range(4):

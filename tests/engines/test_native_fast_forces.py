@@ -28,8 +28,7 @@ def start_of(points: Points, seed=4):
 
 def end_of(points: Points, program, start, h, steps):
     integrator = integrator_of(program, h)
-    context = context_at(system_of(points)[0], integrator, start)
-    integrator.step(steps * len(program.parts))
+    context = context_at(system_of(points)[0], integrator, start, steps=steps * len(program.parts))
     return phase_point(context)
 
 
@@ -54,8 +53,7 @@ def test_fast_forces_may_be_in_several_groups():
     system, _ = system_of(points)
     _, start = start_of(points)
     whole = native_program.write(SIER4G, 1, {FAST})
-    _context = context_at(system, integrator := integrator_of(whole, 0.003), start)
-    integrator.step(20)
+    context = context_at(system, integrator_of(whole, 0.003), start, steps=20)
     split = openmm.System()
     for mass in points.masses:
         split.addParticle(mass)
@@ -71,10 +69,9 @@ def test_fast_forces_may_be_in_several_groups():
                 (copy if i % 2 else others).setBondParameters(i, a, b, length, 0 * constant)
             split.addForce(others)
         split.addForce(copy)
-    both = context_at(split, other := integrator_of(native_program.write(SIER4G, 1, [7, FAST]), 0.003), start)
-    other.step(20)
+    both = context_at(split, integrator_of(native_program.write(SIER4G, 1, [7, FAST]), 0.003), start, steps=20)
     # Sums in another order.
-    assert phase_point(both)[0] == pytest.approx(phase_point(_context)[0], abs=1e-9)
+    assert phase_point(both)[0] == pytest.approx(phase_point(context)[0], abs=1e-9)
 
 
 def test_program_prints_its_inner_step_once():

@@ -87,8 +87,7 @@ def test_an_integrator_that_is_offered_to_a_second_context_stays_that_of_the_fir
     for is_offered in (False, True):
         integrator = SIERLangevinIntegrator(300, 5, 0.002, engine=engine)
         integrator.setRandomNumberSeed(3)
-        context = context_at(system, integrator, point)
-        integrator.step(3)
+        context = context_at(system, integrator, point, steps=3)
         if is_offered:
             with pytest.raises(openmm.OpenMMException, match="already bound"):
                 openmm.Context(system, integrator)

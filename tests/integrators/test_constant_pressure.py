@@ -129,8 +129,7 @@ def test_a_box_too_small_for_the_cutoff(box):
     volume = context.getState().getPeriodicBoxVolume()._value
     assert volume > (2 * 0.55) ** 3
     again = integrator(pressure=1e6, interval=1)
-    other = context_at(system, again, point)
-    again.step(steps)
+    other = context_at(system, again, point, steps=steps)
     assert_same(everything(other), everything(context))
 
 

@@ -146,8 +146,7 @@ def test_wells_are_sampled_exactly(engine, at_rest):
     if at_rest:
         system.addForce(openmm.CMMotionRemover())
     integrator = sampler(0.13, 3, frictionCoeff=3.0, **engine)
-    context = context_at(system, integrator, (np.zeros((4, 3)), np.zeros((4, 3))))
-    integrator.step(20)
+    context = context_at(system, integrator, (np.zeros((4, 3)), np.zeros((4, 3))), steps=20)
     integrator.resetStatistics()
     rows = []
     for _ in range(1500):
@@ -220,8 +219,7 @@ def test_a_change_between_trials_changes_the_energy_of_the_sample(change, engine
     field.setForceGroup(1)
     system.addForce(field)
     integrator = sampler(0.00005, **engine)
-    context = context_at(system, integrator, (positions, np.zeros_like(positions)))
-    integrator.step(1)
+    context = context_at(system, integrator, (positions, np.zeros_like(positions)), steps=1)
     if change == "positions":
         context.setPositions(phase_point(context)[0] + 0.25)
     elif change == "parameter":
@@ -242,8 +240,7 @@ def test_a_change_between_trials_changes_the_energy_of_the_sample(change, engine
 def test_energies_are_computed_once(cluster, monkeypatch, engine):
     """A trial takes one evaluation of the energy, that of its end."""
     integrator = sampler(0.011, **engine)
-    _context = context_at(cluster[0], integrator, cluster[1])
-    integrator.step(1)
+    _context = context_at(cluster[0], integrator, cluster[1], steps=1)
     computed = energies_computed(monkeypatch)
     integrator.step(10)
     assert 0 < integrator.accepted < 11
@@ -280,8 +277,7 @@ def test_forces_that_are_not_finite_reject_a_trial(engine):
 def test_constrained_molecules(engine):
     integrator = sampler(0.004, 3, SIER4G, **{**engine, "substeps": None})
     positions = positions_of(2)
-    _context = context_at(system_of(2), integrator, (positions, np.zeros_like(positions)))
-    integrator.step(3)
+    _context = context_at(system_of(2), integrator, (positions, np.zeros_like(positions)), steps=3)
     assert integrator.trials == 3
     # The exact engine solves constraints to rounding, and so trajectories reverse to it; OpenMM to 1e-9.
     assert integrator.reversalError < (1e-7 if engine else 1e-10)
@@ -291,8 +287,7 @@ def test_constrained_molecules(engine):
 @ENGINES
 def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch, engine):
     integrator = sampler(**engine)
-    context = context_at(cluster[0], integrator, cluster[1])
-    integrator.step(1)
+    context = context_at(cluster[0], integrator, cluster[1], steps=1)
     before = counted(context)
     integrator.setSchemeStepSize(0.009)
     with monkeypatch.context() as patch:
@@ -318,8 +313,7 @@ def test_only_trajectories_of_schemes_that_are_no_palindromes_miss_their_start(c
     for scheme in (SIER4G, CROOKED):
         integrator = SIERIntegrator(0.002, scheme)
         # Kept: an integrator's Context must live as long as it is asked.
-        context = context_at(system, integrator, point)
-        integrator.step(0)
+        context = context_at(system, integrator, point, steps=0)
         found[scheme.name] = metropolis.reversal_error(integrator.binding.engine, 10)
         integrator.step(1)
         assert context.getStepCount() == 1
@@ -338,8 +332,7 @@ def test_fails_without_this_package(cluster, tmp_path, kind, engine):
         _, positions, system = periodic_system()
         point = positions, np.zeros_like(positions)
         integrator = SIERLangevinIntegrator(300, 1, 0.001, pressure=1, engine=engine)
-    _context = context_at(system, integrator, point)
-    integrator.step(1)
+    _context = context_at(system, integrator, point, steps=1)
     assert integrator.getGlobalVariableByName(EXACT_ONLY) == 1
     assert fails_as_stranger(tmp_path, integrator)
 

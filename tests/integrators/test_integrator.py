@@ -25,8 +25,7 @@ from tests.support.waters import (
 def test_a_box_changed_from_outside_is_noticed(box):
     _, system, point = box
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(5)
+    context = context_at(system, integrator, point, steps=5)
     a, b, c = context.getState().getPeriodicBoxVectors()
     context.setPeriodicBoxVectors(a * 1.01, b, c)
     state = context.getState(positions=True, velocities=True)
@@ -49,8 +48,7 @@ def test_forces_changed_without_a_trace_can_be_declared(cluster):
         pull.addParticle(i, [0.0])
     system.addForce(pull)
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     before = integrator.getBodyState().p.sum(axis=1)[0]
     for i in range(system.getNumParticles()):
         pull.setParticleParameters(i, i, [1000.0])
@@ -107,8 +105,7 @@ def test_andersen_thermostat_acts(box):
     thermostat.setRandomNumberSeed(4)
     system.addForce(thermostat)
     integrator = SIER2Integrator(0.001)
-    _context = context_at(system, integrator, (point[0], 0 * point[1]), "CPU")
-    integrator.step(10)
+    _context = context_at(system, integrator, (point[0], 0 * point[1]), "CPU", steps=10)
     assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
 
 

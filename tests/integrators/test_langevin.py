@@ -38,8 +38,7 @@ def test_without_friction_it_is_the_nve_trajectory_bit_for_bit(cluster, scheme):
     _, system, point = cluster
     ends = []
     for integrator in (thermostat(scheme=scheme, friction=0.0), SIERIntegrator(0.002, scheme)):
-        context = context_at(system, integrator, point)
-        integrator.step(50)
+        context = context_at(system, integrator, point, steps=50)
         ends.append(phase_point(context))
     assert np.array_equal(ends[0][0], ends[1][0])
     assert np.array_equal(ends[0][1], ends[1][1])
@@ -66,8 +65,7 @@ def test_an_integrator_that_is_given_the_ensemble_has_a_bath(cluster):
     given.setRandomNumberSeed(11)
     ends = []
     for integrator in (thermostat(), given):
-        context = context_at(system, integrator, point)
-        integrator.step(5)
+        context = context_at(system, integrator, point, steps=5)
         ends.append(phase_point(context))
     assert np.array_equal(ends[0], ends[1])
 
@@ -88,8 +86,7 @@ def test_a_bath_without_an_expression_of_velocities_is_for_the_exact_engine(clus
     with pytest.raises(openmm.OpenMMException, match=r"the heat bath OnlyForBodies cannot be written out.*'exact'"):
         context_at(system, SIERThermostatIntegrator(WithoutExpression(300, 1), 0.002, engine="native"), point)
     integrator = SIERThermostatIntegrator(WithoutExpression(300, 1), 0.002)
-    _context = context_at(system, integrator, point)
-    integrator.step(1)
+    _context = context_at(system, integrator, point, steps=1)
     assert integrator.getHeat() != 0 * unit.kilojoule_per_mole
 
 
@@ -199,8 +196,7 @@ def test_temperatures_are_those_just_after_the_bath(engine):
     positions[1::2, 0] += 0.15
     integrator = SIERLangevinIntegrator(300, 20, 0.010, SIER2, fastForceGroups={FAST}, engine=engine)
     integrator.setRandomNumberSeed(5)
-    context = context_at(system, integrator, (positions, 0 * positions))
-    integrator.step(50)
+    context = context_at(system, integrator, (positions, 0 * positions), steps=50)
     after_bath, at_end = [], []
     for _ in range(1000):
         integrator.step(1)

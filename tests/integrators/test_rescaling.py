@@ -97,8 +97,7 @@ def test_with_a_rate_of_zero_it_is_the_nve_trajectory_bit_for_bit(cluster, engin
     _, system, point = cluster
     ends = []
     for made in (integrator(rate=0.0, engine=engine), SIERIntegrator(0.002, SIER2, engine=engine)):
-        context = context_at(system, made, point)
-        made.step(20)
+        context = context_at(system, made, point, steps=20)
         ends.append(phase_point(context))
     assert_same(*ends)
 
@@ -148,8 +147,7 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
     """A scaling and the step after it are made both or neither, so that the noise is not used twice."""
     _, system, point = cluster
     made = integrator(every=1)
-    context = context_at(system, made, point)
-    made.step(1)
+    context = context_at(system, made, point, steps=1)
     before = everything(context)
     engine = made.binding.engine
     follow = engine.follow
@@ -164,8 +162,7 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
     engine.follow = follow
     made.step(1)
     other = integrator(every=1)
-    again = context_at(system, other, point)
-    other.step(2)
+    again = context_at(system, other, point, steps=2)
     assert_same(everything(context), everything(again))
 
 

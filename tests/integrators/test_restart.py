@@ -132,8 +132,7 @@ def test_restart_needs_the_stored_state(cluster):
     """Positions and velocities alone lead to another trajectory within rounding: the tests above test something."""
     _, system, point = cluster
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(10)
+    context = context_at(system, integrator, point, steps=10)
     bare = context.getState(positions=True, velocities=True)
     integrator.step(50)
     other = SIER2Integrator(0.001)
@@ -170,8 +169,7 @@ def test_a_checkpoint_costs_nothing_where_forces_have_no_past(box, cluster):
         (*cluster[1:], "CPU", 0),
     ):
         integrator = SIER2Integrator(0.001)
-        context = context_at(system, integrator, point, name)
-        integrator.step(2)
+        context = context_at(system, integrator, point, name, steps=2)
         before = integrator.forceEvaluations
         context.createCheckpoint()
         context.getState(positions=True, energy=True)
@@ -212,8 +210,7 @@ def test_restart_at_constant_pressure(box, make):
     system = with_barostat(system, 2)
     ends = []
     integrator, other = make(), make()
-    context = context_at(system, integrator, point)
-    integrator.step(4)
+    context = context_at(system, integrator, point, steps=4)
     checkpoint = context.createCheckpoint()
     volume = context.getState().getPeriodicBoxVolume()
     integrator.step(9)
@@ -239,8 +236,7 @@ def test_geometry_of_named_bodies_travels(cluster, steps, fresh):
         system.removeConstraint(0)
     named = [[atom.index for atom in residue.atoms()] for residue in topology.residues()]
     one, two = SIER2Integrator(0.001, bodies=named), SIER2Integrator(0.001, bodies=named)
-    context = context_at(system, one, point)
-    one.step(steps)
+    context = context_at(system, one, point, steps=steps)
     geometry = one.bodies.species[0].sites.copy()
     context.setPositions(phase_point(context)[0] + np.random.default_rng(1).uniform(-1e-4, 1e-4, point[0].shape))
     other = openmm.Context(system, two, platform())
@@ -261,8 +257,7 @@ def test_reinitialization_with_its_state_changes_nothing(cluster, make):
     ends = []
     for interrupted in (False, True):
         integrator = make()
-        context = context_at(system, integrator, point)
-        integrator.step(10)
+        context = context_at(system, integrator, point, steps=10)
         if interrupted:
             context.reinitialize(preserveState=True)
         integrator.step(10)
@@ -285,8 +280,7 @@ def test_noise_is_not_used_again_after_the_state_of_the_start_was_loaded(cluster
 def test_reinitialization_without_its_state_starts_anew(cluster):
     _, system, point = cluster
     integrator = langevin(SIER2)
-    context = context_at(system, integrator, point)
-    integrator.step(10)
+    context = context_at(system, integrator, point, steps=10)
     end = everything(context)
     context.reinitialize()
     context.setPositions(point[0])
@@ -307,8 +301,7 @@ def test_noise_after_a_state_is_of_its_own(cluster):
     """
     _, system, point = cluster
     integrator = langevin(SIER2)
-    context = context_at(system, integrator, point)
-    integrator.step(5)
+    context = context_at(system, integrator, point, steps=5)
     saved = full_state(context)
     ends = []
     for _ in range(3):

@@ -138,8 +138,7 @@ def test_a_system_without_nonbonded_forces():
     assert "Force group 1 has the fast forces now: HarmonicBondForce." in str(done)
     assert [force.getForceGroup() for force in system.getForces()] == [FAST, 0, 0, FAST]
     integrator = SIER4GIntegrator(0.003)
-    context = started(system, integrator, positions)
-    integrator.step(1)
+    context = started(system, integrator, positions, steps=1)
     assert context.getStepCount() == 1
     assert integrator.fastForceGroups == {FAST}
 
@@ -420,8 +419,7 @@ def test_a_free_group_is_taken_where_the_first_has_other_forces():
     done = prepare_system(system)
     assert done.fastForceGroups == {3}
     integrator = SIER4GIntegrator(0.003)
-    context = started(system, integrator, positions)
-    integrator.step(1)
+    context = started(system, integrator, positions, steps=1)
     assert context.getStepCount() == 1
     assert integrator.fastForceGroups == {3}
 

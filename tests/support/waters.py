@@ -92,11 +92,14 @@ def energies(context):
     )
 
 
-def context_at(system, integrator, point, name="Reference"):
+def context_at(system, integrator, point, name="Reference", steps=None):
+    """A Context at positions and velocities, after steps of its integrator if these are given."""
     properties = {"Threads": "1", "DeterministicForces": "true"} if name == "CPU" else {}
     context = openmm.Context(system, integrator, platform(name), properties)
     context.setPositions(point[0])
     context.setVelocities(point[1])
+    if steps is not None:
+        integrator.step(steps)
     return context
 
 

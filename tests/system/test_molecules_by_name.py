@@ -25,8 +25,7 @@ def alanine():
 def largest_deviation(system, positions, h, steps, groups, bodies=None):
     """Of the total energy from its start, kJ/mol, over steps of h."""
     integrator = SIER4GIntegrator(h, bodies=bodies, fastForceGroups=groups)
-    context = started(system, integrator, positions)
-    integrator.step(0)
+    context = started(system, integrator, positions, steps=0)
     start, found = total_energy(context), []
     for _ in range(steps):
         integrator.step(1)
@@ -55,8 +54,7 @@ def check(system, positions, h, bodies=None):
         made.setRandomNumberSeed(5)
         return made
 
-    context = started(system, langevin(), positions)
-    context.getIntegrator().step(3)
+    context = started(system, langevin(), positions, steps=3)
     assert_restart_is_the_same(system, context, langevin(), 4)
 
 
