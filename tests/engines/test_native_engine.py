@@ -1,11 +1,8 @@
 """The native engine: OpenMM executes the integrator's program, with SETTLE and SHAKE in place of the exact rotation."""
 
-import io
-
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
 
 from openmm_sier import (
     SIER2,
@@ -13,7 +10,6 @@ from openmm_sier import (
     SIER4G,
     RigidBodies,
     RigidityError,
-    SIER4GIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
@@ -57,29 +53,6 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
     # SETTLE's lengths of single precision leave, 5e-9 nm a substep.
     assert errors[1] / errors[2] == pytest.approx(4, abs=0.2)
     assert errors[5] < 1e-7 + errors[1] / 1000
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("per_call", [1, 7])
-def test_clock_and_reporters_see_whole_steps(box, per_call):
-    topology, system, (positions, velocities) = box
-    simulation = app.Simulation(topology, system, SIER4GIntegrator(0.002, engine="native"), None)
-    context = simulation.context
-    assert simulation.integrator.engine == "native"
-    context.setPositions(positions)
-    context.setVelocities(velocities)
-    out = io.StringIO()
-    simulation.reporters.append(app.StateDataReporter(out, 5, step=True, time=True, temperature=True))
-    for _ in range(14 // per_call):
-        simulation.step(per_call)
-    assert context.getStepCount() == simulation.currentStep == 14
-    # Sums of 14 times 0.002.
-    assert context.getTime()._value == pytest.approx(0.028, abs=1e-15)
-    rows = [line.split(",") for line in out.getvalue().splitlines()[1:]]
-    assert [row[0] for row in rows] == ["5", "10"]
-    # OpenMM writes as many digits as there are.
-    assert [float(row[1]) for row in rows] == pytest.approx([0.01, 0.02], abs=1e-12)
-    assert simulation.integrator.getStepSize() == 0.002 * unit.picosecond
 
 
 @pytest.mark.slow

@@ -62,25 +62,6 @@ def means_are_right(found):
 
 @pytest.mark.slow
 @KINDS
-def test_replica_exchange(simulation):
-    random.seed(3)
-    states = [{"temperature": T * unit.kelvin} for T in TEMPERATURES]
-    sampler = app.ReplicaExchangeSampler(states, simulation, 5)
-    found, places = {T: [] for T in TEMPERATURES}, []
-
-    def report(sampler):
-        places.append(tuple(sampler.replicaStateIndex))
-        for replica, state in enumerate(sampler.replicaStateIndex):
-            found[TEMPERATURES[state]].append(energy_of(sampler.replicaConformation[replica]))
-
-    sampler.reporters.append(report)
-    sampler.simulate(400)
-    assert len(set(places)) == 2
-    means_are_right({T: energies[20:] for T, energies in found.items()})
-
-
-@pytest.mark.slow
-@KINDS
 def test_expanded_ensemble(simulation):
     random.seed(4)
     states = [{"temperature": T * unit.kelvin} for T in TEMPERATURES]

@@ -69,35 +69,6 @@ def test_dipole_moment_is_that_of_the_literature(model, dipole):
     assert abs(np.linalg.norm(charge @ positions) / DEBYE - dipole) < 0.005
 
 
-def test_tip4p_is_jorgensens():
-    """Table I of J. Chem. Phys. 79, 926 (1983): A = 600e3 kcal A^12/mol, C = 610 kcal A^6/mol, M at 0.15 A."""
-    charge, sigma, epsilon, positions = nonbonded("tip4p")
-    s, e = 10 * sigma[0], epsilon[0] / KCAL
-    # Nine decimals in the file, raised to the 12th power.
-    np.testing.assert_allclose([4 * e * s**12, 4 * e * s**6], [600e3, 610], rtol=1e-7)
-    np.testing.assert_allclose(charge, [0, 0.52, 0.52, -1.04])
-    np.testing.assert_array_equal(epsilon[1:], 0)
-    check_four_sites(positions, 0.015)
-
-
-def test_tip4p2005_is_that_of_abascal_and_vega():
-    """Table I of J. Chem. Phys. 123, 234505 (2005): sigma 3.1589 A, epsilon/k 93.2 K, M at 0.1546 A."""
-    charge, sigma, epsilon, positions = nonbonded("tip4p2005")
-    np.testing.assert_allclose([sigma[0], epsilon[0]], [0.31589, 93.2 * 8.31446261815324e-3], rtol=1e-8)
-    np.testing.assert_allclose(charge, [0, 0.5564, 0.5564, -1.1128])
-    check_four_sites(positions, 0.01546)
-
-
-def check_four_sites(positions, distance):
-    oxygen, first, second, site = positions
-    legs = first - oxygen, second - oxygen
-    np.testing.assert_allclose([np.linalg.norm(leg) for leg in legs], 0.09572, rtol=1e-9)
-    cosine = legs[0] @ legs[1] / 0.09572**2
-    np.testing.assert_allclose(np.degrees(np.arccos(cosine)), 104.52, atol=1e-6)
-    bisector = legs[0] + legs[1]
-    np.testing.assert_allclose(site - oxygen, distance * bisector / np.linalg.norm(bisector), atol=1e-11)
-
-
 # --- the boxes ---
 
 

@@ -8,7 +8,6 @@ import openmm
 import pytest
 
 from openmm_sier import balance_pme
-from openmm_sier.measure.forcefields import read_box
 from tests.support.waters import cluster_system, periodic_system
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -83,15 +82,6 @@ def test_the_step_at_the_cutoff_is_smaller(tolerance):
             step[balanced] += side * energy(system, positions)
     # erfc(x) is about exp(-x^2) / (x sqrt(pi)): a share of 200 by the definition, and 22 to 33 % by x.
     assert 235 < step[0] / step[1] < 275
-
-
-@pytest.mark.slow
-def test_boxes_of_the_command_line_are_balanced():
-    system = read_box(SYSTEMS / "tip3p-512.pdb").system
-    found = pme_of(system).getPMEParameters()
-    assert found[0]._value > 0
-    balance_pme(system)
-    assert found == pme_of(system).getPMEParameters()
 
 
 @pytest.mark.parametrize("tolerance", [0.5, 0.0, math.nan])

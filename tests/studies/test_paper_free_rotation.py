@@ -1,6 +1,5 @@
 """The experiment on free rotation in miniature, and its reference of high precision."""
 
-import functools
 import math
 from dataclasses import replace
 
@@ -8,7 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from studies.paper import free_rotation, published, reference, tip4p
+from studies.paper import free_rotation, reference, tip4p
 from studies.paper.free_rotation import FreeRotationSettings
 from tests.support.oracles import rotation_by_dop853
 
@@ -54,43 +53,6 @@ def test_squared_deviations(rng):
     A[0, 0] += 1e-9
     # The deviation of 1e-9 is rounded to 1e-16.
     assert reference.squared_deviations(A, L, WATER, 0.25 / 8, 8) == pytest.approx(1e-18 / 6, rel=1e-6)
-
-
-@functools.cache
-def miniature():
-    """Until MRDL's delta is near 10 % at 8 fs, the paper's longer step."""
-    return free_rotation.find(
-        FreeRotationSettings(steps_fs=(4.0, 8.0), span=8.0, bodies=1500, exact_bodies=12, timed_bodies=100, timings=3)
-    )
-
-
-def taus():
-    return miniature().tables["taus"].set_index(["method", "step_fs"])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["MRDL", "SEJ4"])
-def test_tau_is_that_of_the_paper(method):
-    """Within 1.5. With 1500 bodies the standard error is 10 % for MRDL and 20 % for SEJ4, whose tail is heavier.
-
-    With another order of MRDL's factors or the other sign of SEJ4's commutator tau is off by more than 2.
-    """
-    found = taus().loc[method, 8.0]
-    assert 1 / 1.5 < found.tau / published.TAU[method, 8.0] < 1.5
-    assert found.tau_error < 0.3 * found.tau
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["SIER2", "SIER4"])
-def test_sier_has_the_error_of_rounding(method):
-    """The paper's tau is reached by linear extrapolation, and the first marks are at rounding of a few steps."""
-    found = taus().loc[method, 8.0]
-    assert found.tau > published.TAU["SIER2", 8.0]
-    curves = miniature().tables["curves"]
-    first = curves[(curves["method"] == method) & (curves["step_fs"] == 8.0)]["delta"].iloc[0]
-    # Ten steps of at most four turns, 1e-16 each.
-    assert 1e-17 < first < 4e-15
-    assert found.energy < 1e-10
 
 
 def test_result_of_a_known_law():

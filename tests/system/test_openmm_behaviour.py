@@ -17,6 +17,7 @@ def seeded(integrator):
 INTEGRATORS = {
     "LangevinMiddle": lambda: seeded(openmm.LangevinMiddleIntegrator(297.0, 1.0, 0.001)),
     "SIER4": lambda: SIER4Integrator(0.001),
+    "SIER4 native": lambda: SIER4Integrator(0.001, engine="native"),
     "SIERLangevin": lambda: seeded(SIERLangevinIntegrator(297.0, 1.0, 0.001, scheme=SIER2)),
 }
 every_integrator = pytest.mark.parametrize("make", INTEGRATORS.values(), ids=INTEGRATORS.keys())
