@@ -25,6 +25,7 @@ from openmm_sier.prepare.pme import balance_pme
 from tests.support import inputs
 from tests.support.commands import SMALL, complaint, contents, run, write_lattice
 from tests.support.inputs import EDGE
+from tests.support.waters import force_of, plain_context
 
 EDGES = ("--edges", "0.96", "0.96", "0.96")
 
@@ -86,9 +87,12 @@ def here(written, directory):
 
 
 def energy(system, positions):
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    return context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    return (
+        plain_context(system, positions)
+        .getState(energy=True)
+        .getPotentialEnergy()
+        .value_in_unit(unit.kilojoule_per_mole)
+    )
 
 
 def read(given):
@@ -150,9 +154,7 @@ def test_all_formats_hold_one_system():
     found = {}
     for name, given in ALL.items():
         box = read(given)
-        for force in box.system.getForces():
-            if isinstance(force, openmm.NonbondedForce):
-                force.setUseDispersionCorrection(False)
+        force_of(box.system).setUseDispersionCorrection(False)
         found[name] = energy(box.system, box.positions)
     assert found["gromacs"] > 100
     for name in found:

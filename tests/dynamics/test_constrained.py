@@ -12,7 +12,6 @@ from openmm_sier.dynamics import constrained
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import (
     constrained_bath,
-    constrained_drift,
     constrained_operators,
     equal_steps,
     inner_steps,
@@ -286,29 +285,6 @@ def test_fast_forces_at_the_end_of_a_drift_serve_the_next():
     # Other positions, equal or not, are computed anew.
     step(replace(state, q=state.q.copy()))
     assert fast.evaluations == 4 * 6 + 2
-
-
-def test_only_members_move_otherwise(rng):
-    atoms, bodies, constraints = with_water()
-    state = body_state(bodies, atoms, atoms.start(rng))
-    before = replace(state, q=state.q.copy(), p=state.p.copy())
-    members = constraints.members
-    part = constraints.restricted(members)
-    plain = drift(bodies)(state, 0.003)
-    moved = constrained_drift(drift(bodies), constraints)(state, 0.003)
-    within = equal_steps(SIER4, point_operators(part, of_positions(lambda q: np.ones_like(q))), 0.001)
-    pushed = nested_drift(drift(bodies), members, within)(state, 0.003)
-    others = np.setdiff1d(np.arange(bodies.n), members)
-    for found in (moved, pushed):
-        assert np.array_equal(found.q[:, others], plain.q[:, others])
-        assert np.array_equal(found.p[:, others], state.p[:, others])
-        assert np.array_equal(found.A, plain.A)
-        assert not np.array_equal(found.p[:, members], state.p[:, members])
-    # A uniform force accelerates as a whole, besides the constrained motion: compare totals.
-    gained = (pushed.p - moved.p)[:, members].sum(axis=1)
-    assert np.abs(gained - 0.003 * len(members)).max() < 1e-13
-    assert np.array_equal(state.q, before.q)
-    assert np.array_equal(state.p, before.p)
 
 
 @pytest.mark.parametrize("longest", [0.001, 0.003, 0.005])

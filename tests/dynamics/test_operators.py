@@ -62,27 +62,6 @@ def test_global_error_falls_with_the_order(rng, request, system, scheme, steps, 
     assert slope(cluster, scheme, cluster.start(rng), steps) == pytest.approx(order, abs=tolerance)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("scheme", "order"), [(SIER2, 2), (SIER2V2, 2), (SIER2P3, 2), (SIER4, 4), (SIER4G, 4)])
-def test_energy_error_falls_with_the_order_and_does_not_drift(rng, waters, scheme, order):
-    start = waters.start(rng)
-    energy = waters.energy(start)
-
-    def errors(h, steps):
-        _, operators = operators_of(waters)
-        step = stepper(scheme, operators, h)
-        state, found = start, []
-        for _ in range(steps):
-            state = step(state)
-            found.append(waters.energy(state) - energy)
-        return np.abs(found)
-
-    wide, narrow = errors(0.002, 200), errors(0.001, 400)
-    assert np.log2(wide.max() / narrow.max()) == pytest.approx(order, abs=0.4)
-    # A drift would show as an error that grows with time.
-    assert wide[100:].max() < 3 * wide[:100].max()
-
-
 # --- symplecticity ----------------------------------------------------------------------------------------------------
 
 #: Differences of width w err by w^4 = 1.6e-11 times fifth derivatives and by rounding of 1e-15 / w = 5e-13.

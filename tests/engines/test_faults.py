@@ -20,7 +20,7 @@ from openmm_sier import (
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
 from tests.support.faults import Fault, lines_run
-from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
+from tests.support.waters import cluster_system, context_at, force_of, periodic_system, phase_point, platform, relaxed
 
 
 @pytest.fixture(scope="module")
@@ -109,10 +109,8 @@ def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
 @pytest.fixture(scope="module")
 def box():
     topology, positions, system = periodic_system(molecules=27)
-    for force in system.getForces():
-        if isinstance(force, openmm.NonbondedForce):
-            force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-            force.setCutoffDistance(0.4)
+    force_of(system).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    force_of(system).setCutoffDistance(0.4)
     return topology, system, relaxed(topology, positions, system)
 
 

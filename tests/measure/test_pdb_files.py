@@ -1,10 +1,10 @@
 """PDB files that are refused, and how interactions are cut off in those that are not."""
 
-import openmm
 import pytest
 
 from openmm_sier.measure.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, read_box
 from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.waters import force_of
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_boxes_that_are_refused(tmp_path, lines, change, message):
 )
 def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, tolerance):
     system = read_box(SYSTEMS / "tip3p-512.pdb", interactions=interactions).system
-    (force,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    force = force_of(system)
     assert force.getCutoffDistance()._value == cutoff
     assert force.getEwaldErrorTolerance() == tolerance
     assert (force.getSwitchingDistance()._value if force.getUseSwitchingFunction() else None) == pytest.approx(switch)

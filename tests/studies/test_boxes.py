@@ -10,7 +10,7 @@ from openmm_sier import SIERIntegrator
 from openmm_sier.measure import forcefields
 from studies import acceptance, boxes
 from tests.support.commands import SYSTEMS, write_lattice
-from tests.support.waters import platform
+from tests.support.waters import plain_context, platform
 
 
 @pytest.mark.parametrize(("times", "copies"), [(1, (1, 1, 1)), (2, (1, 1, 2)), (64, (4, 4, 4)), (192, (4, 6, 8))])
@@ -25,8 +25,7 @@ def test_repeated_box_has_the_energy_of_its_copies(name):
     for copies in ((1, 1, 1), (1, 2, 1)):
         replica = boxes.repeated(found, SYSTEMS, copies)
         assert replica.molecules == 512 * math.prod(copies)
-        context = openmm.Context(replica.system, openmm.VerletIntegrator(0.001), platform("CPU"))
-        context.setPositions(replica.positions)
+        context = plain_context(replica.system, replica.positions, "CPU")
         energies.append(context.getState(energy=True).getPotentialEnergy()._value)
     # PME on meshes of two shapes, at a tolerance of 1e-5.
     assert energies[1] == pytest.approx(2 * energies[0], rel=1e-4)

@@ -12,6 +12,7 @@ from studies.paper import liquids, molecular_cutoff, tip4p
 from studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from studies.paper.molecular_cutoff import MolecularCutoff
 from tests.support.oracles import random_attitudes
+from tests.support.waters import plain_context
 
 ON, OFF, EDGE = 0.3, 0.5, 1.5
 POTENTIAL = MolecularCutoff(tip4p.SIGMA, tip4p.EPSILON, tip4p.CHARGE, ON, OFF)
@@ -57,9 +58,7 @@ def reference_energy_and_forces(positions):
     for _ in range(4 * n):
         system.addParticle(1.0)
     system.addForce(compound_bonds(n))
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions(positions)
-    state = context.getState(energy=True, forces=True)
+    state = plain_context(system, positions).getState(energy=True, forces=True)
     return (
         state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
         state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer),

@@ -5,7 +5,7 @@ import openmm
 import pytest
 from scipy.linalg import logm
 
-from openmm_sier import SIER2, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator
 from openmm_sier.dynamics.schemes import DRIFT
 from studies import sampling
 from studies.methods import SCHEMES
@@ -86,22 +86,3 @@ def test_torn_molecules_end_one_run_and_not_the_comparison():
     context.setVelocitiesToTemperature(2000, 1)
     with pytest.raises(sampling.Unstable):
         sampling.sample(context, RigidBodies.from_system(system, topology), 200, 5)
-
-
-def test_ions_have_no_rotational_temperature_and_are_sampled_all_the_same():
-    system = openmm.System()
-    force = openmm.CustomNonbondedForce("50*(r - 0.3)^2")
-    for _ in range(2):
-        system.addParticle(23.0)
-        force.addParticle([])
-    system.addForce(force)
-    context = openmm.Context(system, SIER2Integrator(0.001), platform())
-    context.setPositions([[0, 0, 0], [0.35, 0, 0]])
-    series = sampling.sample(context, RigidBodies.from_system(system), 20, 5)
-    assert series.time == pytest.approx([0.005, 0.01, 0.015, 0.02])
-    assert np.isnan(series.rotation).all()
-    # At rest at the start, and the centre of mass for ever: three degrees of freedom of two bodies.
-    kinetic = series.translation * 3 * 8.31446261815324e-3 / 2
-    np.testing.assert_allclose(kinetic, series.kinetic, rtol=1e-9)
-    # Of (h w)^2/8 = 1e-6, w = sqrt(2 100/23)/ps.
-    np.testing.assert_allclose(series.total, 50 * 0.05**2, rtol=1e-5)

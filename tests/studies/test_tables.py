@@ -12,7 +12,6 @@ from studies.bench import accuracy, timing
 from studies.equipartition import MEASURED
 from studies.hmc import solvated
 from studies.methods import OTHERS
-from studies.records import Record
 from studies.speed import Turn
 
 # --- acceptance -------------------------------------------------------------------------------------------------------
@@ -156,26 +155,6 @@ def test_errors_are_shared_by_rows_of_one_box_and_method():
     assert list(found["density_error"]) == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
     # An error that no row has stays unknown.
     assert found["energy_error"].isna().all()
-
-
-def test_deviations_are_from_hybrid_monte_carlo_or_from_the_shortest_step():
-    rows = [
-        point("SIER2", 1.0, energy=(-46.0, 0.3), diffusion=(2.2, 0.3)),
-        point("SIER4G", 1.0, 3, diffusion=(2.4, 0.3)),
-        # Left out of the reference, since its bath heats the liquid.
-        point("OpenMM Verlet", 1.0, energy=(-40.0, 0.3), diffusion=(9.0, 0.3)),
-        point("SIER4G", 2.0, 3, energy=(-45.3, 0.4), diffusion=(2.5, 0.4)),
-        point("SIER4G HMC", 2.0, 3, energy=(-45.0, 0.3)),
-        point("SIER4G HMC", 3.0, 3, energy=(-46.0, 0.3)),
-    ]
-    energy, diffusion = step_study.tables(Record({}, {"rows": pd.DataFrame(rows)}, {"title": ""}))[2:]
-    assert energy.columns == ["method", "fs per force", "SPC/E"]
-    # The mean of two rows with errors of 0.3 has 0.3/sqrt(2) = 0.21. Differences have sqrt(0.3^2 + 0.21^2) = 0.37 and
-    # sqrt(0.4^2 + 0.21^2) = 0.45.
-    assert energy.rows[:2] == [["reference", "", "-45.50 ± 0.21"], ["SIER2", "1", "-0.50 ± 0.37"]]
-    assert ["SIER4G", "2", "0.20 ± 0.45"] in energy.rows
-    assert diffusion.rows[0] == ["reference", "", "2.30 ± 0.21"]
-    assert ["SIER4G", "2", "0.20 ± 0.45"] in diffusion.rows
 
 
 def power_law(factor, power):

@@ -12,6 +12,8 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from tests.support.waters import plain_context
+
 #: The files of AMBER, GROMACS and CHARMM.
 FILES = Path(__file__).parents[1] / "data" / "inputs"
 
@@ -27,8 +29,7 @@ def positions() -> np.ndarray:
 def write_openmm(directory: Path, system: openmm.System, name: str = "openmm") -> tuple[Path, Path]:
     """A State and a System in XML, whose box is then wider, as before an equilibration; the System is changed."""
     coordinates, topology = directory / f"{name}-state.xml", directory / f"{name}-system.xml"
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions())
+    context = plain_context(system, positions())
     coordinates.write_text(openmm.XmlSerializer.serialize(context.getState(positions=True)))
     system.setDefaultPeriodicBoxVectors(*(1.1 * EDGE * np.eye(3)))
     topology.write_text(openmm.XmlSerializer.serialize(system))

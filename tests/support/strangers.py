@@ -5,6 +5,7 @@ import json
 import openmm
 
 from tests.support.subprocesses import run_python
+from tests.support.waters import plain_context
 
 #: Steps of the integrator, and the energies after each, or why it cannot make a step.
 PROGRAM = """
@@ -42,7 +43,5 @@ def fails_as_stranger(directory, integrator):
     """Whether a program of a free particle fails with the word of what would have to be imported."""
     system = openmm.System()
     system.addParticle(1.0)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions([[0, 0, 0]])
-    state = context.getState(positions=True, velocities=True)
+    state = plain_context(system, [[0, 0, 0]]).getState(positions=True, velocities=True)
     return "import_openmm_sier" in run_as_stranger(directory, system, integrator, state)[2]

@@ -103,6 +103,18 @@ def context_at(system, integrator, point, name="Reference", steps=None):
     return context
 
 
+def plain_context(system, positions, name="Reference"):
+    """A Context at positions, of one of OpenMM's own integrators, for energies and forces."""
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform(name))
+    context.setPositions(positions)
+    return context
+
+
+def force_of(system, kind=openmm.NonbondedForce):
+    """The first Force of a kind in a System."""
+    return next(force for force in system.getForces() if isinstance(force, kind))
+
+
 def droplet(molecules=27, stiffness=50.0):
     """Topology, positions and System of a drop of water whose oxygens a weak harmonic force in kJ/mol/nm^2 holds.
 

@@ -9,6 +9,7 @@ from openmm_sier import make_whole
 from openmm_sier.measure.forcefields import ForceFieldError, read_box
 from openmm_sier.system.boxes import wrapped
 from tests.support.peptides import capped_alanine_box, forcefield
+from tests.support.waters import plain_context
 
 #: nm, as rows: wide enough for the peptide and its water, and oblique.
 VECTORS = np.array([[2.4, 0, 0], [0.5, 2.3, 0], [-0.6, 0.7, 2.2]])
@@ -34,9 +35,12 @@ def peptide():
 
 
 def energy(system, positions):
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions(positions)
-    return context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    return (
+        plain_context(system, positions)
+        .getState(energy=True)
+        .getPotentialEnergy()
+        .value_in_unit(unit.kilojoule_per_mole)
+    )
 
 
 @pytest.mark.parametrize("constraints", ["none", "hbonds"])

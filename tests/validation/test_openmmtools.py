@@ -93,22 +93,6 @@ def test_the_cache_gives_what_it_is_asked_for(box):
             assert contexts.get_context(state, INTEGRATORS[name]())[0] is context, (before, asked)
 
 
-def test_every_context_of_the_cache_moves(drop):
-    contexts, ends = cache.ContextCache(platform=platform()), []
-    for name in ("SIER2", "Langevin with SIER2", "SIER4G", "Langevin with SIER4G", "SIER2"):
-        context, integrator = contexts.get_context(state_at(drop), INTEGRATORS[name]())
-        sampler_state(drop).apply_to_context(context)
-        if not isinstance(integrator, SIERLangevinIntegrator):
-            # openmmtools leaves it the Andersen thermostat.
-            context.setParameter(openmm.AndersenThermostat.CollisionFrequency(), 0)
-        integrator.step(3)
-        ends.append(array(context.getState(positions=True).getPositions(asNumpy=True)))
-    # The last one asked for is the first one, in the same Context, and does the same.
-    assert np.array_equal(ends[0], ends[-1])
-    for one, two in itertools.combinations(ends[:-1], 2):
-        assert np.abs(one - two).max() > 1e-6
-
-
 def test_the_cache_sets_the_friction_that_is_asked_for(drop):
     """It leaves friction and step out of its keys, as for OpenMM's integrators: one Context serves all values."""
     contexts = cache.ContextCache(platform=platform())

@@ -5,13 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from openmm_sier import BodyState
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import ConstraintError, Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
-from openmm_sier.dynamics.operators import drift
-from openmm_sier.dynamics.species import Species
 from tests.support.flexible import KAHAN_LI, cage, many, mixture, repeated, residual, ring, rotor
 
 
@@ -238,27 +234,6 @@ def test_a_singular_geometry_is_named():
     straight = Constraints([(0, 1), (1, 2), (0, 2)], [0.116, 0.116, 0.232], [16.0, 12.0, 16.0])
     with pytest.raises(ConstraintError, match="on a line"):
         straight.rank(line.T)
-
-
-@pytest.mark.parametrize("leaves", [1, 3, 5])
-def test_a_rigid_cluster_by_constraints_moves_as_a_rigid_body(rng, leaves, executed_by):
-    """All distances of a pair or a cluster: its geodesic is free rotation. Of six atoms many are redundant."""
-    system = rotor(min(leaves, 4))
-    further = np.add(system.x.T[:1], [0.05, 0.11, 0.02])
-    x = np.vstack([system.x.T, *[further] * (leaves - 4)])
-    masses = [*system.masses, *[2.0] * (leaves - 4)]
-    pairs = [(i, j) for i in range(len(x)) for j in range(i)]
-    constraints = Constraints(pairs, [np.linalg.norm(x[i] - x[j]) for i, j in pairs], masses)
-    q = constraints.satisfied(x.T)
-    assert constraints.rank(q) == max(3 * len(x) - 6, 1)
-    p = thermal(rng, constraints, q)
-    body = RigidBodies([Species.from_coordinates([range(len(x))], masses, q.T)], len(x))
-    centre, A = body.fit(q.T)
-    momentum, L = body.momenta((p / constraints.masses).T, A)
-    end = drift(body)(BodyState(centre, momentum, A, L), 0.01)
-    found, _ = constraints.drift(q, p, 0.01, repeated(2, KAHAN_LI))
-    # Sixth order of 0.1 rad in two parts: some 1e-11.
-    assert np.abs(found - body.place(end.q, end.A, np.empty(x.shape)).T).max() < 1e-10
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
