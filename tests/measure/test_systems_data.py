@@ -153,16 +153,6 @@ def test_densities_are_those_of_the_tables():
         make.salt_water_density(297, 8)
 
 
-def test_composition_comes_nearest_to_the_molality():
-    waters, pairs = make.composition(1000, 2.0)
-    assert waters + 2 * pairs == 1000
-    for other in (pairs - 1, pairs + 1):
-        near, far = (abs(n / ((1000 - 2 * n) * make.KG_PER_MOL) - 2.0) for n in (pairs, other))
-        assert near < far
-    with pytest.raises(ValueError, match="too few"):
-        make.composition(10, 0.1)
-
-
 @pytest.mark.slow
 def test_made_box_is_read_back(tmp_path, capsys):
     out = tmp_path / "made.pdb"
@@ -173,11 +163,3 @@ def test_made_box_is_read_back(tmp_path, capsys):
     assert box.files == ("amber14/spce.xml",)
     assert RigidBodies.from_system(box.system).n == 40
     assert re.search(r"and 1 NaCl, 1\.461 mol/kg", out.read_text())
-
-
-def test_model_without_ions_refuses_salt(capsys):
-    assert make.main(["--model", "tip4p", "--salt", "1"]) == 1
-    assert (
-        capsys.readouterr().err
-        == "make.py: no force field with ions is known here for tip4p water; tip3p and spce have one\n"
-    )
