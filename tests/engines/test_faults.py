@@ -142,12 +142,16 @@ def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
 
 @pytest.mark.slow
 def test_a_fault_at_any_line_with_a_barostat(box):
+    """With a fixed particle of no body, which barostats move too."""
     system = openmm.XmlSerializer.clone(box[1])
+    force_of(system).addParticle(0.0, 0.3, 0.0)
+    system.addParticle(0.0)
+    point = [np.vstack([values, [0.3, 0.2, 0.1]]) for values in box[2]]
     barostat = openmm.MonteCarloBarostat(1.0, 297.0, 1)
     barostat.setRandomNumberSeed(5)
     system.addForce(barostat)
     integrator = langevin()
-    context = context_at(system, integrator, box[2], "CPU", steps=1)
+    context = context_at(system, integrator, point, "CPU", steps=1)
     total = lines_run(lambda: integrator.step(1))
     moved = 0
     for line in range(1, total + 1):
