@@ -9,12 +9,7 @@ import pytest
 from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import (
-    RigidBodies,
-    RigidityError,
-    SIER2Integrator,
-    SIER4Integrator,
-)
+from openmm_sier import RigidBodies, RigidityError, SIER2Integrator, SIER4Integrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.cages import cage
 from tests.support.flexible_systems import started

@@ -4,15 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import (
-    SIER2,
-    SIER4,
-    SIER4G,
-    RigidBodies,
-    RigidityError,
-    SIERIntegrator,
-    SIERLangevinIntegrator,
-)
+from openmm_sier import SIER2, SIER4, SIER4G, RigidBodies, RigidityError, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.rotation import mrdl, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.strangers import fails_as_stranger, run_as_stranger

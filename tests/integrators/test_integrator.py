@@ -5,20 +5,8 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import (
-    SIER2P3,
-    SIER2Integrator,
-    SIERHMCIntegrator,
-    SIERIntegrator,
-    SIERLangevinIntegrator,
-)
-from tests.support.waters import (
-    context_at,
-    energies,
-    periodic_system,
-    phase_point,
-    platform,
-)
+from openmm_sier import SIER2P3, SIER2Integrator, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from tests.support.waters import context_at, energies, periodic_system, phase_point, platform
 
 
 def test_a_box_changed_from_outside_is_noticed(box):

@@ -53,7 +53,7 @@ class Miniature(NamedTuple):
     lines: tuple[str, ...]
     check: Callable[[dict[str, pd.DataFrame]], None]
     record: str
-    figure: bool = True
+    figure: bool = False
     patches: tuple[tuple[object, str, object], ...] = ()
     kept: str = ""
 
@@ -233,6 +233,7 @@ MINIATURES = {
         ("{box} --sizes 27 --schemes verlet sier4g --trials 3 --time 0.012 --equilibrate 0.03 --platform CPU",),
         acceptances,
         "acceptance",
+        figure=True,
         kept="*.jsonl",
     ),
     "bench": Miniature(
@@ -240,6 +241,7 @@ MINIATURES = {
         ("{box} --time 0.1 --equilibrate 0.02 --platform Reference",),
         benchmarks,
         "bench",
+        figure=True,
         patches=((accuracy, "METHODS", {"verlet": (1.0,), "sier4": (1.0,)}), (peers, "installed", list)),
     ),
     "defaults": Miniature(
@@ -250,7 +252,6 @@ MINIATURES = {
         ),
         two_means_and_ranges,
         "defaults",
-        figure=False,
         kept="*.jsonl",
     ),
     "equipartition": Miniature(
@@ -261,15 +262,15 @@ MINIATURES = {
         ),
         temperatures,
         "equipartition",
+        figure=True,
         kept="*.jsonl",
     ),
-    "exactness": Miniature(exactness, ("--trials 200 --processes 1",), known_averages, "exactness", figure=False),
+    "exactness": Miniature(exactness, ("--trials 200 --processes 1",), known_averages, "exactness"),
     "heat bath": Miniature(
         heat_bath,
         ('{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2, 8 fs" --time 5 --equilibrate 0.2 --friction 20',),
         bath_averages,
         "heat-bath",
-        figure=False,
         kept="*.jsonl",
     ),
     "mesh": Miniature(
@@ -280,7 +281,6 @@ MINIATURES = {
         ),
         meshes,
         "mesh",
-        figure=False,
     ),
     "mixture": Miniature(
         mixture,
@@ -291,16 +291,14 @@ MINIATURES = {
         ),
         mixtures,
         "mixture",
-        figure=False,
         patches=((mixture, "start", lambda settings: app.PDBFile(str(DIPEPTIDE))),),
     ),
-    "native program": Miniature(counts, ("--schemes sier2 sier4g",), counted, "native-program", figure=False),
+    "native program": Miniature(counts, ("--schemes sier2 sier4g",), counted, "native-program"),
     "paper, dipole": Miniature(
         paper_command,
         ("dipole --quick",),
         lambda found: None,
         "dipole",
-        figure=False,
         patches=((dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1)),),
     ),
     "paper, free rotation": Miniature(
@@ -308,7 +306,6 @@ MINIATURES = {
         ("free-rotation --quick",),
         lambda found: None,
         "free-rotation",
-        figure=False,
         patches=((free_rotation, "QUICK", FREE),),
     ),
     "paper, water": Miniature(
@@ -316,6 +313,7 @@ MINIATURES = {
         ("water --quick",),
         errors_of_schemes,
         "water",
+        figure=True,
         patches=((water_runs, "QUICK", WATER),),
     ),
     "samples": Miniature(
@@ -329,7 +327,6 @@ MINIATURES = {
         ),
         sampled,
         "samples",
-        figure=False,
     ),
     "schemes": Miniature(
         schemes,
@@ -339,7 +336,7 @@ MINIATURES = {
         ),
         schemes_by_step,
         "schemes",
-        figure=False,
+        figure=True,
         kept="*.jsonl",
     ),
     "solvated": Miniature(
@@ -353,7 +350,6 @@ MINIATURES = {
         ),
         solvated_trials,
         "solvated",
-        figure=False,
     ),
     "speed": Miniature(
         speed,
@@ -363,7 +359,6 @@ MINIATURES = {
         ),
         speeds,
         "speed",
-        figure=False,
         patches=(
             (speed, "STEPS", {"verlet": (0.5, 2.0), "sier2": (0.5,), "sier2p3": (1.0,), "sier4g": (1.0,)}),
             (usual_inputs, "installed", list),
@@ -376,6 +371,7 @@ MINIATURES = {
         ("--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1",),
         whole_runs,
         "whole-run",
+        figure=True,
         kept="*.jsonl",
     ),
     "processed": Miniature(
@@ -383,7 +379,6 @@ MINIATURES = {
         ("--starts 1 --steps 2 --time 0.3 --equilibrate 0.1",),
         processed_state,
         "processed",
-        figure=False,
         kept="*.jsonl",
     ),
 }

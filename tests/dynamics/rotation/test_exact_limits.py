@@ -5,10 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from openmm_sier.dynamics import rotation
-from openmm_sier.dynamics.backend.elliptic import (
-    LONGEST,
-    SHORT,
-)
+from openmm_sier.dynamics.backend.elliptic import LONGEST, SHORT
 from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
 from tests.support import oracles
 from tests.support.families import FAMILIES, asymmetric, linear, point, sample, spherical
