@@ -40,23 +40,6 @@ def test_water_box_conserves_energy(tmp_path):
 
 
 @pytest.mark.slow
-def test_water_box_differs_from_a_verlet_script_in_two_lines(tmp_path):
-    """The commented lines put in force, with a time step of 1 fs, give OpenMM's own integrator, and that runs too."""
-    text = (EXAMPLES / "water_box.py").read_text()
-    lines = text.splitlines()
-    (ours,) = [i for i, line in enumerate(lines) if line.startswith("integrator = SIER4Integrator(")]
-    (theirs,) = [i for i, line in enumerate(lines) if line.startswith("# integrator = VerletIntegrator(")]
-    lines[ours] = lines[theirs][2:]
-    lines = [line[2:] if line.startswith("# from openmm import") else line for line in lines]
-    path = tmp_path / "verlet.py"
-    systems = f"Path({str(ROOT / 'systems')!r})"
-    path.write_text("\n".join(lines).replace('Path(__file__).parent.parent / "systems"', systems))
-    assert systems in path.read_text()
-    text = output(tmp_path, path, "--steps", "20")
-    assert re.search(r"[\d.]+% of it", text)
-
-
-@pytest.mark.slow
 def test_pdb_setup_names_the_bodies_and_writes_a_trajectory(tmp_path):
     text = output(tmp_path, "pdb_setup.py", "--steps", "10")
     assert re.search(r"494 x HOH +18\.015 dalton, 6 degrees of freedom", text)

@@ -1,7 +1,5 @@
 """What an import of the package brings along."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

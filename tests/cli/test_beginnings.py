@@ -1,24 +1,14 @@
-"""New runs from checkpoints of others, residues that are named as rigid, body states, and lines about progress."""
+"""New runs from checkpoints of others, body states, and lines about progress."""
 
 from pathlib import Path
 
-import mdtraj
 import numpy as np
 import pytest
-from openmm import app, unit
-from scipy.spatial.transform import Rotation
 
 from openmm_sier.cli import console, main
 from openmm_sier.cli import run as command
 from openmm_sier.cli.files import checkpoints
 from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, run
-
-#: A rigid ring of six united atoms with charges that alternate; no bonds, since nothing is to hold it but rigidity.
-RING = """<ForceField>
- <AtomTypes>{types}</AtomTypes>
- <Residues><Residue name="RNG">{atoms}</Residue></Residues>
- <NonbondedForce coulomb14scale="1" lj14scale="1">{parameters}</NonbondedForce>
-</ForceField>"""
 
 
 @pytest.fixture(scope="module")
@@ -104,65 +94,6 @@ def test_starts_that_are_refused(box, npt_run, capsys):
     reordered.write_text("".join(line for line in lines if not line.startswith("CONECT")))
     assert "npt.chk does not fit" in complaint(capsys, "run", reordered, "--start", start)
     assert not list(Path().iterdir())
-
-
-# --- named rigid bodies ---
-
-
-@pytest.fixture(scope="module")
-def rings(tmp_path_factory):
-    """A PDB file and a force field of eight rings in a box."""
-    directory = tmp_path_factory.mktemp("rings")
-    types = "".join(f'<Type name="R{i}" class="R{i}" element="C" mass="13"/>' for i in range(6))
-    atoms = "".join(f'<Atom name="C{i}" type="R{i}"/>' for i in range(6))
-    parameters = "".join(f'<Atom type="R{i}" charge="{0.1 * (-1) ** i}" sigma="0.3" epsilon="0.2"/>' for i in range(6))
-    (directory / "ring.xml").write_text(RING.format(types=types, atoms=atoms, parameters=parameters))
-    topology, positions = app.Topology(), []
-    chain, carbon = topology.addChain(), app.Element.getBySymbol("C")
-    angles = np.pi / 3 * np.arange(6)
-    ring = 0.139 * np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=1)
-    for corner in np.ndindex(2, 2, 2):
-        residue = topology.addResidue("RNG", chain)
-        for i in range(6):
-            topology.addAtom(f"C{i}", carbon, residue)
-        positions.append(
-            ring @ Rotation.random(rng=np.random.default_rng(corner[0])).as_matrix() + 0.7 * np.array(corner)
-        )
-    topology.setUnitCellDimensions([1.4] * 3 * unit.nanometer)
-    with open(directory / "rings.pdb", "w") as file:
-        app.PDBFile.writeFile(topology, np.concatenate(positions) * unit.nanometer, file)
-    return directory
-
-
-@pytest.mark.slow
-def test_named_residues_stay_rigid(rings, capsys):
-    command = ["run", rings / "rings.pdb", "--forcefield", rings / "ring.xml", "--rigid", "RNG", *SMALL, "--dt", "4"]
-    run(*command, "--steps", "20")
-    read = mdtraj.load("rings.dcd", top=str(rings / "rings.pdb"))
-    pairs = [(6 * k + i, 6 * k + j) for k in range(8) for i in range(6) for j in range(i)]
-    distances = mdtraj.compute_distances(read, pairs)
-    # The DCD file has single precision in Angstrom, the PDB file 0.0001 nm, of which two coordinates make a distance.
-    np.testing.assert_allclose(distances, np.tile(distances[0], (read.n_frames, 1)), atol=5e-6)
-    expected = np.array([0.139 * 2 * np.sin(np.pi / 6 * (i - j)) for _ in range(8) for i in range(6) for j in range(i)])
-    np.testing.assert_allclose(distances[0], expected, atol=4e-4)
-    # They move, and as bodies of 6 degrees of freedom: temperatures of both kinds are those of a liquid.
-    rows = log("rings.csv")
-    assert 0 < rows["Rotational Temperature (K)"].min() < rows["Rotational Temperature (K)"].max() < 900
-    assert np.ptp(rows["Potential Energy (kJ/mole)"]) > 0
-    # A restart takes the residues from the checkpoint, and goes the same way.
-    run(*command, "--steps", "40", "--out", "whole.dcd")
-    again = ["run", rings / "rings.pdb", "--platform", "Reference", "--restart", "rings.chk"]
-    run(*again, "--steps", "40")
-    assert Path("rings.csv").read_bytes() == Path("whole.csv").read_bytes()
-    assert "--rigid HOH differs from" in complaint(capsys, *again, "--steps", "50", "--rigid", "HOH")
-
-
-def test_info_of_named_residues(rings, capsys):
-    run("info", rings / "rings.pdb", "--forcefield", rings / "ring.xml", "--rigid", "RNG")
-    assert "8 rigid bodies, 48 particles, 48 degrees of freedom" in capsys.readouterr().out
-    field = ["--forcefield", str(rings / "ring.xml")]
-    message = complaint(capsys, "info", rings / "rings.pdb", *field, "--rigid", "BNZ")
-    assert "BNZ" in message
 
 
 # --- wrapped and unwrapped frames ---

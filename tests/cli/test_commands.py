@@ -1,7 +1,5 @@
 """`run` beyond constant energy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -65,22 +63,16 @@ def test_options_of_another_ensemble(capsys, box, arguments, message):
     assert message in complaint(capsys, "run", str(box), *arguments)
 
 
-def test_default_scheme_is_that_of_the_integrators(box):
-    run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1")
+@pytest.mark.parametrize(
+    ("options", "integrator", "step"),
+    [
+        ([], SIERIntegrator(0.001), SIER4G.constant_energy_step),
+        (["--ensemble", "nvt"], SIERLangevinIntegrator(300, 1, 0.001), SIER2.bath_step),
+        (["--ensemble", "nvt", "--hydrogen-mass", "4"], SIERLangevinIntegrator(300, 1, 0.001), SIER2.heavy_bath_step),
+    ],
+)
+def test_schemes_and_steps_are_the_usual_ones(box, options, integrator, step):
+    run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1", *options)
     plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
-    assert CATALOGUE[plan["scheme"]] == SIERIntegrator(0.001).scheme == SIER4G
-    assert plan["dt"] == pytest.approx(1000 * SIER4G.constant_energy_step)
-
-
-def test_usual_steps_are_those_of_the_scheme(box):
-    run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--ensemble", "nvt")
-    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
-    assert CATALOGUE[plan["scheme"]] == SIERLangevinIntegrator(300, 1, 0.001).scheme.without_bath() == SIER2
-    assert plan["dt"] == pytest.approx(1000 * SIER2.bath_step)
-
-
-def test_usual_steps_with_heavy_hydrogens(box):
-    options = ("--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--ensemble", "nvt")
-    run("run", box, *options, "--hydrogen-mass", "4")
-    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
-    assert plan["dt"] == pytest.approx(1000 * SIER2.heavy_bath_step)
+    assert CATALOGUE[plan["scheme"]] == integrator.scheme.without_bath()
+    assert plan["dt"] == pytest.approx(1000 * step)

@@ -14,7 +14,6 @@ from openmm import app, unit
 from scipy.io import netcdf_file
 
 from openmm_sier.cli.files.checkpoints import read_checkpoint
-from openmm_sier.cli.main import main
 from openmm_sier.cli.options import Options
 from openmm_sier.cli.tune import run_line
 from openmm_sier.measure.file_kinds import kind_of
@@ -25,6 +24,7 @@ from openmm_sier.prepare.pme import balance_pme
 from tests.support import inputs
 from tests.support.commands import SMALL, complaint, contents, run, write_lattice
 from tests.support.inputs import EDGE
+from tests.support.waters import force_of, plain_context
 
 EDGES = ("--edges", "0.96", "0.96", "0.96")
 
@@ -70,12 +70,9 @@ EACH = pytest.mark.parametrize("given", ALL.values(), ids=ALL)
 def written(tmp_path_factory):
     """A directory with all of them. The System is that of the prmtop file, and removes the motion of the centre."""
     place = tmp_path_factory.mktemp("inputs")
-    coordinates, topology = inputs.write_amber(place)
-    inputs.write_amber(place, "vacuum", box=False)
-    inputs.write_gromacs(place)
-    inputs.write_charmm(place)
-    box = app.AmberInpcrdFile(str(coordinates)).boxVectors
-    prmtop = app.AmberPrmtopFile(str(topology), periodicBoxVectors=box)
+    shutil.copytree(inputs.FILES, place, dirs_exist_ok=True)
+    box = app.AmberInpcrdFile(str(place / AMBER.coordinates)).boxVectors
+    prmtop = app.AmberPrmtopFile(str(place / AMBER.topology), periodicBoxVectors=box)
     inputs.write_openmm(place, prmtop.createSystem(**SETTINGS | {"removeCMMotion": True}))
     for name in ("structure.pdb", "structure.cif"):
         inputs.write_pdb(place / name, prmtop.topology, inputs.positions())
@@ -89,9 +86,12 @@ def here(written, directory):
 
 
 def energy(system, positions):
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    return context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    return (
+        plain_context(system, positions)
+        .getState(energy=True)
+        .getPotentialEnergy()
+        .value_in_unit(unit.kilojoule_per_mole)
+    )
 
 
 def read(given):
@@ -153,9 +153,7 @@ def test_all_formats_hold_one_system():
     found = {}
     for name, given in ALL.items():
         box = read(given)
-        for force in box.system.getForces():
-            if isinstance(force, openmm.NonbondedForce):
-                force.setUseDispersionCorrection(False)
+        force_of(box.system).setUseDispersionCorrection(False)
         found[name] = energy(box.system, box.positions)
     assert found["gromacs"] > 100
     for name in found:
@@ -175,16 +173,6 @@ def test_interactions_are_those_that_are_asked_for():
 
 
 @pytest.mark.slow
-def test_run_with_no_other_option_restarts_bit_for_bit():
-    """It equilibrates until the liquid has settled; `--time` alone says where it is cut."""
-    command = ["run", *AMBER.arguments, "--platform", "Reference"]
-    run(*command, "--time", "0.09", "--out", "whole.dcd", "--every", "0.009", "--checkpoint-every", "0.045")
-    run(*command, "--time", "0.045", "--out", "cut.dcd", "--every", "0.009", "--checkpoint-every", "0.045")
-    run("run", AMBER.coordinates, "--platform", "Reference", "--time", "0.09", "--restart", "cut.chk")
-    assert_same_runs("cut", "whole")
-
-
-@pytest.mark.slow
 @EACH
 @pytest.mark.parametrize("ensemble", ["nve", "npt"])
 def test_restarts_are_bit_for_bit_alike(given, ensemble):
@@ -194,6 +182,25 @@ def test_restarts_are_bit_for_bit_alike(given, ensemble):
     # The checkpoint knows the topology and everything else.
     run("run", given.coordinates, "--platform", "Reference", "--steps", "20", "--restart", "cut.chk")
     assert_same_runs("cut", "whole")
+
+
+@pytest.mark.slow
+def test_named_residues_stay_rigid_and_a_restart_knows_them(capsys):
+    command = ["run", *AMBER.arguments, *SMALL, "--rigid", "HPO", "--checkpoint-every", "0.04"]
+    run(*command, "--steps", "20", "--out", "whole.dcd")
+    run(*command, "--steps", "10", "--out", "cut.dcd")
+    again = ["run", AMBER.coordinates, "--platform", "Reference", "--restart", "cut.chk"]
+    run(*again, "--steps", "20")
+    assert_same_runs("cut", "whole")
+    assert "--rigid HOH differs from" in complaint(capsys, *again, "--steps", "30", "--rigid", "HOH")
+    with DCDTrajectoryFile("whole.dcd") as frames:
+        x = frames.read()[0]
+    assert x.shape[1:] == (82, 3)
+    peroxide = x[:, :4]
+    assert np.ptp(peroxide, axis=0).max() > 0.01
+    distances = np.linalg.norm(peroxide[:, :, None] - peroxide[:, None], axis=3)
+    # The DCD file has single precision in Angstrom, of coordinates up to 10.
+    assert np.ptp(distances, axis=0).max() < 1e-5
 
 
 def assert_same_runs(one, two):
@@ -210,13 +217,6 @@ def test_run_that_starts_from_a_checkpoint_has_its_topology():
     plans = [read_checkpoint(Path(name))[1]["plan"] for name in ("charmm.chk", "b.chk")]
     for name in ("topology", "forcefield", "edges"):
         assert plans[0][name] == plans[1][name] is not None
-
-
-@pytest.mark.slow
-def test_trajectories_have_all_atoms_of_the_coordinates():
-    run("run", *GROMACS.arguments, *SMALL, "--steps", "5", "--out", "a.dcd")
-    with DCDTrajectoryFile("a.dcd") as frames:
-        assert frames.read()[0].shape[1] == 82
 
 
 @pytest.mark.parametrize("name", ["amber.prmtop", "molecules.itp", "charmm.prm", "amber.inpcrd"])
@@ -413,12 +413,6 @@ def test_restart_files_of_amber_may_be_netcdf():
     np.testing.assert_allclose(binary.positions._value, text.positions._value, atol=1e-8)
     edges = np.array(binary.topology.getPeriodicBoxVectors()._value)
     np.testing.assert_allclose(edges, EDGE * np.eye(3), atol=1e-12)
-
-
-def test_edges_are_three(capsys):
-    with pytest.raises(SystemExit):
-        main(["info", "structure.pdb", "--edges", "1", "2"])
-    assert "--edges" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

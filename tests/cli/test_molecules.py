@@ -1,7 +1,5 @@
 """The command with molecules that are not rigid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from openmm import app, unit

@@ -35,13 +35,6 @@ def differences(capsys):
     return [line for line in capsys.readouterr().out.splitlines() if line.startswith("part.chk was written on")]
 
 
-def test_a_restart_stays_on_reference_and_is_the_same_to_the_last_bit(box, begun, part, capsys):
-    run("run", box, "--restart", part, "--steps", 20)
-    assert differences(capsys) == []
-    for ending in (".dcd", ".csv"):
-        assert part.with_suffix(ending).read_bytes() == (begun / f"whole{ending}").read_bytes()
-
-
 def test_a_restart_finds_the_coordinates_by_its_checkpoint(begun, part, capsys):
     run("run", "--restart", part, "--steps", 20)
     assert part.with_suffix(".dcd").read_bytes() == (begun / "whole.dcd").read_bytes()

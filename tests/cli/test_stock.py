@@ -1,7 +1,5 @@
 """`openmm-sier run` with OpenMM's own integrators: the same files, the same restarts, the same start."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`tune`: what it prints is a run that can be made."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The documentation site, built once, and a browser that opens it."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

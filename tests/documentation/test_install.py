@@ -1,7 +1,5 @@
 """What installing, using and uninstalling the package leaves behind, in environments of their own and offline."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

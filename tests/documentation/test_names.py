@@ -1,7 +1,5 @@
 """Files, modules and studies that pages name are there. Sphinx sees links, but no names in backquotes."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from pathlib import Path

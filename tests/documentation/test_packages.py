@@ -1,7 +1,5 @@
 """Version and metadata agree in all files that state them."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

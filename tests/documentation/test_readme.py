@@ -1,7 +1,5 @@
 """The script of README gives what README says: nothing is gained without the preparation, and several times with it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What pages show of records: tables, single numbers, what is wrong with them, and that no table of a page is typed."""
 
-from __future__ import annotations
-
 import re
 from io import StringIO
 from pathlib import Path

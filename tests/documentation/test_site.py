@@ -3,8 +3,6 @@
 Skipped where the site cannot be built or no browser is installed.
 """
 
-from __future__ import annotations
-
 import re
 from urllib.parse import unquote, urldefrag
 

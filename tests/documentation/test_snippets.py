@@ -1,7 +1,5 @@
 """The code that README, guides and how-tos show runs as it stands, with fewer steps."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

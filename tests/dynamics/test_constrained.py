@@ -1,7 +1,5 @@
 """Schemes on constrained and flexible molecules: order, reversal, conservation, temperature, nested fast forces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -14,7 +12,6 @@ from openmm_sier.dynamics import constrained
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import (
     constrained_bath,
-    constrained_drift,
     constrained_operators,
     equal_steps,
     inner_steps,
@@ -82,14 +79,6 @@ def test_every_scheme_keeps_its_order(name, scheme):
     assert slope(errors) == pytest.approx(scheme.order, abs=0.15)
 
 
-def test_plain_rattle_limits_every_scheme_to_second_order():
-    """The reason for the compositions."""
-    system, start, exact = solved("XH3")
-    operators = point_operators(system.constraints(), of_positions(system.forces), (1.0,))
-    errors = [distance(run(operators, SIER4, start, TIME / n, n), exact) for n in (12, 24)]
-    assert slope(errors) == pytest.approx(2.0, abs=0.1)
-
-
 @pytest.mark.parametrize("name", ["XH3", "ring", "cage"])
 def test_the_gradient_kick_is_the_force_of_the_modified_potential(name):
     """Minus the derivatives of V - s |P F|^2 / 2 along the constraint manifold, by central differences."""
@@ -119,19 +108,6 @@ def test_the_gradient_kick_is_the_force_of_the_modified_potential(name):
 # --- reversal and conservation ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", [SIER4, SIER4G, SIER4P], ids=lambda scheme: scheme.name)
-@pytest.mark.parametrize("name", ["XH3", "ring", "chains"])
-def test_time_reversal(name, scheme):
-    system, start, _ = solved(name)
-    operators = point_operators(system.constraints(), of_positions(system.forces))
-    there = run(operators, scheme, start, 0.003, 20)
-    assert distance(there, start) > 1.0
-    back = run(operators, scheme, replace(there, p=-there.p), 0.003, 20)
-    # Rounding that the flow's instability magnifies.
-    assert distance(replace(back, p=-back.p), start) < 1e-9
-    assert distance(run(operators, scheme, there, -0.003, 20), start) < 1e-9
-
-
 def without_field(name):
     system = SYSTEMS[name]()
     system.field = 0.0
@@ -153,18 +129,6 @@ def test_momentum_and_angular_momentum_are_constant(name, scheme):
     for found, expected in zip(totals(end), totals(start), strict=True):
         # 100 steps with some ten roundings of all momenta each.
         assert np.abs(found - expected).max() < 3e-13 * size
-
-
-def test_without_groups_angular_momentum_is_of_fifth_order():
-    """The torque that single atoms cannot take up."""
-    system, start = without_field("chains")
-    lost = []
-    for h in (0.002, 0.001):
-        operators = points_of(system, groups=np.full(len(system.masses), -1))
-        end = run(operators, SIER4G, start, h, 1)
-        lost.append(np.abs(totals(end)[1] - totals(start)[1]).max())
-    assert lost[0] > 1e-9
-    assert slope(lost) == pytest.approx(5.0, abs=0.5)
 
 
 # --- beside rigid bodies ----------------------------------------------------------------------------------------------
@@ -194,6 +158,13 @@ def with_water():
     return atoms, bodies, constraints
 
 
+def body_state(bodies, atoms, start):
+    """The bodies where the atoms are."""
+    q, A = bodies.fit(start.q.T)
+    p, L = bodies.momenta((start.p / atoms.masses).T, A)
+    return BodyState(q, p, A, L)
+
+
 def body_forces(atoms, bodies):
     def compute(q, A):
         x = bodies.place(q, A, np.empty((bodies.n_particles, 3)))
@@ -207,9 +178,7 @@ def test_rigid_and_constrained_molecules_together(rng, scheme):
     """The oracle knows atoms and constraints alone: the rigid water is three atoms with three constraints."""
     atoms, bodies, constraints = with_water()
     start = atoms.start(rng)
-    q, A = bodies.fit(start.q.T)
-    p, L = bodies.momenta((start.p / atoms.masses).T, A)
-    state = BodyState(q, p, A, L)
+    state = body_state(bodies, atoms, start)
     exact = atoms.exact_flow(start, TIME).q.T
     operators = constrained_operators(bodies, body_forces(atoms, bodies), constraints)
     errors = []
@@ -222,10 +191,7 @@ def test_rigid_and_constrained_molecules_together(rng, scheme):
 def test_angular_momentum_of_rigid_and_constrained_molecules(rng):
     atoms, bodies, constraints = with_water()
     atoms.field = 0.0
-    start = atoms.start(rng)
-    q, A = bodies.fit(start.q.T)
-    p, L = bodies.momenta((start.p / atoms.masses).T, A)
-    state = BodyState(q, p, A, L)
+    state = body_state(bodies, atoms, atoms.start(rng))
     operators = constrained_operators(bodies, body_forces(atoms, bodies), constraints)
     end = run(operators, SIER4G, state, 0.003, 100)
     for found, expected in zip(bodies.total_momenta(end), bodies.total_momenta(state), strict=True):
@@ -319,31 +285,6 @@ def test_fast_forces_at_the_end_of_a_drift_serve_the_next():
     # Other positions, equal or not, are computed anew.
     step(replace(state, q=state.q.copy()))
     assert fast.evaluations == 4 * 6 + 2
-
-
-def test_only_members_move_otherwise(rng):
-    atoms, bodies, constraints = with_water()
-    start = atoms.start(rng)
-    q, A = bodies.fit(start.q.T)
-    p, L = bodies.momenta((start.p / atoms.masses).T, A)
-    state = BodyState(q, p, A, L)
-    members = constraints.members
-    part = constraints.restricted(members)
-    plain = drift(bodies)(state, 0.003)
-    moved = constrained_drift(drift(bodies), constraints)(state, 0.003)
-    within = equal_steps(SIER4, point_operators(part, of_positions(lambda q: np.ones_like(q))), 0.001)
-    pushed = nested_drift(drift(bodies), members, within)(state, 0.003)
-    others = np.setdiff1d(np.arange(bodies.n), members)
-    for found in (moved, pushed):
-        assert np.array_equal(found.q[:, others], plain.q[:, others])
-        assert np.array_equal(found.p[:, others], p[:, others])
-        assert np.array_equal(found.A, plain.A)
-        assert not np.array_equal(found.p[:, members], p[:, members])
-    # A uniform force accelerates as a whole, besides the constrained motion: compare totals.
-    gained = (pushed.p - moved.p)[:, members].sum(axis=1)
-    assert np.abs(gained - 0.003 * len(members)).max() < 1e-13
-    assert np.array_equal(state.q, q)
-    assert np.array_equal(state.p, p)
 
 
 @pytest.mark.parametrize("longest", [0.001, 0.003, 0.005])

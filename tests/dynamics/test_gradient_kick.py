@@ -1,7 +1,5 @@
 """The gradient kick: what it is the force of, which displacement has which order, and its symplecticity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

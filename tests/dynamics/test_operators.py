@@ -1,7 +1,5 @@
 """The schemes on interacting rigid bodies, without OpenMM: order, symplecticity, reversal and conservation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -62,27 +60,6 @@ def test_global_error_falls_with_the_order(rng, request, system, scheme, steps, 
     """At the largest step the next term of the error, smaller by h^2, changes the slope by some hundredths at most."""
     cluster = request.getfixturevalue(system)
     assert slope(cluster, scheme, cluster.start(rng), steps) == pytest.approx(order, abs=tolerance)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("scheme", "order"), [(SIER2, 2), (SIER2V2, 2), (SIER2P3, 2), (SIER4, 4), (SIER4G, 4)])
-def test_energy_error_falls_with_the_order_and_does_not_drift(rng, waters, scheme, order):
-    start = waters.start(rng)
-    energy = waters.energy(start)
-
-    def errors(h, steps):
-        _, operators = operators_of(waters)
-        step = stepper(scheme, operators, h)
-        state, found = start, []
-        for _ in range(steps):
-            state = step(state)
-            found.append(waters.energy(state) - energy)
-        return np.abs(found)
-
-    wide, narrow = errors(0.002, 200), errors(0.001, 400)
-    assert np.log2(wide.max() / narrow.max()) == pytest.approx(order, abs=0.4)
-    # A drift would show as an error that grows with time.
-    assert wide[100:].max() < 3 * wide[:100].max()
 
 
 # --- symplecticity ----------------------------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """Schemes: what they check about themselves and what they derive."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

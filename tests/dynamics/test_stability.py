@@ -1,7 +1,5 @@
 """The steps that schemes bear in a harmonic mode, beside the motion that their own operators make of one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

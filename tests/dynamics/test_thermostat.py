@@ -1,7 +1,5 @@
 """The thermostat: its distribution, its noise, its bookkeeping."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -3,8 +3,6 @@
 Few Contexts are made here: OpenMM compiles some hundred kernels for each, which takes 20 s on a CPU.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -75,8 +73,7 @@ def test_program_moves_atoms_as_on_reference(in_precision, cluster, precision, e
 
 def test_fourth_order_in_double_precision(in_precision, cluster):
     system, point = cluster
-    exact = context_at(system, SIERIntegrator(0.0005, SIER4P, engine="exact"), point)
-    exact.getIntegrator().step(64)
+    exact = context_at(system, SIERIntegrator(0.0005, SIER4P, engine="exact"), point, steps=64)
     context, integrator = in_precision("double")
     errors = []
     for steps in (8, 16):
@@ -98,8 +95,7 @@ def test_constant_pressure_and_both_ways_between_the_engines(gpu):
     integrators = on_cpu, on_gpu, again = [SIERLangevinIntegrator(300, 5, 0.004, SIER4G) for _ in range(3)]
     for integrator in integrators:
         integrator.setRandomNumberSeed(1)
-    first = context_at(system, on_cpu, point, "CPU")
-    on_cpu.step(3)
+    first = context_at(system, on_cpu, point, "CPU", steps=3)
     everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
     context = gpu_context(gpu, "mixed", system, on_gpu, point)
     context.setState(first.getState(**everything))

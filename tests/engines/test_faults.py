@@ -1,7 +1,5 @@
 """What goes wrong stops a run with a reason, and leaves Context and integrator where the run can go on."""
 
-from __future__ import annotations
-
 import gc
 
 import numpy as np
@@ -22,7 +20,7 @@ from openmm_sier import (
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
 from tests.support.faults import Fault, lines_run
-from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
+from tests.support.waters import cluster_system, context_at, force_of, periodic_system, phase_point, platform, relaxed
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +29,8 @@ def cluster():
     return topology, system, relaxed(topology, positions, system)
 
 
-def langevin(scheme=SIER2):
-    integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=scheme)
+def langevin(scheme=SIER2, **options):
+    integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=scheme, **options)
     integrator.setRandomNumberSeed(3)
     return integrator
 
@@ -93,8 +91,7 @@ def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
     _, system, point = cluster
     trajectory = Trajectory(system, make, point)
     integrator = make()
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     total = lines_run(lambda: integrator.step(2))
     assert total > 50
     reached = set()
@@ -109,25 +106,27 @@ def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
     assert reached == {0, 1, 2}
 
 
-@pytest.mark.slow
-def test_a_fault_at_any_line_at_constant_pressure():
-    """The box is that of the completed step too, though each step changes it, or tries to."""
+@pytest.fixture(scope="module")
+def box():
     topology, positions, system = periodic_system(molecules=27)
-    for force in system.getForces():
-        if isinstance(force, openmm.NonbondedForce):
-            force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-            force.setCutoffDistance(0.4)
-    point = relaxed(topology, positions, system)
+    force_of(system).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    force_of(system).setCutoffDistance(0.4)
+    return topology, system, relaxed(topology, positions, system)
+
+
+@pytest.mark.slow
+def test_a_fault_at_any_line_at_constant_pressure(box):
+    """The box is that of the completed step too, though each step changes it, or tries to."""
 
     def make():
-        integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=SIER2, pressure=1e3, barostatInterval=1)
+        integrator = langevin(pressure=1e3, barostatInterval=1)
         integrator.setRandomNumberSeed(1)
         return integrator
 
-    trajectory = Trajectory(system, make, point)
+    trajectory = Trajectory(box[1], make, box[2])
     # Of the first three moves some are accepted and some are not.
     assert len({trajectory[step][3].tobytes() for step in range(4)}) in (2, 3)
-    test_a_fault_at_any_line_leaves_a_completed_step((topology, system, point), make, Fault)
+    test_a_fault_at_any_line_leaves_a_completed_step(box, make, Fault)
 
 
 @pytest.mark.slow
@@ -141,39 +140,18 @@ def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     assert set(shared) == {3}
 
 
-def crowded_system():
-    """A periodic box of four-site water with a fixed massless particle, under a barostat that acts each step."""
-    _, positions, system = periodic_system("tip4pew", 64)
-    system = openmm.XmlSerializer.clone(system)
-    for force in system.getForces():
-        if isinstance(force, openmm.NonbondedForce):
-            force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-            force.addParticle(0.0, 0.3, 0.1)
+@pytest.mark.slow
+def test_a_fault_at_any_line_with_a_barostat(box):
+    """With a fixed particle of no body, which barostats move too."""
+    system = openmm.XmlSerializer.clone(box[1])
+    force_of(system).addParticle(0.0, 0.3, 0.0)
     system.addParticle(0.0)
+    point = [np.vstack([values, [0.3, 0.2, 0.1]]) for values in box[2]]
     barostat = openmm.MonteCarloBarostat(1.0, 297.0, 1)
     barostat.setRandomNumberSeed(5)
     system.addForce(barostat)
-    positions = np.vstack([positions, positions.mean(axis=0) + np.array([0.03, 0.02, 0.01])])
-    return system, positions
-
-
-def crowded_start(system, positions):
-    """A phase point without the overlaps of `crowded_system`, from which steps lead to NaN."""
-    minimizer = SIER2Integrator(0.001)
-    context = context_at(system, minimizer, (positions, 0 * positions))
-    openmm.LocalEnergyMinimizer.minimize(context, maxIterations=30)
-    context.setVelocitiesToTemperature(297.0, 1)
-    return phase_point(context)
-
-
-@pytest.mark.slow
-def test_a_fault_at_any_line_with_a_barostat():
-    system, positions = crowded_system()
-    point = crowded_start(system, positions)
-
     integrator = langevin()
-    context = context_at(system, integrator, point, "CPU")
-    integrator.step(1)
+    context = context_at(system, integrator, point, "CPU", steps=1)
     total = lines_run(lambda: integrator.step(1))
     moved = 0
     for line in range(1, total + 1):
@@ -220,18 +198,11 @@ def test_force_that_is_not_finite(cluster, name):
     system = with_external(system, "k*x", "k", 1.0)
 
     def make():
-        return langevin_of(RigidBodies.from_system(system, topology))
-
-    def langevin_of(bodies):
-        integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=SIER4, bodies=bodies)
-        integrator.setRandomNumberSeed(3)
-        return integrator
+        return langevin(SIER4, bodies=RigidBodies.from_system(system, topology))
 
     undisturbed, integrator = make(), make()
-    reference = context_at(system, undisturbed, point, name)
-    undisturbed.step(10)
-    context = context_at(system, integrator, point, name)
-    integrator.step(4)
+    reference = context_at(system, undisturbed, point, name, steps=10)
+    context = context_at(system, integrator, point, name, steps=4)
     before = phase_point(context)
     context.setParameter("k", float("nan"))
     with pytest.raises(openmm.OpenMMException, match=r"force on residue HOH \d+ \(atoms 0, 1, 2\) is not .* step 5"):
@@ -254,8 +225,7 @@ def test_force_that_is_not_finite(cluster, name):
 def test_positions_and_velocities_that_are_not_finite(cluster, what, error, value):
     _, system, point = cluster
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(2)
+    context = context_at(system, integrator, point, steps=2)
     good = phase_point(context)
     wrong = {"positions": good[0].copy(), "velocities": good[1].copy()}
     wrong[what][5, 1] = value
@@ -271,8 +241,7 @@ def test_positions_and_velocities_that_are_not_finite(cluster, what, error, valu
     context.setVelocities(good[1])
     integrator.step(1)
     undisturbed = SIER2Integrator(0.001)
-    reference = context_at(system, undisturbed, point)
-    undisturbed.step(3)
+    reference = context_at(system, undisturbed, point, steps=3)
     # The bodies were read anew from the atoms, which costs their rounding.
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-14
 
@@ -283,8 +252,7 @@ def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
     _, system, point = cluster
     drifting = Scheme("position Verlet", (("drift", 0.5), ("kick", 1.0), ("drift", 0.5)))
     integrator = SIERIntegrator(0.001, drifting)
-    context = context_at(system, integrator, (point[0], 0 * point[1]))
-    integrator.step(2)
+    context = context_at(system, integrator, (point[0], 0 * point[1]), steps=2)
     before = phase_point(context)
     velocities = before[1].copy()
     velocities[8:12] = [1e306, 0, 0]
@@ -304,8 +272,7 @@ def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
 def test_bodies_that_are_no_longer_rigid(cluster):
     topology, system, point = cluster
     integrator = SIER2Integrator(0.001, bodies=RigidBodies.from_system(system, topology))
-    context = context_at(system, integrator, point)
-    integrator.step(3)
+    context = context_at(system, integrator, point, steps=3)
     checkpoint = context.createCheckpoint()
     integrator.step(3)
     end = phase_point(context)
@@ -327,24 +294,13 @@ def test_bodies_that_are_no_longer_rigid(cluster):
     assert np.array_equal(phase_point(context)[1], end[1])
 
 
-def test_positions_never_set(cluster):
-    _, system, _ = cluster
-    integrator = SIER2Integrator(0.001)
-    context = openmm.Context(system, integrator, platform())
-    for ask in (lambda: integrator.step(1), integrator.getBodyState, integrator.computeSystemTemperature):
-        with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):
-            ask()
-    assert context.getStepCount() == 0
-
-
 # --- integrators where they do not belong -----------------------------------------------------------------------
 
 
 def test_context_that_is_gone(cluster):
     _, system, point = cluster
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     del context
     gc.collect()
     for ask in (lambda: integrator.step(1), integrator.getBodyState):
@@ -364,8 +320,7 @@ def test_contexts_are_freed(cluster):
     """Neither keeps the other alive in a circle that only the garbage collector opens."""
     _, system, point = cluster
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     gc.disable()
     try:
         engine = integrator.binding.engine
@@ -392,8 +347,7 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
     _, system, point = cluster
     system = openmm.XmlSerializer.clone(system)
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(0)
+    context = context_at(system, integrator, point, steps=0)
     for i in range(system.getNumParticles()):
         system.setParticleMass(i, 3 * system.getParticleMass(i))
     before = phase_point(context)
@@ -407,8 +361,7 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
     assert np.allclose(integrator.bodies.masses, 3 * light, rtol=1e-14)
     integrator.step(20)
     fresh = SIER2Integrator(0.001)
-    reference = context_at(system, fresh, before)
-    fresh.step(20)
+    reference = context_at(system, fresh, before, steps=20)
     # The same molecules, read from the atoms once or twice: rounding.
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-12
     assert np.abs(phase_point(context)[0] - before[0]).max() > 1e-3
@@ -419,8 +372,7 @@ def test_bodies_of_other_masses_are_refused(cluster):
     system = openmm.XmlSerializer.clone(system)
     bodies = RigidBodies.from_system(system, topology)
     integrator = SIER2Integrator(0.001, bodies=bodies)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     system.setParticleMass(6, 2.0)
     message = r"residue HOH \d+ .* made with a mass of 1.00\d+ for atom 6, the System has 2.0"
     with pytest.raises(ValueError, match=message):
@@ -435,8 +387,7 @@ def test_reinitialization_with_a_system_that_cannot_be_used(cluster):
     _, system, point = cluster
     system = openmm.XmlSerializer.clone(system)
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     first, second, length = system.getConstraintParameters(0)
     system.setConstraintParameters(0, first, second, 5 * length)
     with pytest.raises(RigidityError, match="contradict each other"):

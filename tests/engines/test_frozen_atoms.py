@@ -1,7 +1,5 @@
 """Atoms frozen by the mass 0: they exert forces and stay where they are, and their constraints are ignored."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest
@@ -60,8 +58,7 @@ def frozen(request):
 def test_the_others_move_as_with_verlet_at_a_tiny_step(frozen, engine):
     system, point, atoms = frozen
     integrator = SIER4GIntegrator(0.0005, engine=engine)
-    context = context_at(system, integrator, point)
-    integrator.step(20)
+    context = context_at(system, integrator, point, steps=20)
     tiny = openmm.VerletIntegrator(1e-5)
     tiny.setConstraintTolerance(1e-10)
     peer = context_at(system, tiny, point)
@@ -100,8 +97,7 @@ def test_baths_trials_and_minimizer_leave_them(engine):
         SIERLangevinIntegrator(300, 5, 0.004, engine=engine),
         SIERHMCIntegrator(300, 0.004, stepsPerTrial=5, engine=engine),
     ):
-        context = context_at(system, integrator, point)
-        integrator.step(20)
+        context = context_at(system, integrator, point, steps=20)
         openmm.LocalEnergyMinimizer.minimize(context, maxIterations=5)
         assert np.array_equal(phase_point(context)[0][atoms], point[0][atoms])
         assert np.abs(phase_point(context)[0] - point[0]).max() > 1e-3
@@ -122,8 +118,7 @@ def test_fast_forces_ignore_terms_between_frozen_atoms():
     ends = []
     for groups in (prepared.fastForceGroups, None):
         integrator = SIER4GIntegrator(0.0005, fastForceGroups=groups)
-        context = context_at(system, integrator, point)
-        integrator.step(20)
+        context = context_at(system, integrator, point, steps=20)
         ends.append(phase_point(context)[0])
     assert np.array_equal(ends[0][atoms], point[0][atoms])
     # Both follow bonds with periods of 20 fs, of which a step of 0.5 fs is a fortieth.

@@ -4,8 +4,6 @@ The replay keeps one phase point and does to it what each call means. It uses th
 code that keeps an integrator and a Context in agreement.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from itertools import combinations, pairwise
@@ -13,7 +11,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import openmm
 import pytest
-from hypothesis import Phase, given, seed, settings
+from hypothesis import Phase, seed, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
     RuleBasedStateMachine,
@@ -341,29 +339,3 @@ def test_any_sequence_of_calls_is_its_replay(number):
 
 
 # --- bodies -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@few
-@given(
-    st.lists(st.sampled_from(CONSTRAINED_SHAPES), min_size=1, max_size=6),
-    seeds,
-)
-def test_bodies_are_found_in_any_order_of_particles(shapes, seed):
-    world = World(shapes, seed, named=False, sweep=0)
-    rng = np.random.default_rng(seed)
-    order = rng.permutation(len(world.positions))
-    place = np.argsort(order)
-    system = openmm.System()
-    for i in order:
-        system.addParticle(world.system.getParticleMass(int(i)))
-    for number in rng.permutation(world.system.getNumConstraints()):
-        i, j, length = world.system.getConstraintParameters(int(number))
-        system.addConstraint(int(place[j]), int(place[i]), length)
-    positions = world.positions[order]
-    bodies = RigidBodies.from_system(system, positions=positions)
-    found = {frozenset(bodies.atoms_of(body).tolist()) for body in range(bodies.n)}
-    assert found == {frozenset(place[atoms].tolist()) for atoms in world.clusters}
-    q, A = bodies.fit(positions)
-    # Constraint lengths give the geometry by an eigenvalue problem with their squares.
-    assert np.abs(bodies.place(q, A, np.zeros_like(positions)) - positions).max() < 1e-12

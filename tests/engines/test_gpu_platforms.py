@@ -1,7 +1,5 @@
 """Starts the tests of GPU platforms, which need an environment that is set before Python starts."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

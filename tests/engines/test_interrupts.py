@@ -1,7 +1,5 @@
 """Signals wait for the end of a step, in whatever moment they come."""
 
-from __future__ import annotations
-
 import signal
 
 import pytest

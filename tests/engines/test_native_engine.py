@@ -1,28 +1,13 @@
 """The native engine: OpenMM executes the integrator's program, with SETTLE and SHAKE in place of the exact rotation."""
 
-from __future__ import annotations
-
-import io
-import json
-
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
 
-from openmm_sier import (
-    SIER2,
-    SIER4,
-    SIER4G,
-    RigidBodies,
-    RigidityError,
-    SIER4GIntegrator,
-    SIERIntegrator,
-    SIERLangevinIntegrator,
-)
+from openmm_sier import SIER2, SIER4, SIER4G, RigidBodies, RigidityError, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.rotation import mrdl, rattle
 from openmm_sier.dynamics.schemes import CATALOGUE
-from tests.support.subprocesses import run_python
+from tests.support.strangers import fails_as_stranger, run_as_stranger
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 MODELS = ["tip3p", "tip4pew"]
@@ -42,8 +27,7 @@ def box():
 
 def trajectory(system, point, steps=6, h=0.004, **settings):
     integrator = SIERIntegrator(h, **settings)
-    context = context_at(system, integrator, point)
-    integrator.step(steps)
+    context = context_at(system, integrator, point, steps=steps)
     return phase_point(context)[0]
 
 
@@ -61,29 +45,6 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
     # SETTLE's lengths of single precision leave, 5e-9 nm a substep.
     assert errors[1] / errors[2] == pytest.approx(4, abs=0.2)
     assert errors[5] < 1e-7 + errors[1] / 1000
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("per_call", [1, 7])
-def test_clock_and_reporters_see_whole_steps(box, per_call):
-    topology, system, (positions, velocities) = box
-    simulation = app.Simulation(topology, system, SIER4GIntegrator(0.002, engine="native"), None)
-    context = simulation.context
-    assert simulation.integrator.engine == "native"
-    context.setPositions(positions)
-    context.setVelocities(velocities)
-    out = io.StringIO()
-    simulation.reporters.append(app.StateDataReporter(out, 5, step=True, time=True, temperature=True))
-    for _ in range(14 // per_call):
-        simulation.step(per_call)
-    assert context.getStepCount() == simulation.currentStep == 14
-    # Sums of 14 times 0.002.
-    assert context.getTime()._value == pytest.approx(0.028, abs=1e-15)
-    rows = [line.split(",") for line in out.getvalue().splitlines()[1:]]
-    assert [row[0] for row in rows] == ["5", "10"]
-    # OpenMM writes as many digits as there are.
-    assert [float(row[1]) for row in rows] == pytest.approx([0.01, 0.02], abs=1e-12)
-    assert simulation.integrator.getStepSize() == 0.002 * unit.picosecond
 
 
 @pytest.mark.slow
@@ -150,8 +111,7 @@ def test_cold_bath_slows_bodies_exactly():
         system.removeForce(i)
     point = (positions, np.tile([1.0, 2.0, 3.0], (len(positions), 1)))
     integrator = SIERLangevinIntegrator(0, 10, 0.004, SIER4G, engine="native")
-    context = context_at(system, integrator, point)
-    integrator.step(5)
+    context = context_at(system, integrator, point, steps=5)
     # Rounding of 10 factors; SETTLE moves velocities by its 5e-9 nm over a substep of 1 fs.
     assert phase_point(context)[1] == pytest.approx(point[1] * np.exp(-10 * 0.02), rel=2e-5)
     integrator.setFriction(0)
@@ -174,24 +134,6 @@ def test_degrees_of_freedom_and_body_states_agree_with_the_exact_engine(box):
 
 # --- what XML carries ---
 
-STRANGER = """
-import json, sys, openmm
-system, integrator, state = (openmm.XmlSerializer.deserialize(open(name).read()) for name in sys.argv[1:4])
-assert not any(name.startswith("openmm_sier") for name in sys.modules)
-assert type(integrator) is openmm.CustomIntegrator
-context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
-context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-context.setPositions(state.getPositions())
-context.setVelocities(state.getVelocities())
-integrator.setConstraintTolerance(1e-9)
-energies = []
-for _ in range(4):
-    integrator.step(int(sys.argv[4]))
-    found = context.getState(energy=True)
-    energies.append([found.getPotentialEnergy()._value, found.getKineticEnergy()._value])
-print(json.dumps([energies, context.getTime()._value]))
-"""
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bound", ["not bound", "exact", "native"])
@@ -202,14 +144,8 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     state = context.getState(positions=True, velocities=True)
     given = SIERIntegrator(0.003, SIER4G, engine="auto" if bound == "not bound" else bound)
     if bound != "not bound":
-        _bound = context_at(system, given, point)
-        given.step(2)
-    files = []
-    for name, thing in (("system", system), ("integrator", given), ("state", state)):
-        files.append(tmp_path / f"{name}.xml")
-        files[-1].write_text(openmm.XmlSerializer.serialize(thing))
-    native_steps = len(integrator.program.parts)
-    found, time = json.loads(run_python(STRANGER, *files, native_steps))
+        _bound = context_at(system, given, point, steps=2)
+    found, time, _ = run_as_stranger(tmp_path, system, given, state, len(integrator.program.parts))
     expected = []
     for _ in range(4):
         integrator.step(1)
@@ -241,16 +177,7 @@ def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings,
     with pytest.raises(openmm.OpenMMException, match=remedy + ".*engine='exact'"):
         openmm.Context(system, integrator)
     # Elsewhere it must not run as if it had been asked for less.
-    plain = tmp_path / "integrator.xml"
-    plain.write_text(xml)
-    program = (
-        "import sys, openmm\nsystem = openmm.System()\nsystem.addParticle(1.0)\n"
-        "integrator = openmm.XmlSerializer.deserialize(open(sys.argv[1]).read())\n"
-        "context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName('Reference'))\n"
-        "context.setPositions([[0, 0, 0]])\n"
-        "try:\n    integrator.step(1)\nexcept openmm.OpenMMException as error:\n    print(error)"
-    )
-    assert "import_openmm_sier" in run_python(program, plain)
+    assert fails_as_stranger(tmp_path, openmm.XmlSerializer.deserialize(xml))
 
 
 def test_named_bodies_that_constraints_hold_are_taken(cluster):
@@ -344,40 +271,6 @@ def test_constraints_that_cannot_be_satisfied_are_named():
     with pytest.raises((RigidityError, openmm.OpenMMException), match=r"atoms|onstraint"):
         integrator.step(1)
     del context
-
-
-def test_force_groups_and_forces_that_change_take_effect(cluster):
-    system, point = cluster
-    system = openmm.XmlSerializer.clone(system)
-    pull = openmm.CustomExternalForce("k*x")
-    pull.addGlobalParameter("k", 1000.0)
-    pull.setForceGroup(3)
-    pull.addParticle(0, [])
-    system.addForce(pull)
-    ends = {}
-    for engine in ("exact", "native"):
-        integrator = SIERIntegrator(0.001, SIER2, engine=engine, substeps=5)
-        context = context_at(system, integrator, point)
-        integrator.step(2)
-        integrator.setIntegrationForceGroups({0})
-        integrator.step(2)
-        integrator.setIntegrationForceGroups({0, 3})
-        integrator.step(2)
-        context.setParameter("k", -500.0)
-        integrator.step(2)
-        ends[engine] = phase_point(context)[0]
-        assert context.getStepCount() == 8
-    # Five substeps are exact to 1e-7 nm. The pull moves the molecule by 1e-4 nm in 2 fs.
-    assert np.abs(ends["native"] - ends["exact"]).max() < 1e-6
-
-
-def test_step_of_zero_moves_nothing(cluster):
-    system, point = cluster
-    integrator = SIERIntegrator(0, engine="native")
-    context = context_at(system, integrator, point)
-    integrator.step(3)
-    assert context.getStepCount() == 3
-    assert (phase_point(context)[0] == point[0]).all()
 
 
 def test_exact_engine_with_rattle_is_constrained_velocity_verlet():

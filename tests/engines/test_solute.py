@@ -1,12 +1,11 @@
 """Bonded forces from a Context of some atoms: those of the whole System, parameters and box, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest
 
 from openmm_sier.engines.exact.solute import SoluteError, SoluteForces, solute_system
+from tests.support.waters import plain_context
 
 #: Particles: a water 0-2 in front, eight flexible atoms in a shuffled order, a virtual site, an ion.
 FLEXIBLE = [9, 3, 4, 7, 5, 6, 10, 8]
@@ -59,12 +58,6 @@ def whole_system(forces):
     return system
 
 
-def whole_context(system, x):
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions(x)
-    return context
-
-
 def solute_of(system, rigid=None):
     reduced = solute_system(system, FLEXIBLE, {FAST}, rigid)
     return SoluteForces(reduced, FLEXIBLE, openmm.Platform.getPlatformByName("Reference"))
@@ -86,18 +79,10 @@ def test_each_kind_gives_the_forces_of_the_whole_system(positions, kind):
     """Every kind alone, so that a wrong one cannot hide; other groups and passive Forces stay out."""
     system = whole_system([bonded_forces()[kind]])
     solute = solute_of(system)
-    expected = forces_in(whole_context(system, positions))[FLEXIBLE].T
+    expected = forces_in(plain_context(system, positions))[FLEXIBLE].T
     assert np.abs(expected).max() > 1.0
     # The same arithmetic on the same numbers.
     assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
-
-
-def test_all_kinds_together(positions):
-    system = whole_system(bonded_forces())
-    solute = solute_of(system)
-    expected = forces_in(whole_context(system, positions))[FLEXIBLE].T
-    assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
-    assert not solute_system(system, FLEXIBLE, {7}).getNumForces()
 
 
 def test_parameters_and_box_follow(positions):
@@ -109,7 +94,7 @@ def test_parameters_and_box_follow(positions):
     system.setDefaultPeriodicBoxVectors(*(3 * np.eye(3)))
     # Half a box apart, where the nearest image depends on the box.
     positions[FLEXIBLE[1]] = positions[FLEXIBLE[0]] + [1.2, 0, 0]
-    context = whole_context(system, positions)
+    context = plain_context(system, positions)
     solute = solute_of(system)
     assert not solute.follow(context)
     context.setParameter("scale", 2.5)
@@ -130,7 +115,7 @@ def test_terms_within_a_rigid_body_are_left_out(positions):
     rigid[WATER] = 0
     system = whole_system([angle])
     solute = solute_of(system, rigid)
-    expected = forces_in(whole_context(system, positions))[FLEXIBLE].T
+    expected = forces_in(plain_context(system, positions))[FLEXIBLE].T
     assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
     with pytest.raises(
         SoluteError, match="angle of HarmonicAngleForce acts on the atoms 1, 0, 2; atom 1 is not among those"

@@ -1,21 +1,16 @@
 """Degrees of freedom and temperatures: what counts as heat, by what is conserved."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
 import numpy as np
 import openmm
 import pytest
-from openmm import app
 
 from openmm_sier import SIER2, BodyState, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import degrees_of_freedom, temperatures
-from openmm_sier.observe import conservation
-from openmm_sier.observe.reporters import ConservationReporter
-from tests.support.molecules import GEOMETRIES, ION, WATER, ensemble, scattered, thermal_state
+from tests.support.molecules import GEOMETRIES, ION, ensemble, scattered
 from tests.support.waters import periodic_system, platform
 
 N = 59
@@ -136,41 +131,6 @@ def test_fixed_particles_take_up_momentum_and_virtual_sites_do_not(fixed):
     context = openmm.Context(system, integrator, platform())
     context.setPositions(np.eye(3))
     assert integrator.conservesMomentum == (not fixed)
-
-
-def test_everything_that_states_a_temperature_agrees(box, tmp_path):
-    """The log of the command, both reporters and the integrator, for one phase point of 59 waters."""
-    topology, positions, system = box
-    simulation = app.Simulation(topology, system, nve(), platform())
-    simulation.context.setPositions(positions)
-    simulation.context.setVelocitiesToTemperature(300, 1)
-    ours = ConservationReporter(tmp_path / "ours.csv", 1)
-    simulation.reporters += [ours, app.StateDataReporter(str(tmp_path / "theirs.csv"), 1, temperature=True)]
-    simulation.step(1)
-    ours.close()
-    row = dict(zip(conservation.COLUMNS, conservation.row(simulation.context), strict=True))
-    kinetic, of_centre = atomic_kinetic_energy(simulation.context)
-    expected = 2 * (kinetic - of_centre) / ((6 * N - 3) * GAS_CONSTANT)
-    assert row["Temperature (K)"] == pytest.approx(expected, rel=1e-10)
-    parts = (3 * N - 3) * row["Translational Temperature (K)"] + 3 * N * row["Rotational Temperature (K)"]
-    assert parts / (6 * N - 3) == pytest.approx(expected, rel=1e-10)
-    header, values = (tmp_path / "ours.csv").read_text().splitlines()
-    assert float(values.split(",")[header.split(",").index("Temperature (K)")]) == row["Temperature (K)"]
-    assert float((tmp_path / "theirs.csv").read_text().splitlines()[1]) == row["Temperature (K)"]
-
-
-def test_mean_temperature_of_few_bodies(rng):
-    """Canonical velocities of three waters with the centre of mass brought to rest: the mean is the temperature."""
-    bodies, state = ensemble(WATER, 3)
-    found = []
-    for _ in range(4000):
-        state = thermal_state(rng, bodies, state.q, 300.0)
-        at_rest = state.p - np.outer(state.p.sum(axis=1), bodies.masses / bodies.masses.sum())
-        found.append(temperatures(bodies, BodyState(state.q, at_rest, state.A, state.L), conserved=True))
-    # Standard errors of 300 K sqrt(2/dof/4000) with 15, 6 and 9 degrees of freedom; four of them. Nine instead of six
-    # for the translation would give 200 K.
-    for mean, dof in zip(np.mean(found, axis=0)[:3], (15, 6, 9), strict=True):
-        assert mean == pytest.approx(300.0, abs=4 * 300 * math.sqrt(2 / dof / 4000))
 
 
 def test_kinds_of_bodies_have_their_degrees_of_freedom():

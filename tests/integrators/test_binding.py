@@ -1,7 +1,5 @@
 """What joins an integrator to its Context stands behind one name, and belongs to one Context."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 
@@ -89,8 +87,7 @@ def test_an_integrator_that_is_offered_to_a_second_context_stays_that_of_the_fir
     for is_offered in (False, True):
         integrator = SIERLangevinIntegrator(300, 5, 0.002, engine=engine)
         integrator.setRandomNumberSeed(3)
-        context = context_at(system, integrator, point)
-        integrator.step(3)
+        context = context_at(system, integrator, point, steps=3)
         if is_offered:
             with pytest.raises(openmm.OpenMMException, match="already bound"):
                 openmm.Context(system, integrator)

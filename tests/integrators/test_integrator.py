@@ -1,110 +1,22 @@
 """The integrators in OpenMM Contexts: conservation, order, agreement with OpenMM, and what users do to a Context."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import (
-    SIER2P3,
-    SIER2Integrator,
-    SIER4Integrator,
-    SIERHMCIntegrator,
-    SIERIntegrator,
-    SIERLangevinIntegrator,
-)
-from openmm_sier.dynamics.constants import GAS_CONSTANT
-from tests.support.integrators import constrained_velocity_verlet
-from tests.support.waters import (
-    cluster_system,
-    context_at,
-    energies,
-    periodic_system,
-    phase_point,
-    platform,
-    relaxed,
-)
+from openmm_sier import SIER2P3, SIER2Integrator, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from tests.support.waters import context_at, energies, periodic_system, phase_point, platform
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    topology, positions, system = cluster_system(8)
-    return system, relaxed(topology, positions, system)
-
-
-@pytest.fixture(scope="module")
-def box():
-    topology, positions, system = periodic_system()
-    return topology, system, relaxed(topology, positions, system)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("make", "evaluations"), [(SIER2Integrator, 1), (SIER4Integrator, 4)])
-def test_force_evaluations_a_step(box, make, evaluations):
-    _, system, point = box
-    integrator = make(0.001)
-    _context = context_at(system, integrator, point, "CPU")
-    for count in (1, 3, 1):
-        integrator.step(count)
-    # One more at the very start; no more where `step` is called again.
-    assert integrator.forceEvaluations == 5 * evaluations + 1
-
-
-def test_agrees_with_constrained_velocity_verlet_as_the_step_shrinks(cluster):
-    system, point = cluster
-    differences = []
-    for h in (0.002, 0.001):
-        ends = []
-        for integrator in (SIER2Integrator(h), constrained_velocity_verlet(h)):
-            context = context_at(system, integrator, point)
-            integrator.step(round(0.04 / h))
-            ends.append(phase_point(context)[0])
-        differences.append(np.abs(ends[0] - ends[1]).max())
-    # Two second-order methods from one start differ by O(h^2); SETTLE's lengths, off by some 1e-9 nm, matter less.
-    assert 1e-7 < differences[1] < 1e-4
-    assert 3.4 < differences[0] / differences[1] < 4.6
-
-
-def velocity_change(context, point):
-    context.setVelocities(2 * point[1])
-
-
-def position_change(context, point):
-    context.setPositions(point[0] + 0.5)
-
-
-def box_change(context, point):
-    a, b, c = context.getState().getPeriodicBoxVectors()
-    context.setPeriodicBoxVectors(a * 1.01, b, c)
-
-
-def minimization(context, point):
-    openmm.LocalEnergyMinimizer.minimize(context, maxIterations=5)
-
-
-def thermalization(context, point):
-    context.setVelocitiesToTemperature(500, 3)
-
-
-def reinitialization(context, point):
-    context.reinitialize(preserveState=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "change", [velocity_change, position_change, box_change, minimization, thermalization, reinitialization]
-)
-def test_changes_from_outside_are_noticed(box, change):
+def test_a_box_changed_from_outside_is_noticed(box):
     _, system, point = box
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(5)
-    change(context, point)
+    context = context_at(system, integrator, point, steps=5)
+    a, b, c = context.getState().getPeriodicBoxVectors()
+    context.setPeriodicBoxVectors(a * 1.01, b, c)
     state = context.getState(positions=True, velocities=True)
     integrator.step(5)
-
     fresh = SIER2Integrator(0.001)
     other = openmm.Context(system, fresh, platform())
     other.setState(state)
@@ -114,27 +26,8 @@ def test_changes_from_outside_are_noticed(box, change):
     assert np.abs(phase_point(context)[1] - phase_point(other)[1]).max() < 1e-5
 
 
-def test_parameters_changed_from_outside_are_noticed(cluster):
-    system, point = cluster
-    system = openmm.XmlSerializer.clone(system)
-    pull = openmm.CustomExternalForce("strength*x")
-    pull.addGlobalParameter("strength", 0.0)
-    for i in range(system.getNumParticles()):
-        pull.addParticle(i)
-    system.addForce(pull)
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
-    before = integrator.getBodyState().p
-    context.setParameter("strength", 1000.0)
-    integrator.step(1)
-    gained = integrator.getBodyState().p.sum(axis=1) - before.sum(axis=1)
-    # Both half kicks of the step feel it: 24 atoms, 1000 kJ/mol/nm, 1 fs. A stale force would give half of it.
-    assert gained[0] == pytest.approx(-24.0, rel=1e-6)
-
-
 def test_forces_changed_without_a_trace_can_be_declared(cluster):
-    system, point = cluster
+    _, system, point = cluster
     system = openmm.XmlSerializer.clone(system)
     pull = openmm.CustomExternalForce("k*x")
     pull.addPerParticleParameter("k")
@@ -142,8 +35,7 @@ def test_forces_changed_without_a_trace_can_be_declared(cluster):
         pull.addParticle(i, [0.0])
     system.addForce(pull)
     integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point)
-    integrator.step(1)
+    context = context_at(system, integrator, point, steps=1)
     before = integrator.getBodyState().p.sum(axis=1)[0]
     for i in range(system.getNumParticles()):
         pull.setParticleParameters(i, i, [1000.0])
@@ -151,16 +43,6 @@ def test_forces_changed_without_a_trace_can_be_declared(cluster):
     integrator.forcesChanged()
     integrator.step(1)
     assert integrator.getBodyState().p.sum(axis=1)[0] - before == pytest.approx(-24.0, rel=1e-6)
-
-
-def test_centre_of_mass_motion_is_removed_as_by_openmm(box):
-    _, system, point = box
-    integrator = SIER2Integrator(0.001)
-    _context = context_at(system, integrator, (point[0], point[1] + np.array([0.5, 0.0, 0.0])), "CPU")
-    integrator.step(10)
-    momentum = integrator.getBodyState().p.sum(axis=1)
-    # The mesh of PME gives the box a net force; a step of it is all that remains.
-    assert np.abs(momentum).max() < 1e-3 * 0.5 * integrator.bodies.masses.sum()
 
 
 #: Times at which `clock_reader` was asked for forces.
@@ -177,12 +59,12 @@ def test_clock_runs_for_forces_that_read_it(cluster):
     """A Force that may depend on time, inside a CustomCVForce too, sees the same in one call of step and in many."""
     times = []
     for counts in ((4,), (1, 1, 1, 1)):
-        system = openmm.XmlSerializer.clone(cluster[0])
+        system = openmm.XmlSerializer.clone(cluster[1])
         colvar = openmm.CustomCVForce("0*pull")
         colvar.addCollectiveVariable("pull", openmm.PythonForce(clock_reader))
         system.addForce(colvar)
         integrator = SIER2Integrator(0.001)
-        _context = context_at(system, integrator, cluster[1])
+        _context = context_at(system, integrator, cluster[2])
         SEEN.clear()
         for count in counts:
             integrator.step(count)
@@ -210,8 +92,7 @@ def test_andersen_thermostat_acts(box):
     thermostat.setRandomNumberSeed(4)
     system.addForce(thermostat)
     integrator = SIER2Integrator(0.001)
-    _context = context_at(system, integrator, (point[0], 0 * point[1]), "CPU")
-    integrator.step(10)
+    _context = context_at(system, integrator, (point[0], 0 * point[1]), "CPU", steps=10)
     assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
 
 
@@ -242,12 +123,6 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
     simulation.reporters.clear()
     rows = np.genfromtxt(log, delimiter=",", names=True)
     assert rows["Step"].tolist() == [5, 10, 15, 20]
-    integrator = simulation.integrator
-    translation, rotation = integrator.bodies.kinetic_energies(integrator.getBodyState())
-    freedoms = integrator.bodies.dof - 3
-    temperature = 2 * (translation + rotation) / (freedoms * GAS_CONSTANT)
-    # The reporter counts degrees of freedom from particles and constraints, and writes 16 digits.
-    assert rows["Temperature_K"][-1] == pytest.approx(temperature, rel=1e-9)
     assert mdtraj.load(str(tmp_path / "t.h5")).n_frames == 4
     assert mdtraj.load(str(tmp_path / "t.dcd"), top=str(tmp_path / "t.pdb")).n_frames == 4
 
@@ -259,7 +134,7 @@ def test_steps_without_a_context_are_refused():
 
 @pytest.mark.parametrize("steps", [-1, 2.5, float("nan"), "3", None])
 def test_impossible_step_counts(cluster, steps):
-    system, point = cluster
+    _, system, point = cluster
     integrator = SIER2Integrator(0.001)
     context = context_at(system, integrator, point)
     with pytest.raises((ValueError, TypeError), match="steps"):
@@ -280,7 +155,7 @@ def test_impossible_step_sizes(size):
 @pytest.mark.parametrize("make", [lambda: SIER2Integrator(0), lambda: SIERLangevinIntegrator(300, 1, 0)])
 def test_a_step_of_zero_moves_nothing(cluster, make):
     """OpenMM's users give it to the integrators of Contexts that only evaluate forces."""
-    system, point = cluster
+    _, system, point = cluster
     integrator = make()
     context = context_at(system, integrator, point)
     assert np.isfinite(energies(context)).all()
@@ -340,10 +215,3 @@ def test_a_scheme_may_be_given_by_its_name(make):
         make("verlet")
     with pytest.raises(TypeError, match=r"scheme must be a Scheme.* or the name of one, got 4"):
         make(4)
-
-
-def test_numbers_are_not_read_from_texts():
-    with pytest.raises(TypeError, match="temperature must be a quantity or a number in K, got '300'"):
-        SIERLangevinIntegrator("300", 1, 0.001)
-    with pytest.raises(TypeError, match=r"stepSize must be a quantity or a number in ps, got '0.001'"):
-        SIERIntegrator("0.001")

@@ -1,7 +1,5 @@
 """The heat bath: its distribution, its noise, its bookkeeping, and the integrator that has it."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 
@@ -29,12 +27,6 @@ from tests.support.waters import cluster_system, context_at, energies, periodic_
 TEMPERATURE = 297.0
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    topology, positions, system = cluster_system(8)
-    return system, relaxed(topology, positions, system)
-
-
 def thermostat(h=0.002, friction=1.0, scheme=SIER2, seed=11, **options):
     integrator = SIERLangevinIntegrator(TEMPERATURE, friction, h, scheme=scheme, **options)
     integrator.setRandomNumberSeed(seed)
@@ -43,25 +35,13 @@ def thermostat(h=0.002, friction=1.0, scheme=SIER2, seed=11, **options):
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G], ids=lambda s: s.name)
 def test_without_friction_it_is_the_nve_trajectory_bit_for_bit(cluster, scheme):
-    system, point = cluster
+    _, system, point = cluster
     ends = []
     for integrator in (thermostat(scheme=scheme, friction=0.0), SIERIntegrator(0.002, scheme)):
-        context = context_at(system, integrator, point)
-        integrator.step(50)
+        context = context_at(system, integrator, point, steps=50)
         ends.append(phase_point(context))
     assert np.array_equal(ends[0][0], ends[1][0])
     assert np.array_equal(ends[0][1], ends[1][1])
-
-
-def test_seed_zero_is_another_seed_for_every_context(cluster):
-    system, point = cluster
-    ends = []
-    for _ in range(2):
-        integrator = thermostat(seed=0)
-        context = context_at(system, integrator, point)
-        integrator.step(2)
-        ends.append(phase_point(context)[1])
-    assert not np.allclose(ends[0], ends[1])
 
 
 def test_settings_are_those_of_openmm():
@@ -79,29 +59,13 @@ def test_settings_are_those_of_openmm():
     assert integrator.getRotationalFriction() == 9 / unit.picosecond
 
 
-@pytest.mark.parametrize(
-    ("arguments", "name"),
-    [
-        ((-1, 1, 0.002), "temperature"),
-        ((300 * unit.picosecond, 1, 0.002), "temperature"),
-        ((300, -1, 0.002), "frictionCoeff"),
-        ((300, float("nan"), 0.002), "frictionCoeff"),
-        ((300, 1, -0.002), "stepSize"),
-    ],
-)
-def test_impossible_settings(arguments, name):
-    with pytest.raises((ValueError, TypeError), match=name):
-        SIERLangevinIntegrator(*arguments)
-
-
 def test_an_integrator_that_is_given_the_ensemble_has_a_bath(cluster):
-    system, point = cluster
+    _, system, point = cluster
     given = SIERIntegrator(0.002, SIER2, ensemble=Langevin(TEMPERATURE, 1.0))
     given.setRandomNumberSeed(11)
     ends = []
     for integrator in (thermostat(), given):
-        context = context_at(system, integrator, point)
-        integrator.step(5)
+        context = context_at(system, integrator, point, steps=5)
         ends.append(phase_point(context))
     assert np.array_equal(ends[0], ends[1])
 
@@ -118,12 +82,11 @@ class WithoutExpression(Langevin):
 
 
 def test_a_bath_without_an_expression_of_velocities_is_for_the_exact_engine(cluster):
-    system, point = cluster
+    _, system, point = cluster
     with pytest.raises(openmm.OpenMMException, match=r"the heat bath OnlyForBodies cannot be written out.*'exact'"):
         context_at(system, SIERThermostatIntegrator(WithoutExpression(300, 1), 0.002, engine="native"), point)
     integrator = SIERThermostatIntegrator(WithoutExpression(300, 1), 0.002)
-    _context = context_at(system, integrator, point)
-    integrator.step(1)
+    _context = context_at(system, integrator, point, steps=1)
     assert integrator.getHeat() != 0 * unit.kilojoule_per_mole
 
 
@@ -137,33 +100,21 @@ def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remove
     x, v = relaxed(topology, positions, system, steps=100)
     point = x, v + np.array([0.5, 0.0, -0.2])
     friction = 20.0
-
-    def made():
-        integrator = SIERLangevinIntegrator(300, friction, 0.002, engine=engine)
-        integrator.setRandomNumberSeed(4)
-        return integrator
-
-    integrator = made()
+    integrator = SIERLangevinIntegrator(300, friction, 0.002, engine=engine)
+    integrator.setRandomNumberSeed(4)
     context = context_at(system, integrator, point, "CPU")
     moving = 0.5 * integrator.bodies.masses.sum() * 0.29
 
-    def conserved(context):
-        return sum(energies(context)) - context.getIntegrator().getHeat()._value
+    def conserved():
+        return sum(energies(context)) - integrator.getHeat()._value
 
-    before = conserved(context)
-    integrator.step(50)
-    restart = context.createCheckpoint()
-    integrator.step(50)
-    again = made()
-    other = context_at(system, again, point, "CPU")
-    other.loadCheckpoint(restart)
-    again.step(50)
+    before = conserved()
+    integrator.step(100)
     # The jump at a cut-off of 0.55 nm makes an error of 1.5 kJ/mol. What the remover takes in 0.2 ps is 30, and at
     # first `moving`.
     assert moving > 40
     assert 0.2 * 3 * friction * 8.314e-3 * 300 > 29
-    for each in (context, other):
-        assert conserved(each) == pytest.approx(before, abs=3.0)
+    assert conserved() == pytest.approx(before, abs=3.0)
 
 
 def test_noise_that_a_state_does_not_hold_is_spoken_of():
@@ -245,8 +196,7 @@ def test_temperatures_are_those_just_after_the_bath(engine):
     positions[1::2, 0] += 0.15
     integrator = SIERLangevinIntegrator(300, 20, 0.010, SIER2, fastForceGroups={FAST}, engine=engine)
     integrator.setRandomNumberSeed(5)
-    context = context_at(system, integrator, (positions, 0 * positions))
-    integrator.step(50)
+    context = context_at(system, integrator, (positions, 0 * positions), steps=50)
     after_bath, at_end = [], []
     for _ in range(1000):
         integrator.step(1)

@@ -1,7 +1,5 @@
 """Bodies of sixty atoms that no constraint holds, named by lists of atoms: energy, and constant pressure."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest
@@ -83,8 +81,7 @@ def test_a_large_body_in_water_at_constant_pressure(barostat):
         moves.setRandomNumberSeed(3)
         system.addForce(moves)
     made = langevin(0.002, bodies, scheme=SIER4G, **options)
-    context = context_at(system, made, point, "CPU")
-    made.step(1)
+    context = context_at(system, made, point, "CPU", steps=1)
     expected, volumes, conserved = shape_of(context, atoms), set(), []
     for _ in range(25):
         made.step(4)

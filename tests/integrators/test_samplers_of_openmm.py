@@ -1,7 +1,5 @@
 """OpenMM's own samplers over several temperatures, with the integrators of this package."""
 
-from __future__ import annotations
-
 import random
 
 import numpy as np
@@ -60,25 +58,6 @@ def means_are_right(found):
         # Temperatures that were mixed up would be off by a quarter.
         assert error < 0.05 * expected
         assert abs(blocks.mean() - expected) < 4 * error
-
-
-@pytest.mark.slow
-@KINDS
-def test_replica_exchange(simulation):
-    random.seed(3)
-    states = [{"temperature": T * unit.kelvin} for T in TEMPERATURES]
-    sampler = app.ReplicaExchangeSampler(states, simulation, 5)
-    found, places = {T: [] for T in TEMPERATURES}, []
-
-    def report(sampler):
-        places.append(tuple(sampler.replicaStateIndex))
-        for replica, state in enumerate(sampler.replicaStateIndex):
-            found[TEMPERATURES[state]].append(energy_of(sampler.replicaConformation[replica]))
-
-    sampler.reporters.append(report)
-    sampler.simulate(400)
-    assert len(set(places)) == 2
-    means_are_right({T: energies[20:] for T, energies in found.items()})
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Tuning of hybrid Monte Carlo: the acceptance it reaches, what it leaves behind, and what it refuses."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import warnings

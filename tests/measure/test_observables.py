@@ -1,7 +1,5 @@
 """Errors of the energy of a run."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,14 +1,10 @@
 """PDB files that are refused, and how interactions are cut off in those that are not."""
 
-from __future__ import annotations
-
-import openmm
 import pytest
-from openmm import app, unit
 
 from openmm_sier.measure.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, read_box
 from tests.support.commands import SYSTEMS, write_lattice
-from tests.support.peptides import capped_alanine_box
+from tests.support.waters import force_of
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +62,7 @@ def test_boxes_that_are_refused(tmp_path, lines, change, message):
 )
 def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, tolerance):
     system = read_box(SYSTEMS / "tip3p-512.pdb", interactions=interactions).system
-    (force,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    force = force_of(system)
     assert force.getCutoffDistance()._value == cutoff
     assert force.getEwaldErrorTolerance() == tolerance
     assert (force.getSwitchingDistance()._value if force.getUseSwitchingFunction() else None) == pytest.approx(switch)
@@ -84,21 +80,3 @@ def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, toleran
 def test_interactions_that_do_not_fit_a_box(name, interactions, message):
     with pytest.raises(ForceFieldError, match=message):
         read_box(SYSTEMS / name, interactions=interactions)
-
-
-@pytest.mark.slow
-def test_hydrogens_take_their_mass_from_what_they_are_bonded_to(tmp_path):
-    topology, positions = capped_alanine_box(waters=2)
-    path = tmp_path / "alanine.pdb"
-    with path.open("w") as file:
-        app.PDBFile.writeFile(topology, positions * unit.nanometer, file)
-    files = ["amber14-all.xml", "amber14/tip3p.xml"]
-    usual, heavy = (read_box(path, files, interactions=Interactions(hydrogen_mass=mass)) for mass in (None, 3.0))
-    masses = [
-        [box.system.getParticleMass(i)._value for i in range(box.system.getNumParticles())] for box in (usual, heavy)
-    ]
-    assert sum(masses[0]) == pytest.approx(sum(masses[1]), rel=1e-12)
-    hydrogens = [atom for atom in heavy.topology.atoms() if atom.element is app.element.hydrogen]
-    assert len(hydrogens) == 12 + 4
-    for atom in hydrogens:
-        assert masses[1][atom.index] == 3.0

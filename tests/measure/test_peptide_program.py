@@ -1,7 +1,5 @@
 """The program that makes peptides: every residue has the geometry of the force field, and is an L-amino acid."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """The start of a run: settled, at the temperature, with the energy that keeps it there."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys
@@ -191,14 +189,6 @@ def test_threads_are_no_more_than_the_cores_of_the_process(monkeypatch):
             assert cpu.getPropertyDefaultValue("Threads") == default
     finally:
         cpu.setPropertyDefaultValue("Threads", usual)
-
-
-def test_the_platform_is_the_one_that_openmm_takes_by_itself():
-    found, usual = (
-        make(system_of([spc()])[0], openmm.VerletIntegrator(0.001), *rest).getPlatform().getName()
-        for make, rest in ((starts.make_context, [None]), (openmm.Context, []))
-    )
-    assert found == usual
 
 
 WITHOUT_EXTRAS = """

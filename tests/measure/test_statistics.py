@@ -1,7 +1,5 @@
 """Means and slopes with their standard errors."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -69,35 +69,6 @@ def test_dipole_moment_is_that_of_the_literature(model, dipole):
     assert abs(np.linalg.norm(charge @ positions) / DEBYE - dipole) < 0.005
 
 
-def test_tip4p_is_jorgensens():
-    """Table I of J. Chem. Phys. 79, 926 (1983): A = 600e3 kcal A^12/mol, C = 610 kcal A^6/mol, M at 0.15 A."""
-    charge, sigma, epsilon, positions = nonbonded("tip4p")
-    s, e = 10 * sigma[0], epsilon[0] / KCAL
-    # Nine decimals in the file, raised to the 12th power.
-    np.testing.assert_allclose([4 * e * s**12, 4 * e * s**6], [600e3, 610], rtol=1e-7)
-    np.testing.assert_allclose(charge, [0, 0.52, 0.52, -1.04])
-    np.testing.assert_array_equal(epsilon[1:], 0)
-    check_four_sites(positions, 0.015)
-
-
-def test_tip4p2005_is_that_of_abascal_and_vega():
-    """Table I of J. Chem. Phys. 123, 234505 (2005): sigma 3.1589 A, epsilon/k 93.2 K, M at 0.1546 A."""
-    charge, sigma, epsilon, positions = nonbonded("tip4p2005")
-    np.testing.assert_allclose([sigma[0], epsilon[0]], [0.31589, 93.2 * 8.31446261815324e-3], rtol=1e-8)
-    np.testing.assert_allclose(charge, [0, 0.5564, 0.5564, -1.1128])
-    check_four_sites(positions, 0.01546)
-
-
-def check_four_sites(positions, distance):
-    oxygen, first, second, site = positions
-    legs = first - oxygen, second - oxygen
-    np.testing.assert_allclose([np.linalg.norm(leg) for leg in legs], 0.09572, rtol=1e-9)
-    cosine = legs[0] @ legs[1] / 0.09572**2
-    np.testing.assert_allclose(np.degrees(np.arccos(cosine)), 104.52, atol=1e-6)
-    bisector = legs[0] + legs[1]
-    np.testing.assert_allclose(site - oxygen, distance * bisector / np.linalg.norm(bisector), atol=1e-11)
-
-
 # --- the boxes ---
 
 
@@ -182,16 +153,6 @@ def test_densities_are_those_of_the_tables():
         make.salt_water_density(297, 8)
 
 
-def test_composition_comes_nearest_to_the_molality():
-    waters, pairs = make.composition(1000, 2.0)
-    assert waters + 2 * pairs == 1000
-    for other in (pairs - 1, pairs + 1):
-        near, far = (abs(n / ((1000 - 2 * n) * make.KG_PER_MOL) - 2.0) for n in (pairs, other))
-        assert near < far
-    with pytest.raises(ValueError, match="too few"):
-        make.composition(10, 0.1)
-
-
 @pytest.mark.slow
 def test_made_box_is_read_back(tmp_path, capsys):
     out = tmp_path / "made.pdb"
@@ -202,11 +163,3 @@ def test_made_box_is_read_back(tmp_path, capsys):
     assert box.files == ("amber14/spce.xml",)
     assert RigidBodies.from_system(box.system).n == 40
     assert re.search(r"and 1 NaCl, 1\.461 mol/kg", out.read_text())
-
-
-def test_model_without_ions_refuses_salt(capsys):
-    assert make.main(["--model", "tip4p", "--salt", "1"]) == 1
-    assert (
-        capsys.readouterr().err
-        == "make.py: no force field with ions is known here for tip4p water; tip3p and spce have one\n"
-    )

@@ -1,7 +1,5 @@
 """physical_validation's verdicts on our logs, whose distributions are known exactly: oscillators and an ideal gas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

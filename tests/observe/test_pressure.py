@@ -1,7 +1,5 @@
 """The molecular pressure tensor, against sums over pairs, OpenMM's barostats and the ideal gas."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The reporters that know of rigid bodies."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """OpenMM's own integrators observed at whole steps."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

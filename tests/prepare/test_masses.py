@@ -1,7 +1,5 @@
 """Heavy hydrogens, in water and in solutes: masses of molecules stay, and only hydrogens and their centres change."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

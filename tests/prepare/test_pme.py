@@ -8,20 +8,9 @@ import openmm
 import pytest
 
 from openmm_sier import balance_pme
-from openmm_sier.measure.forcefields import read_box
-from tests.support.waters import cluster_system, periodic_system
+from tests.support.waters import cluster_system, force_of, periodic_system, plain_context
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
-
-
-def pme_of(system) -> openmm.NonbondedForce:
-    return next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
-
-
-def context_of(system, positions, platform="CPU"):
-    context = openmm.Context(system, openmm.VerletIntegrator(1e-3), openmm.Platform.getPlatformByName(platform))
-    context.setPositions(positions)
-    return context
 
 
 @pytest.fixture
@@ -33,13 +22,13 @@ def test_the_mesh_is_a_tenth_finer_than_that_of_openmm(water):
     _, positions, system = water
     a, b, c = (np.array(vector._value) for vector in system.getDefaultPeriodicBoxVectors())
     system.setDefaultPeriodicBoxVectors(a, 1.3 * b + 0.2 * a, 1.7 * c - 0.3 * a)
-    pme = pme_of(system)
+    pme = force_of(system)
     for tolerance in (1e-5, 1e-4, 5e-4, 1e-3):
         pme.setEwaldErrorTolerance(tolerance)
         pme.setPMEParameters(0, 0, 0, 0)
-        usual = pme.getPMEParametersInContext(context_of(system, positions, "Reference"))
+        usual = pme.getPMEParametersInContext(plain_context(system, positions))
         balance_pme(system)
-        balanced = pme.getPMEParametersInContext(context_of(system, positions, "Reference"))
+        balanced = pme.getPMEParametersInContext(plain_context(system, positions))
         # Both are rounded up.
         for points, theirs in zip(balanced[1:], usual[1:], strict=True):
             assert 1.1 * (theirs - 1) <= points < 1.1 * theirs + 1
@@ -68,7 +57,7 @@ def two_charges(distance: float, edge: float, tolerance: float):
 
 
 def energy(system, positions) -> float:
-    return context_of(system, positions, "Reference").getState(energy=True).getPotentialEnergy()._value
+    return plain_context(system, positions).getState(energy=True).getPotentialEnergy()._value
 
 
 @pytest.mark.parametrize("tolerance", [5e-4, 1e-5])
@@ -85,15 +74,6 @@ def test_the_step_at_the_cutoff_is_smaller(tolerance):
     assert 235 < step[0] / step[1] < 275
 
 
-@pytest.mark.slow
-def test_boxes_of_the_command_line_are_balanced():
-    system = read_box(SYSTEMS / "tip3p-512.pdb").system
-    found = pme_of(system).getPMEParameters()
-    assert found[0]._value > 0
-    balance_pme(system)
-    assert found == pme_of(system).getPMEParameters()
-
-
 @pytest.mark.parametrize("tolerance", [0.5, 0.0, math.nan])
 def test_a_tolerance_out_of_range_is_refused_before_anything_is_changed(water, tolerance):
     _, _, system = water
@@ -101,14 +81,14 @@ def test_a_tolerance_out_of_range_is_refused_before_anything_is_changed(water, t
     other.setNonbondedMethod(openmm.NonbondedForce.PME)
     other.setEwaldErrorTolerance(tolerance)
     system.addForce(other)
-    pme_of(system).setPMEParameters(0, 0, 0, 0)
+    force_of(system).setPMEParameters(0, 0, 0, 0)
     with pytest.raises(ValueError, match=f"ewaldErrorTolerance from 1e-10 to 0.001, got {tolerance:g}"):
         balance_pme(system)
-    assert pme_of(system).getPMEParameters()[1:] == [0, 0, 0]
+    assert force_of(system).getPMEParameters()[1:] == [0, 0, 0]
 
 
 def test_a_cutoff_that_is_none_is_refused(water):
     _, _, system = water
-    pme_of(system).setCutoffDistance(-1)
+    force_of(system).setCutoffDistance(-1)
     with pytest.raises(ValueError, match="positive cut-off distance, got -1 nm"):
         balance_pme(system)

@@ -1,7 +1,5 @@
 """Prepared Systems: what is done to them, what they remain through later changes, and what integrators find in them."""
 
-from __future__ import annotations
-
 import copy
 import warnings
 
@@ -26,7 +24,7 @@ from tests.support.flexible_systems import FAST, started, system_of
 from tests.support.methanols import positions_of, topology_of
 from tests.support.methanols import system_of as methanols_of
 from tests.support.peptides import capped_alanine
-from tests.support.waters import array, periodic_system, platform
+from tests.support.waters import array, force_of, periodic_system, platform
 
 SOLUTE = 22
 
@@ -42,10 +40,6 @@ def prepared(peptide):
     system = copy.deepcopy(peptide[0])
     prepare_system(system)
     return system
-
-
-def one_of(system, kind):
-    return next(force for force in system.getForces() if isinstance(force, kind))
 
 
 def named(system, name):
@@ -92,7 +86,7 @@ def test_close_pairs_are_those_of_the_nonbonded_force(peptide, prepared, name):
     plain = context_of(*peptide, name=name)
     assert_the_same(plain, context_of(prepared, peptide[1], name=name))
     without = copy.deepcopy(peptide[0])
-    nonbonded = one_of(without, openmm.NonbondedForce)
+    nonbonded = force_of(without, openmm.NonbondedForce)
     close = named(prepared, NAME)
     excepted = {tuple(nonbonded.getExceptionParameters(i)[:2]): i for i in range(nonbonded.getNumExceptions())}
     for i in range(close.getNumBonds()):
@@ -134,14 +128,13 @@ def test_prepared_again_a_system_stays_as_it_is(prepared):
 
 def test_a_system_without_nonbonded_forces():
     system, positions = system_of(chains(), waters=1)
-    one_of(system, openmm.HarmonicBondForce).setForceGroup(0)
+    force_of(system, openmm.HarmonicBondForce).setForceGroup(0)
     done = prepare_system(system)
     assert done.fastForceGroups == {FAST}
     assert "Force group 1 has the fast forces now: HarmonicBondForce." in str(done)
     assert [force.getForceGroup() for force in system.getForces()] == [FAST, 0, 0, FAST]
     integrator = SIER4GIntegrator(0.003)
-    context = started(system, integrator, positions)
-    integrator.step(1)
+    context = started(system, integrator, positions, steps=1)
     assert context.getStepCount() == 1
     assert integrator.fastForceGroups == {FAST}
 
@@ -158,19 +151,9 @@ def test_what_acts_on_rigid_bodies_stays_in_the_kicks():
     assert {force.getForceGroup() for force in system.getForces()} == {0}
 
 
-def test_a_group_in_use_is_refused():
-    system, _ = system_of(chains())
-    system.getForce(0).setForceGroup(0)
-    with pytest.raises(ValueError, match="CustomExternalForce is in force group 0"):
-        prepare_system(system, fastForceGroup=0)
-    assert system.getForce(0).getForceGroup() == 0
-    with pytest.raises(ValueError, match="from 0 to 31, got 32"):
-        prepare_system(system, fastForceGroup=32)
-
-
 def test_water_is_prepared_and_told_of_what_limits_it():
     _, _, system = periodic_system("tip3p", 64)
-    one_of(system, openmm.NonbondedForce).setEwaldErrorTolerance(5e-4)
+    force_of(system, openmm.NonbondedForce).setEwaldErrorTolerance(5e-4)
     balanced = copy.deepcopy(system)
     balance_pme(balanced)
     said = str(prepare_system(system))
@@ -179,7 +162,7 @@ def test_water_is_prepared_and_told_of_what_limits_it():
     assert "NonbondedForce ends with a jump of the energy at 0.55 nm" in said
     assert "switchDistance=0.46*nanometer" in said
     assert "For SIER4P take 0.0001" in said
-    force = one_of(system, openmm.NonbondedForce)
+    force = force_of(system, openmm.NonbondedForce)
     force.setUseSwitchingFunction(True)
     force.setEwaldErrorTolerance(1e-4)
     assert prepare_system(system).limits == ()
@@ -190,7 +173,7 @@ def test_water_is_prepared_and_told_of_what_limits_it():
 
 def scaled(system, factor):
     """Charges, well depths and exceptions of the solute scaled, as REST2 and free energy methods do."""
-    force = one_of(system, openmm.NonbondedForce)
+    force = force_of(system, openmm.NonbondedForce)
     for i in range(SOLUTE):
         charge, sigma, epsilon = force.getParticleParameters(i)
         force.setParticleParameters(i, factor**0.5 * charge, sigma, factor * epsilon)
@@ -202,7 +185,7 @@ def scaled(system, factor):
 
 
 def torsions_scaled(system, factor):
-    force = one_of(system, openmm.PeriodicTorsionForce)
+    force = force_of(system, openmm.PeriodicTorsionForce)
     for i in range(force.getNumTorsions()):
         *atoms, periodicity, phase, k = force.getTorsionParameters(i)
         force.setTorsionParameters(i, *atoms, periodicity, phase, factor * k)
@@ -226,7 +209,7 @@ def test_solute_scaling_gives_what_it_gives_in_the_plain_system(peptide, prepare
 def test_parameter_offsets(peptide):
     """Charges and exceptions that a parameter of the Context scales, prepared after the offsets were added."""
     plain = copy.deepcopy(peptide[0])
-    force = one_of(plain, openmm.NonbondedForce)
+    force = force_of(plain, openmm.NonbondedForce)
     force.addGlobalParameter("coupling", 1.0)
     for i in range(SOLUTE):
         charge, sigma, epsilon = force.getParticleParameters(i)
@@ -270,11 +253,11 @@ def test_alchemical_factory(peptide, prepared):
 
 def test_several_nonbonded_forces_and_others_that_exclude_pairs(peptide):
     system = copy.deepcopy(peptide[0])
-    system.addForce(copy.deepcopy(one_of(system, openmm.NonbondedForce)))
+    system.addForce(copy.deepcopy(force_of(system, openmm.NonbondedForce)))
     custom = openmm.CustomNonbondedForce("0")
     for _ in range(system.getNumParticles()):
         custom.addParticle()
-    nonbonded = one_of(system, openmm.NonbondedForce)
+    nonbonded = force_of(system, openmm.NonbondedForce)
     for i in range(nonbonded.getNumExceptions()):
         custom.addExclusion(*nonbonded.getExceptionParameters(i)[:2])
     system.addForce(custom)
@@ -405,7 +388,7 @@ def test_integrators_of_fourth_order_tell_of_pme(make):
 
 
 @pytest.mark.parametrize(
-    "remedy", [prepare_system, lambda system: one_of(system, openmm.NonbondedForce).setPMEParameters(4, 24, 24, 24)]
+    "remedy", [prepare_system, lambda system: force_of(system, openmm.NonbondedForce).setPMEParameters(4, 24, 24, 24)]
 )
 def test_nothing_is_told_of_pme_that_somebody_chose(remedy):
     _, positions, system = periodic_system("tip3p", 64)
@@ -421,23 +404,25 @@ def test_nothing_is_told_of_pme_that_somebody_chose(remedy):
 
 def test_a_free_group_is_taken_where_the_first_has_other_forces():
     system, positions = system_of(chains())
-    one_of(system, openmm.HarmonicBondForce).setForceGroup(0)
-    one_of(system, openmm.CustomExternalForce).setForceGroup(1)
-    one_of(system, openmm.CustomNonbondedForce).setForceGroup(2)
+    force_of(system, openmm.HarmonicBondForce).setForceGroup(0)
+    force_of(system, openmm.CustomExternalForce).setForceGroup(1)
+    force_of(system, openmm.CustomNonbondedForce).setForceGroup(2)
     with pytest.raises(ValueError, match="CustomExternalForce is in force group 1"):
         prepare_system(system, fastForceGroup=1)
+    with pytest.raises(ValueError, match="from 0 to 31, got 32"):
+        prepare_system(system, fastForceGroup=32)
+    assert force_of(system, openmm.HarmonicBondForce).getForceGroup() == 0
     done = prepare_system(system)
     assert done.fastForceGroups == {3}
     integrator = SIER4GIntegrator(0.003)
-    context = started(system, integrator, positions)
-    integrator.step(1)
+    context = started(system, integrator, positions, steps=1)
     assert context.getStepCount() == 1
     assert integrator.fastForceGroups == {3}
 
 
 def test_the_group_of_the_reciprocal_sum_is_taken(peptide):
     system = copy.deepcopy(peptide[0])
-    one_of(system, openmm.NonbondedForce).setReciprocalSpaceForceGroup(1)
+    force_of(system, openmm.NonbondedForce).setReciprocalSpaceForceGroup(1)
     assert prepare_system(system).fastForceGroups == {2}
 
 

@@ -1,7 +1,5 @@
 """The benchmark: what it measures is measured rightly; how fast anything is, no test says."""
 
-from __future__ import annotations
-
 import os
 import sys
 
@@ -75,8 +73,6 @@ if sys.argv[1:] == ["-h"]:
     print("Large-scale Atomic/Molecular Massively Parallel Simulator - 1 Jan 2030\\n\\nCompiler: GNU C++ 20")
     sys.exit()
 assert sys.argv[1:] == ["-in", "in.lmp", "-log", "log"] and "run 4" in open("in.lmp").read()
-if {fails}:
-    sys.exit("ERROR: no such pair style")
 print("   Step         PotEng         KinEng")
 print("         0  -10.0   5.0")
 print("         2  -12.0   6.5")
@@ -86,19 +82,14 @@ print("96.0% CPU use with 1 MPI tasks x 1 OpenMP threads")
 """
 
 
-@pytest.mark.parametrize("fails", [False, True])
-def test_a_program_on_the_path_is_found_and_read(liquid, tmp_path, monkeypatch, fails):
+def test_a_program_on_the_path_is_found_and_read(liquid, tmp_path, monkeypatch):
     program = tmp_path / "lmp"
-    program.write_text(FAKE.format(python=sys.executable, fails=fails))
+    program.write_text(FAKE.format(python=sys.executable))
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=None)
     monkeypatch.setattr(sys, "executable", os.devnull)
     (peer,) = peers.installed()
     assert peer.name == "LAMMPS rigid/nve/small"
-    if fails:
-        with pytest.raises(peers.PeerError, match="no such pair style"):
-            peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
-        return
     energies, seconds, processor = peer.simulate(liquid[2], 1.5, 4, 2, tmp_path)
     assert energies.time == pytest.approx([0, 0.003, 0.006])
     assert energies.total == pytest.approx([-5 * 4.184, -5.5 * 4.184, -5 * 4.184])

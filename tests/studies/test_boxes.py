@@ -1,7 +1,5 @@
 """Boxes of many sizes, made of one; which of them are refused; the noise of their energies."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,12 +8,9 @@ import pytest
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.measure import forcefields
-from openmm_sier.prepare.pme import meshed_forces
-from studies import acceptance, boxes, speed_boxes
-from studies.speed import SpeedSettings
+from studies import acceptance, boxes
 from tests.support.commands import SYSTEMS, write_lattice
-from tests.support.reports import Told
-from tests.support.waters import platform
+from tests.support.waters import plain_context, platform
 
 
 @pytest.mark.parametrize(("times", "copies"), [(1, (1, 1, 1)), (2, (1, 1, 2)), (64, (4, 4, 4)), (192, (4, 6, 8))])
@@ -30,8 +25,7 @@ def test_repeated_box_has_the_energy_of_its_copies(name):
     for copies in ((1, 1, 1), (1, 2, 1)):
         replica = boxes.repeated(found, SYSTEMS, copies)
         assert replica.molecules == 512 * math.prod(copies)
-        context = openmm.Context(replica.system, openmm.VerletIntegrator(0.001), platform("CPU"))
-        context.setPositions(replica.positions)
+        context = plain_context(replica.system, replica.positions, "CPU")
         energies.append(context.getState(energy=True).getPotentialEnergy()._value)
     # PME on meshes of two shapes, at a tolerance of 1e-5.
     assert energies[1] == pytest.approx(2 * energies[0], rel=1e-4)
@@ -68,12 +62,3 @@ def test_part_of_a_box():
     assert boxes.of_size(found, SYSTEMS, 1024).molecules == 1024
     with pytest.raises(ValueError, match="a part of a box of 512 molecules has 1 to 511, got 0"):
         boxes.of_size(found, SYSTEMS, 0)
-
-
-def test_systems_are_as_openmm_makes_them():
-    """The Ewald parameter and mesh are OpenMM's own choice, whatever the box was read with."""
-    start = speed_boxes.start("water-512", SpeedSettings(platform="Reference"), Told())
-    (force,) = meshed_forces(start.system)
-    assert force.getPMEParameters()[1:] == [0, 0, 0]
-    assert force.getEwaldErrorTolerance() == speed_boxes.TOLERANCE
-    assert start.molecules == 512

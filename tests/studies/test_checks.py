@@ -1,7 +1,5 @@
 """Long checks, made short."""
 
-from __future__ import annotations
-
 import pytest
 
 from openmm_sier import SIER4G

@@ -1,7 +1,5 @@
 """Claims keep their bounds, and the page, README and the draft of the paper have their sentences word for word."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The crowd of proteins in miniature, with a small protein in the place of DHFR."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

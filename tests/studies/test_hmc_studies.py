@@ -1,7 +1,5 @@
 """The studies of solvated molecules by hybrid Monte Carlo, in miniature."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pandas as pd
@@ -12,6 +10,7 @@ from studies.hmc import solutes
 from studies.hmc.curvature import Curvature
 from studies.hmc.dihedrals import dihedral
 from tests.support.commands import SYSTEMS
+from tests.support.waters import plain_context
 
 DIPEPTIDE = SYSTEMS / "dipeptide.pdb"
 
@@ -49,9 +48,7 @@ def test_curvatures_of_known_potentials():
     system.addForce(force)
     positions = np.vstack([arms + np.array([0.5, 0.2, 0.1]), [[0.3, -0.2, 0.1]]])
     curvature = Curvature(system, RigidBodies.from_system(system), 1, "Reference")
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions(positions)
-    state = context.getState(positions=True)
+    state = plain_context(system, positions).getState(positions=True)
     found = pd.DataFrame([curvature(state) for _ in range(400)]).mean()
     centre = masses[:3] @ positions[:3] / 18
     # The point is alone: its estimate has no scatter.

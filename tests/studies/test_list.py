@@ -1,7 +1,5 @@
 """The list of studies, and the figures of the documentation."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`python -m studies.native.program`, against what OpenMM does."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest

@@ -1,7 +1,5 @@
 """The dipole in a field in miniature."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from studies.methods import PAPER
 from studies.paper import dipole, published
-from studies.paper.dipole import DipoleSettings, Field, Spread
+from studies.paper.dipole import DipoleSettings, Field
 from tests.support.oracles import random_attitudes, skew
 
 NAMES = [method.name for method in PAPER]
@@ -68,17 +66,3 @@ def _turned(A, axis, angle):
     """Bodies turned in the lab: rows of A turn as vectors."""
     S = np.eye(3) + np.sin(angle) * skew(axis) + (1 - np.cos(angle)) * skew(axis) @ skew(axis)
     return np.einsum("xy,ayn->axn", S, A)
-
-
-def test_spread(rng):
-    """Mean and rms deviation as NumPy has them, and of a quantity that changes by rounding, without loss."""
-    values = 5 + rng.normal(size=(100, 3))
-    spread = Spread(values[0])
-    for value in values:
-        spread.add(value)
-    assert spread.mean == pytest.approx(values.mean(axis=0), rel=1e-14)
-    assert spread.rms == pytest.approx(values.std(axis=0), rel=1e-12)
-    spread = Spread(np.array([1.0]))
-    for value in (1.0, 1.0 + 2**-50):
-        spread.add(np.array([value]))
-    assert spread.rms == pytest.approx(2**-51, rel=1e-12)

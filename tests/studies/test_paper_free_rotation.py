@@ -1,7 +1,5 @@
 """The experiment on free rotation in miniature, and its reference of high precision."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import replace

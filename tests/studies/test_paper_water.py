@@ -1,11 +1,6 @@
-"""The paper's liquid: the molecular cut-off against OpenMM's own forces, and Fig. 1 in miniature."""
+"""The paper's liquid: the molecular cut-off against OpenMM's own forces, and the Systems."""
 
-from __future__ import annotations
-
-import functools
 import itertools
-import math
-from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -13,18 +8,16 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIERIntegrator
-from studies.paper import liquids, molecular_cutoff, tip4p, water, water_runs
+from studies.paper import liquids, molecular_cutoff, tip4p
 from studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from studies.paper.molecular_cutoff import MolecularCutoff
-from studies.paper.water_runs import WaterSettings
 from tests.support.oracles import random_attitudes
+from tests.support.waters import plain_context
 
 ON, OFF, EDGE = 0.3, 0.5, 1.5
 POTENTIAL = MolecularCutoff(tip4p.SIGMA, tip4p.EPSILON, tip4p.CHARGE, ON, OFF)
 SMALL = Cutoffs(molecular_on=0.4, molecular_off=0.6, pme=0.6, pme_switch=0.5, ewald_tolerance=1e-5)
 
-
-REAL_PHASE_POINT = liquids.phase_point
 
 #: Of O, H, H and M, the last 0.015 nm from O.
 GEOMETRY = np.vstack([tip4p.GEOMETRY, [0.0, 0.015, 0.0]])
@@ -65,9 +58,7 @@ def reference_energy_and_forces(positions):
     for _ in range(4 * n):
         system.addParticle(1.0)
     system.addForce(compound_bonds(n))
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions(positions)
-    state = context.getState(energy=True, forces=True)
+    state = plain_context(system, positions).getState(energy=True, forces=True)
     return (
         state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),
         state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer),
@@ -88,22 +79,12 @@ def test_molecular_cutoff_against_openmm(rng):
     assert ((R > ON) & (R < OFF)).sum() > 50
 
 
-def test_periodic_images(rng):
-    """Molecules that are moved by edges of the box make no difference beyond rounding."""
-    positions, box = molecules(rng), np.array([1.5, 1.6, 1.7])
-    energy, forces = POTENTIAL.energy_and_forces(positions, box)
-    images = np.repeat(rng.integers(-2, 3, size=(27, 3)), 4, axis=0) * box
-    again, forces_again = POTENTIAL.energy_and_forces(positions + images, box)
-    assert again == pytest.approx(energy, rel=1e-11)
-    assert np.abs(forces_again - forces).max() < 1e-11 * np.abs(forces).max()
-
-
 @pytest.mark.parametrize("kind", [MOLECULAR, PME])
 def test_systems_are_water(rng, kind):
     """Bodies of TIP4P, M at 0.015 nm, the dipole of the published model, and no net force."""
-    n = 64
-    context = liquids.context(liquids.build(kind, box(), SMALL), SIERIntegrator(0.001), kind)
-    context.setPositions(molecules(rng, n, box().edge))
+    n, box = 64, liquids.water_box(64)
+    context = liquids.context(liquids.build(kind, box, SMALL), SIERIntegrator(0.001), kind)
+    context.setPositions(molecules(rng, n, box.edge))
     context.computeVirtualSites()
     state = context.getState(positions=True, forces=True)
     r = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer).reshape(n, 4, 3)
@@ -119,93 +100,3 @@ def test_systems_are_water(rng, kind):
     assert context.getIntegrator().bodies.species[0].moments == pytest.approx(
         tip4p.molecules(1).species[0].moments, rel=1e-9
     )
-
-
-@functools.cache
-def box():
-    return liquids.water_box(64)
-
-
-@functools.cache
-def phase(kind, number):
-    """A phase point, equilibrated once for all tests."""
-    return REAL_PHASE_POINT(box(), kind, SMALL, 297.0, 3.0, number)
-
-
-@pytest.fixture(autouse=True)
-def known_phase_points(monkeypatch):
-    monkeypatch.setattr(liquids, "phase_point", lambda water, kind, *_: phase(kind, _[-1]))
-
-
-def evaluated(settings):
-    """The record of the experiment in miniature."""
-    made = [run for task in water_runs.tasks(settings) for run in water_runs.run(task)["runs"]]
-    return water.evaluate(settings, box().edge, made)
-
-
-@functools.cache
-def miniature():
-    """64 molecules of the project's size; a box of 1.24 nm leaves a cut-off of 0.6 nm."""
-    settings = WaterSettings(
-        molecules=64,
-        cutoffs=SMALL,
-        kinds=(MOLECULAR,),
-        force_steps_fs=(0.5, 1.0, 1.5, 2.0, 3.0),
-        compared_from_fs=1.5,
-        compared_to_fs=1.5,
-        fine_below_fs=0.0,
-        span=0.2,
-        runs=2,
-        relax=0.2,
-    )
-    return settings, evaluated(settings)
-
-
-def ratios(record):
-    return record.tables["points"].set_index(["method", "force_step_fs"])["percent"]
-
-
-@pytest.mark.slow
-def test_slopes_are_the_orders():
-    """Between 0.5 and 2 fs the slope of SIER2 is 2; that of SIER4, between 0.5 and 1 fs, 4: rounding is far below.
-
-    Higher orders of the error add up to 0.3 at these steps.
-    """
-    found = ratios(miniature()[1])
-    second = math.log(found["SIER2", 2.0] / found["SIER2", 0.5]) / math.log(4)
-    fourth = math.log(found["SIER4", 1.0] / found["SIER4", 0.5]) / math.log(2)
-    assert second == pytest.approx(2, abs=0.15)
-    assert fourth == pytest.approx(4, abs=0.3)
-
-
-def test_crossing_is_where_the_paper_has_it():
-    assert 1.5 < miniature()[1].tables["crossings"]["force_step_fs"][0] < 2.8
-    found = ratios(miniature()[1])
-    assert found["SIER4", 1.0] < 0.15 * found["SIER2", 1.0]
-    assert found["SIER4", 3.0] > found["SIER2", 3.0]
-
-
-def test_mrdl_and_sej4_lie_on_sier2():
-    """Forces make the error, not free rotation: from the same starts they agree within 2 %."""
-    found = ratios(miniature()[1])
-    assert found["MRDL", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)
-    assert found["SEJ4", 1.5] == pytest.approx(found["SIER2", 1.5], rel=0.02)
-
-
-@pytest.mark.slow
-def test_broken_runs_are_left_out():
-    """A step at which the integration fails gives no sample, and longer ones are not tried."""
-    settings = replace(miniature()[0], force_steps_fs=(1.0, 30.0, 60.0), compared_from_fs=100.0, runs=1, span=0.1)
-    points = evaluated(settings).tables["points"].set_index(["method", "force_step_fs"])
-    assert points["runs"]["SIER4", 1.0] == 1
-    assert points["runs"]["SIER4", 60.0] == 0
-    assert math.isnan(points["percent"]["SIER4", 60.0])
-
-
-@pytest.mark.slow
-def test_phase_points_are_liquid_water():
-    """64 molecules near -40 kJ/mol each."""
-    context = liquids.context(liquids.build(PME, box(), SMALL), openmm.VerletIntegrator(0.001), PME)
-    context.setState(phase(PME, 1))
-    # TIP4P: -41.8 kJ/mol (Jorgensen 1983); a short cut-off without its correction and 64 molecules change it by some.
-    assert -46 < liquids.energies(context)[1] / 64 < -36

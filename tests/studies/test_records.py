@@ -1,7 +1,5 @@
 """Tables of studies as files and as text, and settings as options."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

@@ -1,14 +1,11 @@
 """Samples of runs and what ends one; what steps of second order do to temperatures, predicted and simulated."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest
 from scipy.linalg import logm
 
-from openmm_sier import SIER2, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator
 from openmm_sier.dynamics.schemes import DRIFT
 from studies import sampling
 from studies.methods import SCHEMES
@@ -71,20 +68,6 @@ def test_bias_at_constant_energy(phase):
     assert generator[0, 1] - 1 == pytest.approx(bias * phase**2, abs=phase**4 / 20)
 
 
-def test_points_do_not_rotate():
-    system = openmm.System()
-    system.addParticle(1.0)
-    force = openmm.CustomExternalForce("2*x^2")
-    force.addParticle(0)
-    system.addForce(force)
-    integrator = SIER2Integrator(0.001)
-    context = context_of(system, integrator, np.array([[0.1, 0.0, 0.0]]))
-    translation, rotation = sampling.steepness(context, RigidBodies.from_system(system), 1, 1)
-    x = context.getState(positions=True).getPositions(asNumpy=True)._value[0, 0]
-    assert translation == pytest.approx((4 * x) ** 2 / (3 * GAS_CONSTANT))
-    assert rotation == 0
-
-
 # --- samples ---
 
 
@@ -103,32 +86,3 @@ def test_torn_molecules_end_one_run_and_not_the_comparison():
     context.setVelocitiesToTemperature(2000, 1)
     with pytest.raises(sampling.Unstable):
         sampling.sample(context, RigidBodies.from_system(system, topology), 200, 5)
-
-
-def test_a_motion_that_is_not_finite_ends_one_run(monkeypatch):
-    topology, positions, system = periodic_system()
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform())
-    context.setPositions(positions)
-    bodies = RigidBodies.from_system(system, topology)
-    monkeypatch.setattr(bodies, "momenta", lambda velocities, A: RigidBodies.momenta(bodies, velocities * np.inf, A))
-    with pytest.raises(sampling.Unstable, match="after 1 steps the vectors of body 0 are not finite"):
-        sampling.sample(context, bodies, 2, 1)
-
-
-def test_ions_have_no_rotational_temperature_and_are_sampled_all_the_same():
-    system = openmm.System()
-    force = openmm.CustomNonbondedForce("50*(r - 0.3)^2")
-    for _ in range(2):
-        system.addParticle(23.0)
-        force.addParticle([])
-    system.addForce(force)
-    context = openmm.Context(system, SIER2Integrator(0.001), platform())
-    context.setPositions([[0, 0, 0], [0.35, 0, 0]])
-    series = sampling.sample(context, RigidBodies.from_system(system), 20, 5)
-    assert series.time == pytest.approx([0.005, 0.01, 0.015, 0.02])
-    assert np.isnan(series.rotation).all()
-    # At rest at the start, and the centre of mass for ever: three degrees of freedom of two bodies.
-    kinetic = series.translation * 3 * 8.31446261815324e-3 / 2
-    np.testing.assert_allclose(kinetic, series.kinetic, rtol=1e-9)
-    # Of (h w)^2/8 = 1e-6, w = sqrt(2 100/23)/ps.
-    np.testing.assert_allclose(series.total, 50 * 0.05**2, rtol=1e-5)

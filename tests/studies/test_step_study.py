@@ -1,7 +1,5 @@
 """Properties against the step: runs, what belongs together, and what a run does not tell."""
 
-from __future__ import annotations
-
 import mdtraj
 import numpy as np
 import pytest

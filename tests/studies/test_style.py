@@ -1,11 +1,8 @@
 """One look for every method in every figure."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 
 from studies import figures, methods, records, style
 
@@ -31,27 +28,3 @@ def test_no_two_methods_look_alike():
     assert len(set(looks)) == len(looks)
     colours = [to_rgb(colour) for colour, _ in style.METHODS.values()]
     assert len(set(colours)) == len(colours)
-
-
-def test_a_heat_bath_does_not_change_the_look():
-    assert style.of_method("SIER4G Langevin") == style.of_method("SIER4G")
-    assert style.of_method("SIER4G")["ls"] == "-"
-    assert style.of_method("OpenMM LangevinMiddle")["ls"] == "--"
-    assert style.of_method("SIER4G HMC")["color"] == style.of_method("SIER4G")["color"]
-
-
-def test_curves_have_every_point_and_its_error():
-    rows = pd.DataFrame(
-        [("SIER2", 2.0, 0.98, 0.01), ("SIER4G", 2.0, 0.998, 0.002), ("SIER2", 1.0, 0.99, float("nan"))],
-        columns=["method", "h", "density", "density_error"],
-    )
-    axes = Figure().subplots()
-    style.curves(axes, pd.concat([rows, rows.assign(method="SIER4", density=float("nan"))]), "h", "density", apart=0.1)
-    drawn = {container.get_label(): container for container in axes.containers}
-    assert list(drawn) == ["SIER2", "SIER4G"]
-    x, y = drawn["SIER2"].lines[0].get_data()
-    assert (list(x), list(y)) == ([0.9, 1.9], [0.99, 0.98])
-    x, _ = drawn["SIER4G"].lines[0].get_data()
-    assert list(x) == [2.0]
-    (segment,) = drawn["SIER4G"].lines[2][0].get_segments()
-    assert segment[:, 1] == pytest.approx([0.996, 1.0])

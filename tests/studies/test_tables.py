@@ -1,7 +1,5 @@
 """What studies make of numbers: pooled runs, points with errors, costs, laws, and what a pool refuses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,12 +7,11 @@ import pandas as pd
 import pytest
 
 from openmm_sier.dynamics.schemes import SIER2V2
-from studies import acceptance, equipartition, records, schemes, speed, step_study, whole_run
+from studies import acceptance, equipartition, schemes, speed, step_study, whole_run
 from studies.bench import accuracy, timing
 from studies.equipartition import MEASURED
 from studies.hmc import solvated
 from studies.methods import CONSTANT_ENERGY
-from studies.records import Record
 from studies.speed import Turn
 
 # --- acceptance -------------------------------------------------------------------------------------------------------
@@ -52,15 +49,6 @@ def test_limits():
     # A spread that is larger by its error makes the box smaller by about as much as is said.
     smaller = limit["largest"] / (1 + limit["spread_error"] / limit["spread"]) ** 2
     assert limit["largest"] - smaller == pytest.approx(limit["largest_error"], rel=0.1)
-
-
-def test_spreads_of_boxes_of_several_sizes_are_pooled(rng):
-    sizes, trials, of_one = (100, 400, 1600), (4000, 1000, 250), 0.03
-    spreads = [rng.normal(0, of_one * n**0.5, k).std(ddof=1) for n, k in zip(sizes, trials, strict=True)]
-    rows = pd.DataFrame({"molecules": sizes, "trials": trials, "spread": spreads})
-    value, error = acceptance.pooled_spread(rows)
-    assert error == pytest.approx(of_one / (2 * 5250) ** 0.5, rel=0.05)
-    assert abs(value - of_one) < 4 * error
 
 
 def test_the_law_of_acceptance_by_size():
@@ -142,31 +130,6 @@ def point(method, h, forces=1, box="spce-512", time=180.0, **found):
     return place | unknown | given
 
 
-READ = pd.DataFrame(
-    [
-        point("SIER4G", 2.0, 3, rotation=(296.8, 0.4), density=(0.998, 0.002), diffusion=(2.5, 0.1)),
-        point("OpenMM Verlet", 4.0, density=(0.98, 0.001), energy=(-46.0, math.nan)),
-        point("OpenMM Verlet", 1.0, density=(0.99, 0.001)),
-        point("SIER4G HMC", 2.0, 3, density=(1.0, 0.003)),
-        point("SIER4G", 2.0, 3, box="tip3p-512", density=(0.985, 0.002)),
-    ]
-)
-
-
-@pytest.mark.slow
-def test_the_table_is_by_box_method_and_step(tmp_path):
-    record = Record({}, {"rows": step_study.in_order(READ)}, {"title": "Water"})
-    lines = records.markdown(step_study.tables(record)[0]).splitlines()
-    assert len(lines) == 2 + len(READ)
-    assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    found = "- | 296.80 ± 0.40 | 0.9980 ± 0.0020 | - | 2.50 ± 0.10"
-    assert lines[2] == f"| spce-512 | SIER4G | 6 | 2 | 2 | 180 | {found} |"
-    assert [line.split(" | ")[1:4] for line in lines[3:5]] == [["OpenMM Verlet", str(h), str(h)] for h in (1, 4)]
-    assert lines[-1].startswith("| tip3p-512")
-    step_study.figure(record, tmp_path / "figure.png")
-    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_errors_are_shared_by_rows_of_one_box_and_method():
     rows = [
         point("SIER2", 4.0, time=90.0, density=(1.0, 0.002), energy=(-46.0, math.nan)),
@@ -182,26 +145,6 @@ def test_errors_are_shared_by_rows_of_one_box_and_method():
     assert found["energy_error"].isna().all()
 
 
-def test_deviations_are_from_hybrid_monte_carlo_or_from_the_shortest_step():
-    rows = [
-        point("SIER2", 1.0, energy=(-46.0, 0.3), diffusion=(2.2, 0.3)),
-        point("SIER4G", 1.0, 3, diffusion=(2.4, 0.3)),
-        # Left out of the reference, since its bath heats the liquid.
-        point("OpenMM Verlet", 1.0, energy=(-40.0, 0.3), diffusion=(9.0, 0.3)),
-        point("SIER4G", 2.0, 3, energy=(-45.3, 0.4), diffusion=(2.5, 0.4)),
-        point("SIER4G HMC", 2.0, 3, energy=(-45.0, 0.3)),
-        point("SIER4G HMC", 3.0, 3, energy=(-46.0, 0.3)),
-    ]
-    energy, diffusion = step_study.tables(Record({}, {"rows": pd.DataFrame(rows)}, {"title": ""}))[2:]
-    assert energy.columns == ["method", "fs per force", "SPC/E"]
-    # The mean of two rows with errors of 0.3 has 0.3/sqrt(2) = 0.21. Differences have sqrt(0.3^2 + 0.21^2) = 0.37 and
-    # sqrt(0.4^2 + 0.21^2) = 0.45.
-    assert energy.rows[:2] == [["reference", "", "-45.50 ± 0.21"], ["SIER2", "1", "-0.50 ± 0.37"]]
-    assert ["SIER4G", "2", "0.20 ± 0.45"] in energy.rows
-    assert diffusion.rows[0] == ["reference", "", "2.30 ± 0.21"]
-    assert ["SIER4G", "2", "0.20 ± 0.45"] in diffusion.rows
-
-
 def power_law(factor, power):
     rows = [("m", h, factor * h**power, 100 * h) for h in (0.25, 0.5, 1.0, 2.0)]
     return pd.DataFrame(rows, columns=["method", "fs_per_force", "percent", "fs_per_second"])
@@ -214,13 +157,6 @@ def test_step_and_cost_at_a_level_of_a_power_law(power):
     # 0.8 fs per force reach 0.1 %, and a force takes 10 ms.
     expected = {"percent": 0.1, "fs_per_force": 0.8, "forces_per_ps": 1250.0, "fs_per_second": 80.0}
     assert row == pytest.approx(expected | {"method": "m"})
-
-
-def test_interleaved_timings_discard_the_first_round():
-    calls = []
-    seconds = timing.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
-    assert calls == ["a", "b"] * 3
-    assert [len(values) for values in seconds.values()] == [2, 2]
 
 
 def test_median_comes_with_its_standard_error(rng):
@@ -263,11 +199,6 @@ def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):
     assert verlet["fs_per_force"] == pytest.approx(math.sqrt(2.5))
     assert own["fs_per_force"] == pytest.approx(math.sqrt(10))
     assert (own["over"], own["over_error"]) == pytest.approx((2.0, 0.0))
-
-
-def test_steps_of_a_solute_are_those_that_its_bonds_allow():
-    steps = [{each.method: each.step for each in speed.contestants(solute)} for solute in (False, True)]
-    assert [(each["SIER2P3"], each["SIER4G"]) for each in steps] == [(12, 4), (9, 4)]
 
 
 def test_the_law_of_the_walk_is_found_again():

@@ -1,7 +1,5 @@
 """The study of whole runs knows by how much the slope of a walk scatters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A rigid cage of 60 atoms, of the shape of C60: a large body that no constraint holds."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs of runs whose distributions are known exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT

@@ -1,7 +1,5 @@
 """The command line as the tests call it: small boxes, what a command wrote, and how it complained."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

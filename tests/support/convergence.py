@@ -1,7 +1,5 @@
 """Runs of schemes on the model cluster, and the order that their errors show."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics.operators import CachedForces, body_operators, stepper

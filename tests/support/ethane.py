@@ -1,7 +1,5 @@
 """A molecule that is constrained and not rigid."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 

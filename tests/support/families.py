@@ -1,7 +1,5 @@
 """Every kind of top in every kind of state, at random."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.support.oracles import random_attitudes, rates_of

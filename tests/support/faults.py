@@ -1,7 +1,5 @@
 """Errors and interrupts at any line of the package."""
 
-from __future__ import annotations
-
 import pathlib
 import sys
 

@@ -1,7 +1,5 @@
 """Points with distance constraints, springs and smooth forces, for the tests of constrained and flexible molecules."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.integrate import solve_ivp
 

@@ -1,7 +1,5 @@
 """The points of `flexible` as OpenMM Systems, alone and beside rigid water, and what their runs are compared by."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 
@@ -86,11 +84,13 @@ def _charges(points, others, waters, box):
     return force
 
 
-def started(system, integrator, positions, temperature=300.0, seed=3, name="Reference"):
-    """A Context at positions, with velocities of a temperature that satisfy the constraints."""
+def started(system, integrator, positions, temperature=300.0, seed=3, name="Reference", steps=None):
+    """A Context at positions, with velocities that satisfy the constraints, after steps if these are given."""
     context = openmm.Context(system, integrator, platform(name))
     context.setPositions(positions)
     context.setVelocitiesToTemperature(temperature, seed)
+    if steps is not None:
+        integrator.step(steps)
     return context
 
 

@@ -1,7 +1,5 @@
 """OpenMM's integrators that ours are compared with."""
 
-from __future__ import annotations
-
 import openmm
 
 

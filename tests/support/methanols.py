@@ -1,7 +1,5 @@
 """A box of methanol as it stands in a PDB file, whose coordinates are rounded."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rigid molecules of every kind, and a smooth model potential between them, for the tests that need no Context."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.integrate import solve_ivp
 

@@ -1,7 +1,5 @@
 """OpenMM's OpenCL platform on the CPU, by Intel's runtime from the package index (the extra `opencl-test`)."""
 
-from __future__ import annotations
-
 import functools
 import os
 import subprocess

@@ -5,8 +5,6 @@ Arrays are component-first, as in the package: attitudes A (3, 3, n) with the pr
 can tell; a point has three zeros and does not turn.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """A capped peptide in a few waters, built by the program that makes the shipped one."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 

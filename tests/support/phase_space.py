@@ -1,7 +1,5 @@
 """Phase points of rigid bodies: how far apart they are, and whether a map of them is symplectic."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A report that remembers what it was told."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 from studies.report import Table

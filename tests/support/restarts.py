@@ -1,7 +1,5 @@
 """Ways to stop a run and to continue it, and what has to agree then."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 from openmm import app

@@ -1,7 +1,5 @@
 """Integrators of hybrid Monte Carlo, and what has to agree after a restart of one."""
 
-from __future__ import annotations
-
 import openmm
 
 from openmm_sier import SIER2, SIERHMCIntegrator

@@ -1,7 +1,5 @@
 """Correlated series of known statistics."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

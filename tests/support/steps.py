@@ -1,7 +1,5 @@
 """Steps of bodies of every kind, for the tests of backends and threads."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from openmm_sier.dynamics import operators

@@ -1,7 +1,5 @@
 """Python programs in interpreters of their own."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Waters without interactions, in fields of which everything is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 

@@ -1,7 +1,5 @@
 """Small water systems for the tests that need a Context."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -94,12 +92,27 @@ def energies(context):
     )
 
 
-def context_at(system, integrator, point, name="Reference"):
+def context_at(system, integrator, point, name="Reference", steps=None):
+    """A Context at positions and velocities, after steps of its integrator if these are given."""
     properties = {"Threads": "1", "DeterministicForces": "true"} if name == "CPU" else {}
     context = openmm.Context(system, integrator, platform(name), properties)
     context.setPositions(point[0])
     context.setVelocities(point[1])
+    if steps is not None:
+        integrator.step(steps)
     return context
+
+
+def plain_context(system, positions, name="Reference"):
+    """A Context at positions, of one of OpenMM's own integrators, for energies and forces."""
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform(name))
+    context.setPositions(positions)
+    return context
+
+
+def force_of(system, kind=openmm.NonbondedForce):
+    """The first Force of a kind in a System."""
+    return next(force for force in system.getForces() if isinstance(force, kind))
 
 
 def droplet(molecules=27, stiffness=50.0):

@@ -1,7 +1,5 @@
 """Bonded forces that are expressions limit the step as harmonic bonds do: their curvature is measured."""
 
-from __future__ import annotations
-
 import math
 import warnings
 
@@ -203,8 +201,7 @@ def test_a_force_of_which_nothing_is_known_is_named_once():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # No bond of a molecule is too fast for this step.
-        context = context_at(system, integrator, (x, 0 * x))
-        integrator.step(1)
+        context = context_at(system, integrator, (x, 0 * x), steps=1)
     integrator.setStepSize(6 * unit.femtoseconds)
     with pytest.warns(
         UserWarning, match=r"A step of 6 fs cannot be judged: of bias \(CustomCVForce\) no stiffness"

@@ -1,14 +1,11 @@
 """Steps that are too long for the librations of molecules: said where they are inaccurate, refused where hopeless."""
 
-from __future__ import annotations
-
 import warnings
 
 import openmm
 import pytest
 
 from openmm_sier import (
-    SIER2,
     SIER2V2,
     SIER4G,
     RigidBodies,
@@ -163,13 +160,3 @@ def test_what_nothing_holds_takes_any_step(engine):
     ignored = long()
     ignored.setIntegrationForceGroups({1})
     silently(gas(charge=0.5), ignored)
-
-
-def test_argon():
-    """Mass 39.95: the estimate is near the Einstein frequency of the liquid, 7.5/ps (Rahman, Phys. Rev. 136, A405)."""
-    system, force = openmm.System(), openmm.NonbondedForce()
-    for _ in range(2):
-        system.addParticle(39.95)
-        force.addParticle(0, 0.3405, 0.996)
-    system.addForce(force)
-    assert SIER2.accuracy_limit / longest(system, SIER2) == pytest.approx(7.5, rel=0.15)

@@ -1,7 +1,5 @@
 """Molecules that are not rigid, by name: each runs, conserves energy to fourth order, and restarts to the bit."""
 
-from __future__ import annotations
-
 import openmm
 import pytest
 from openmm import app
@@ -27,8 +25,7 @@ def alanine():
 def largest_deviation(system, positions, h, steps, groups, bodies=None):
     """Of the total energy from its start, kJ/mol, over steps of h."""
     integrator = SIER4GIntegrator(h, bodies=bodies, fastForceGroups=groups)
-    context = started(system, integrator, positions)
-    integrator.step(0)
+    context = started(system, integrator, positions, steps=0)
     start, found = total_energy(context), []
     for _ in range(steps):
         integrator.step(1)
@@ -57,8 +54,7 @@ def check(system, positions, h, bodies=None):
         made.setRandomNumberSeed(5)
         return made
 
-    context = started(system, langevin(), positions)
-    context.getIntegrator().step(3)
+    context = started(system, langevin(), positions, steps=3)
     assert_restart_is_the_same(system, context, langevin(), 4)
 
 

@@ -1,7 +1,5 @@
 """What OpenMM promises of any integrator, run once with one of its own, as a control, and with ours."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest
@@ -19,6 +17,7 @@ def seeded(integrator):
 INTEGRATORS = {
     "LangevinMiddle": lambda: seeded(openmm.LangevinMiddleIntegrator(297.0, 1.0, 0.001)),
     "SIER4": lambda: SIER4Integrator(0.001),
+    "SIER4 native": lambda: SIER4Integrator(0.001, engine="native"),
     "SIERLangevin": lambda: seeded(SIERLangevinIntegrator(297.0, 1.0, 0.001, scheme=SIER2)),
 }
 every_integrator = pytest.mark.parametrize("make", INTEGRATORS.values(), ids=INTEGRATORS.keys())
@@ -140,29 +139,3 @@ def test_force_groups_choose_the_forces_that_move(cluster, engine):
 
 
 # --- wrappers that own a Simulation -----------------------------------------------------------------------------
-
-
-def oxygen_distance(topology):
-    oxygens = [atom.index for atom in topology.atoms() if atom.element is app.element.oxygen]
-    distance = openmm.CustomBondForce("r")
-    distance.addBond(*oxygens[:2])
-    return app.BiasVariable(distance, 0.0, 3.0, 0.1)
-
-
-def test_metadynamics(tmp_path, box):
-    """OpenMM's wrapper makes the steps of a Simulation, and finds its own force in it."""
-    topology, system, point = box
-    system = openmm.XmlSerializer.clone(system)
-    variable = oxygen_distance(topology)
-    bias = app.Metadynamics(system, [variable], 297.0, 5.0, 2.0, 4, saveFrequency=8, biasDir=str(tmp_path))
-    integrator = INTEGRATORS["SIERLangevin"]()
-    simulation = simulation_of((topology, system, point), integrator, "CPU")
-    bias.step(simulation, 20)
-    assert simulation.currentStep == 20
-    free_energy = array(bias.getFreeEnergy())
-    # Five Gaussians of up to 2 kJ/mol where the molecules are, and the factor of well-tempered sampling.
-    place = bias.getCollectiveVariables(simulation)[0]
-    lowest = np.linspace(0, 3, variable.gridWidth)[free_energy.argmin()]
-    assert abs(lowest - place) < 0.1
-    assert -12.5 < free_energy.min() < -6.0
-    assert len(list(tmp_path.glob("bias_*.npy"))) == 1

@@ -1,7 +1,5 @@
 """Positions that are not quite those of the bodies: molecules that are recognized are mended, others refused."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -87,19 +85,6 @@ def test_rounding_is_not_said():
         warnings.simplefilter("error")
         integrator.step(1)
     assert context.getStepCount() == 1
-
-
-def test_torn_molecules_are_refused_and_left_where_they_are():
-    topology, positions, system = cluster_system(6)
-    torn = positions.copy()
-    # One hydrogen is on the other side of a box of 1.2 nm.
-    torn[4] += [1.2, 0, 0]
-    integrator = SIER2Integrator(0.001, bodies=RigidBodies.from_system(system, topology))
-    context = context_at(system, integrator, (torn, 0 * torn))
-    with pytest.raises(RigidityError, match=r"residue HOH .*\(atoms 3, 4, 5\) does not have the shape.*periodic bound"):
-        integrator.step(1)
-    assert np.array_equal(phase_point(context)[0], torn)
-    assert context.getStepCount() == 0
 
 
 def test_exchanged_atoms_are_refused(rng):

@@ -1,7 +1,5 @@
 """Bonds that nothing holds: steps that they do not bear are refused, and those that they hardly bear said."""
 
-from __future__ import annotations
-
 import math
 import warnings
 
@@ -69,8 +67,7 @@ def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         integrator = SIERIntegrator(0.99 * accurate, SIER4G)
-        context = context_at(system, integrator, (positions, 0 * positions))
-        integrator.step(1)
+        context = context_at(system, integrator, (positions, 0 * positions), steps=1)
     integrator.setStepSize(1.01 * accurate)
     with pytest.warns(UserWarning, match=r"A step of 3\.\d* fs is long: the bond between") as said:
         integrator.step(1)
@@ -116,8 +113,7 @@ def test_bonds_inside_bodies_do_not_count(flexible):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", "3 bodies like .* share one geometry")
-        context = context_at(system, named, (positions, 0 * positions))
-        named.step(1)
+        context = context_at(system, named, (positions, 0 * positions), steps=1)
     assert context.getStepCount() == 1
     partly = SIERIntegrator(0.006, SIER4G, bodies=[[0, 1, 2], [6, 7, 8]])
     context = context_at(system, partly, (positions, 0 * positions))

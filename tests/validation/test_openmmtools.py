@@ -1,7 +1,5 @@
 """openmmtools with these integrators: its cache of Contexts, its Monte Carlo moves, and replica exchange."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 from typing import ClassVar
@@ -11,7 +9,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIER4, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
 from tests.support.waters import array, droplet, periodic_system, platform, relaxed
 
 pytest.importorskip("openmmtools", reason="pip install openmm-sier[validation]")
@@ -93,22 +91,6 @@ def test_the_cache_gives_what_it_is_asked_for(box):
         for name, (context, integrator) in zip((before, asked), found, strict=True):
             assert described(integrator) == described(INTEGRATORS[name]()), (before, asked)
             assert contexts.get_context(state, INTEGRATORS[name]())[0] is context, (before, asked)
-
-
-def test_every_context_of_the_cache_moves(drop):
-    contexts, ends = cache.ContextCache(platform=platform()), []
-    for name in ("SIER2", "Langevin with SIER2", "SIER4G", "Langevin with SIER4G", "SIER2"):
-        context, integrator = contexts.get_context(state_at(drop), INTEGRATORS[name]())
-        sampler_state(drop).apply_to_context(context)
-        if not isinstance(integrator, SIERLangevinIntegrator):
-            # openmmtools leaves it the Andersen thermostat.
-            context.setParameter(openmm.AndersenThermostat.CollisionFrequency(), 0)
-        integrator.step(3)
-        ends.append(array(context.getState(positions=True).getPositions(asNumpy=True)))
-    # The last one asked for is the first one, in the same Context, and does the same.
-    assert np.array_equal(ends[0], ends[-1])
-    for one, two in itertools.combinations(ends[:-1], 2):
-        assert np.abs(one - two).max() > 1e-6
 
 
 def test_the_cache_sets_the_friction_that_is_asked_for(drop):
@@ -207,17 +189,6 @@ def test_moves_of_integrators_without_a_bath(drop, kind, least, most):
     assert len(contexts) == 1
     assert np.abs(array(found.positions) - start).max() > 0.01
     assert least < np.ptp(energies) < most
-
-
-def test_langevin_moves_after_moves_at_constant_energy(drop):
-    contexts = cache.ContextCache(platform=platform())
-    mixed = mcmc.SequenceMove(
-        [mcmc.IntegratorMove(SIERIntegrator(4 * FEMTOSECOND, SIER4), n_steps=5), LangevinMove(n_steps=5)]
-    )
-    sampler = mcmc.MCMCSampler(state_at(drop), sampler_state(drop), mixed)
-    sampler.run(3, contexts)
-    assert len(contexts) == 2
-    assert np.isfinite(array(sampler.sampler_state.positions)).all()
 
 
 @pytest.mark.parametrize(

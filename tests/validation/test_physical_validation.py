@@ -4,13 +4,11 @@ Merz and Shirts, PLoS ONE 13, e0202764 (2018). Results are distances from what s
 standard errors.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2, SIER4, SIER4G, SIER4P, SIER4V, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER4, SIER4G, SIER4P, SIER4V, SIERLangevinIntegrator
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, KICK, Stage
 from tests.support.waters import context_at, droplet, phase_point, relaxed
@@ -109,49 +107,3 @@ def test_too_long_a_step_of_second_order_is_found_out(drop):
     ends_with_a_kick = Scheme("SIER2 around a bath", (Stage(KICK, 0.5), half, Stage(BATH, 1), half, Stage(KICK, 0.5)))
     found = distances(sampled(drop, ends_with_a_kick, 0.006))
     assert found[4, 0] > LIMIT
-
-
-# --- convergence with the step ----------------------------------------------------------------------------------------
-
-
-def conserved(drop, scheme, step, time=0.48):
-    """Energy at constant energy, and the step, as physical_validation takes them."""
-    system, point = drop
-    integrator = SIERIntegrator(step, scheme)
-    context = context_at(system, integrator, point)
-    energy = []
-    for _ in range(round(time / step)):
-        integrator.step(1)
-        potential = context.getState(energy=True).getPotentialEnergy().value_in_unit(openmm.unit.kilojoule_per_mole)
-        energy.append(potential + sum(integrator.bodies.kinetic_energies(integrator.getBodyState())))
-    observables = data.ObservableData(constant_of_motion=energy)
-    return data.SimulationData(units=data.UnitData.units("GROMACS"), dt=step, observables=observables)
-
-
-def deviation(drop, scheme, steps):
-    """physical_validation's |1 - (ratio of fluctuations)/(ratio of steps)^2|, the largest of the pairs of steps."""
-    runs = [conserved(drop, scheme, step) for step in steps]
-    return physical_validation.integrator.convergence(runs, verbose=False)
-
-
-@pytest.mark.slow
-def test_convergence_of_second_order(drop):
-    """physical_validation assumes second order, which SIER2 has.
-
-    The next term of the error is a share of (omega h)^2 / 12 of the first, 4 % at 2 fs and the 680/cm of a libration.
-    """
-    assert deviation(drop, SIER2, (0.002, 0.001, 0.0005)) < 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scheme", "step"),
-    [(SIER4, 0.002), (SIER4V, 0.004), (SIER4G, 0.003), (SIER4P, 0.004)],
-    ids=["SIER4", "SIER4V", "SIER4G", "SIER4P"],
-)
-def test_convergence_of_fourth_order(drop, scheme, step):
-    """Half the step, a sixteenth of the fluctuation: physical_validation expects a fourth and finds 16/4 - 1 = 3.
-
-    Third order would be 1 and fifth 7. The next term, a share of order (omega h)^2 / 12, is the tolerance.
-    """
-    assert deviation(drop, scheme, (step, step / 2)) == pytest.approx(3, abs=0.3)

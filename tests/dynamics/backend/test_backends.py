@@ -1,7 +1,5 @@
 """The backends: Numba gives what NumPy gives, and NumPy alone is enough."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess
@@ -122,18 +120,6 @@ def test_kicks_of_constrained_groups_agree(rng):
     assert np.abs(turned).max() > 1e-3 * np.abs(plain).max()
     # Rounding times the condition of the cage.
     assert np.abs(plain - fast).max() < 100 * ROUNDING * np.abs(plain).max()
-
-
-def test_steps_of_no_bodies_and_of_points(rng):
-    for kinds in ([], [molecules.ION]):
-        bodies = molecules.scattered(kinds, each=5)
-        state = molecules.thermal_state(rng, bodies, rng.normal(size=(3, bodies.n)))
-        flows = operators.body_operators(bodies, operators.CachedForces(lambda q, A: (-q, 0 * q)))
-        plain, fast = both(lambda flows=flows, s=state: operators.stepper(SIER4G, flows, 0.01)(s))
-        for name in "qpAL":
-            assert getattr(plain, name).shape == getattr(state, name).shape
-            # A gradient kick gives points the moment of parallel vectors, which is rounding of 1e-3 x 1.
-            assert np.allclose(getattr(plain, name), getattr(fast, name), rtol=10 * ROUNDING, atol=1e-3 * ROUNDING)
 
 
 def test_constraints_agree(rng):

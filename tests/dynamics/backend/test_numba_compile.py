@@ -1,7 +1,5 @@
 """Compilation of functions with all that they call, and the code that is kept on disk."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

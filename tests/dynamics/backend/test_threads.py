@@ -1,7 +1,5 @@
 """Threads that share loops."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

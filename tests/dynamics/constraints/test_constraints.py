@@ -1,19 +1,13 @@
 """Distance constraints: projections, moves on the manifold and geodesics, by NumPy and by Numba."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
 import pytest
 
-from openmm_sier import BodyState
-from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import ConstraintError, Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
-from openmm_sier.dynamics.operators import drift
-from openmm_sier.dynamics.species import Species
 from tests.support.flexible import KAHAN_LI, cage, many, mixture, repeated, residual, ring, rotor
 
 
@@ -30,14 +24,20 @@ def squares(system, q):
     return ((q[:, i] - q[:, j]) ** 2).sum(axis=0)
 
 
+@pytest.fixture
+def mixed(executed_by):
+    """Molecules of every kind, their constraints, and positions (3, n) on these."""
+    system = mixture()
+    constraints = system.constraints()
+    return system, constraints, constraints.satisfied(system.x)
+
+
 # --- algebra ----------------------------------------------------------------------------------------------------------
 
 
-def test_projection_is_the_one_of_linear_algebra(rng, executed_by):
+def test_projection_is_the_one_of_linear_algebra(mixed, rng):
     """Against a dense pseudo-inverse: idempotent, tangent, orthogonal in the metric of the inverse masses."""
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+    system, constraints, q = mixed
     p = rng.normal(size=q.shape)
     found = constraints.project(q, p)
     G = gradients(system, q).reshape(len(system.pairs), -1)
@@ -50,10 +50,8 @@ def test_projection_is_the_one_of_linear_algebra(rng, executed_by):
     assert np.abs(constraints.project(q, found) - found).max() < 1e-13
 
 
-def test_projection_leaves_free_points_and_momenta_alone(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+def test_projection_leaves_free_points_and_momenta_alone(mixed, rng):
+    _, constraints, q = mixed
     p = rng.normal(size=q.shape)
     found = constraints.project(q, p)
     free = np.setdiff1d(np.arange(q.shape[1]), constraints.members)
@@ -63,10 +61,8 @@ def test_projection_leaves_free_points_and_momenta_alone(rng, executed_by):
     assert np.abs(np.cross(q, found - p, axis=0).sum(axis=1)).max() < 1e-13
 
 
-def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(mixed, rng):
+    system, constraints, q = mixed
     force, shift = rng.normal(size=q.shape), 0.02
     found = constraints.displaced(q, force, shift)
     # The iteration ends with the update that follows residuals of 1e-11 (`CLOSE`).
@@ -179,10 +175,8 @@ def test_geodesics_are_symplectic(rng, executed_by):
         assert abs(before) > 1e-3
 
 
-def test_what_momenta_have_along_the_bonds_does_not_matter(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+def test_what_momenta_have_along_the_bonds_does_not_matter(mixed, rng):
+    system, constraints, q = mixed
     free = rng.normal(size=q.shape) * np.sqrt(system.masses)
     found = [constraints.drift(q, p, 0.003, SUZUKI) for p in (free, constraints.project(q, free))]
     (one, p1), (other, p2) = [(x, constraints.project(x, p)) for x, p in found]
@@ -191,20 +185,8 @@ def test_what_momenta_have_along_the_bonds_does_not_matter(rng, executed_by):
     assert np.abs(p1 - p2).max() < 1e-11
 
 
-def test_a_drift_of_no_time_changes_nothing(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
-    p = thermal(rng, constraints, q)
-    found = constraints.drift(q, p, 0.0, SUZUKI)
-    assert np.array_equal(found[0], q)
-    assert np.array_equal(found[1], p)
-
-
-def test_inputs_are_left_as_they_were(rng, executed_by):
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+def test_inputs_are_left_as_they_were(mixed, rng):
+    _, constraints, q = mixed
     p = thermal(rng, constraints, q)
     before = q.copy(), p.copy()
     found = [*constraints.drift(q, p, 0.002), constraints.displaced(q, p, 0.002), constraints.project(q, p)]
@@ -212,11 +194,9 @@ def test_inputs_are_left_as_they_were(rng, executed_by):
     assert not any(np.shares_memory(new, old) for new in found for old in (q, p))
 
 
-def test_far_from_the_origin(rng, executed_by):
+def test_far_from_the_origin(mixed, rng):
     """Bond vectors, not coordinates, carry the rounding: at 50 nm only the position itself is rounded."""
-    system = mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
+    _, constraints, q = mixed
     p = thermal(rng, constraints, q)
     near = constraints.drift(q, p, 0.003, SUZUKI)
     far = constraints.drift(q + 50.0, p, 0.003, SUZUKI)
@@ -254,27 +234,6 @@ def test_a_singular_geometry_is_named():
     straight = Constraints([(0, 1), (1, 2), (0, 2)], [0.116, 0.116, 0.232], [16.0, 12.0, 16.0])
     with pytest.raises(ConstraintError, match="on a line"):
         straight.rank(line.T)
-
-
-@pytest.mark.parametrize("leaves", [1, 3, 5])
-def test_a_rigid_cluster_by_constraints_moves_as_a_rigid_body(rng, leaves, executed_by):
-    """All distances of a pair or a cluster: its geodesic is free rotation. Of six atoms many are redundant."""
-    system = rotor(min(leaves, 4))
-    further = np.add(system.x.T[:1], [0.05, 0.11, 0.02])
-    x = np.vstack([system.x.T, *[further] * (leaves - 4)])
-    masses = [*system.masses, *[2.0] * (leaves - 4)]
-    pairs = [(i, j) for i in range(len(x)) for j in range(i)]
-    constraints = Constraints(pairs, [np.linalg.norm(x[i] - x[j]) for i, j in pairs], masses)
-    q = constraints.satisfied(x.T)
-    assert constraints.rank(q) == max(3 * len(x) - 6, 1)
-    p = thermal(rng, constraints, q)
-    body = RigidBodies([Species.from_coordinates([range(len(x))], masses, q.T)], len(x))
-    centre, A = body.fit(q.T)
-    momentum, L = body.momenta((p / constraints.masses).T, A)
-    end = drift(body)(BodyState(centre, momentum, A, L), 0.01)
-    found, _ = constraints.drift(q, p, 0.01, repeated(2, KAHAN_LI))
-    # Sixth order of 0.1 rad in two parts: some 1e-11.
-    assert np.abs(found - body.place(end.q, end.A, np.empty(x.shape)).T).max() < 1e-10
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------

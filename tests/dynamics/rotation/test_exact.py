@@ -1,7 +1,5 @@
 """The exact propagator against independent solutions, over every kind of body and state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -115,19 +113,6 @@ def test_principal_axes_may_come_in_any_order(rng, order):
     hand = np.array([[[np.linalg.det(np.eye(3)[order])]], [[1.0]], [[1.0]]])
     expected = rotation.exact(A, L, moments, 2.0)[0][order] * hand
     assert np.abs(rotation.exact(A[order] * hand, L, moments[order], 2.0)[0] - expected).max() < 1e-14
-
-
-def test_a_symmetric_body_precesses(rng):
-    """The elementary solution: turn about L at the rate |L|/I, then spin about the own axis."""
-    moments = np.array([1.4, 1.4, 0.3])
-    A, L, h = random_attitudes(rng, 50), rng.normal(size=(3, 50)), 1.7
-    angle = np.linalg.norm(L, axis=0) * h / moments[0]
-    spin = (1 / moments[2] - 1 / moments[0]) * apply(A, L)[2] * h
-    for i in range(50):
-        about_L = oracles.Rotation.from_rotvec(angle[i] * L[:, i] / np.linalg.norm(L[:, i])).as_matrix()
-        about_axis = oracles.Rotation.from_rotvec([0, 0, -spin[i]]).as_matrix()
-        expected = about_axis @ A[:, :, i] @ about_L.T
-        assert np.abs(rotation.exact(A[:, :, [i]], L[:, [i]], moments, h)[0][:, :, 0] - expected).max() < 1e-14
 
 
 def test_inputs_are_left_alone(rng):

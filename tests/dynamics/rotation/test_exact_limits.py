@@ -1,21 +1,11 @@
 """What the exact propagator leaves out, and the ends of the range of its arguments."""
 
-from __future__ import annotations
-
-import mpmath
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from openmm_sier.dynamics import rotation
-from openmm_sier.dynamics.backend.elliptic import (
-    LONGEST,
-    SHORT,
-    SHORT_TIMES,
-    SHORT_WEIGHTS,
-    TIMES,
-    WEIGHTS,
-)
+from openmm_sier.dynamics.backend.elliptic import LONGEST, SHORT
 from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
 from tests.support import oracles
 from tests.support.families import FAMILIES, asymmetric, linear, point, sample, spherical
@@ -50,44 +40,6 @@ def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
     # Rounding of A L turns the body by up to 2e-16 of its fastest angle; some ten operations follow.
     scale = np.maximum(1, k * rates[0])
     assert worst(rotation.exact(A, L, moments, 1.0)[0] - expected, scale) < 2e-15
-
-
-def series_of_directions(middle, difference, order=24):
-    """Taylor coefficients in time of the direction of L~."""
-    series = np.zeros((order + 1, *middle.shape), middle.dtype)
-    series[0] = middle
-    for j in range(order):
-        product = np.einsum("kan,kan->an", series[: j + 1][:, [1, 2, 0]], series[j::-1][:, [2, 0, 1]])
-        series[j + 1] = difference * product / (j + 1)
-    return series
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("limit", "times", "weights"),
-    [(SHORT, SHORT_TIMES, SHORT_WEIGHTS), (LONGEST, TIMES, WEIGHTS)],
-    ids=["short", "long"],
-)
-def test_quadrature_truncates_below_rounding(rng, limit, times, weights):
-    """The claim at `elliptic.LONGEST`: the rule, in extended precision, against Gauss-Legendre with 24 nodes."""
-    rates, middle, k = bodies_at(rng, 20_000, limit, 4, np.longdouble)
-    a, b, c = rates
-    series = series_of_directions(middle, k * np.stack([c - b, a - c, b - a]))
-
-    def g(t):
-        """omega . (m + v) / (1 + m . v) at the time t/2 from the middle of the step."""
-        v = sum(coefficient * (np.longdouble(t) / 2) ** j for j, coefficient in enumerate(series))
-        return (k * rates * v * (middle + v)).sum(axis=0) / (1 + (middle * v).sum(axis=0))
-
-    leading = (k * rates * middle * middle).sum(axis=0)
-    by_rule = leading
-    for time, weight in zip(times, weights, strict=True):
-        by_rule = by_rule + weight * ((g(2 * time) + g(-2 * time)) / 2 - leading)
-    gauss = mpmath.calculus.quadrature.GaussLegendre(mpmath.mp).calc_nodes(4, 100)
-    exact = sum(np.longdouble(str(w)) * g(str(x)) for x, w in gauss) / 2
-
-    error = np.abs(by_rule - exact) / np.maximum(1, np.abs(exact))
-    assert error.max() < max(1e-17, 8 * np.finfo(np.longdouble).eps)
 
 
 def test_sine_and_cosine_of_small_angles():

@@ -1,7 +1,5 @@
 """MRDL and SEJ4 against matrix exponentials and integrated equations of motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm

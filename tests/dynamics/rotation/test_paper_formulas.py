@@ -3,10 +3,6 @@
 Source: van Zon and Schofield (2007).
 """
 
-from __future__ import annotations
-
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -51,20 +47,6 @@ def test_propagator(rng):
         expected = by_the_paper(A, L, moments, h, terms=7)
         # L_perp in the paper's frame is at least 0.28 |L|, so that R1 loses no more than a digit.
         assert np.abs(rotation.exact(A, L, moments, h)[0] - expected).max() < 2e-14
-
-
-@pytest.mark.slow
-def test_hermite_sum_converges(rng):
-    """Corrections of order h^(2n+1): more terms bring the paper's sum to the package's rotation."""
-    A, L, moments = states(rng, 100)
-    exact = rotation.exact(A, L, moments, 0.1)[0]
-    errors = [np.abs(by_the_paper(A, L, moments, 0.1, n) - exact).max() for n in (1, 2, 3, 4, 5)]
-    assert all(later < earlier / 20 for earlier, later in pairwise(errors))
-    for n in (1, 2):
-        wide, narrow = (
-            np.abs(by_the_paper(A, L, moments, h, n) - rotation.exact(A, L, moments, h)[0]).max() for h in (0.02, 0.01)
-        )
-        assert np.log2(wide / narrow) == pytest.approx(2 * n + 1, abs=0.1)
 
 
 # --- misprints --------------------------------------------------------------------------------------------------------

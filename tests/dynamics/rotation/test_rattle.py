@@ -1,7 +1,5 @@
 """RATTLE's free rotation against RATTLE of the atoms, and what it conserves."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,0 +1,61 @@
+"""Arguments that no integrator can have are named when it is made."""
+
+from functools import partial
+
+import pytest
+from openmm import unit
+
+from openmm_sier import (
+    SIER2,
+    Scheme,
+    SIER2Integrator,
+    SIERHMCIntegrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+    SIERThermostatIntegrator,
+)
+from openmm_sier.ensembles import VelocityRescaling
+
+langevin = partial(SIERLangevinIntegrator, 300, 1, 0.002)
+trials = partial(SIERHMCIntegrator, 300, 0.002)
+CROOKED = Scheme("Euler", (("kick", 1.0), ("drift", 1.0)))
+LISTS = "bodies must be RigidBodies or lists of particle indices"
+NAN = float("nan")
+
+REFUSED = [
+    (partial(SIERLangevinIntegrator, -1, 1, 0.002), "temperature"),
+    (partial(SIERLangevinIntegrator, 300 * unit.picosecond, 1, 0.002), "temperature"),
+    (partial(SIERLangevinIntegrator, "300", 1, 0.001), "temperature must be a quantity or a number in K, got '300'"),
+    (partial(SIERLangevinIntegrator, 300, -1, 0.002), "frictionCoeff"),
+    (partial(SIERLangevinIntegrator, 300, NAN, 0.002), "frictionCoeff"),
+    (partial(SIERLangevinIntegrator, 300, 1, -0.002), "stepSize"),
+    (partial(SIERIntegrator, "0.001"), "stepSize must be a quantity or a number in ps, got '0.001'"),
+    (partial(langevin, pressure=NAN), "pressure must be finite"),
+    (partial(langevin, pressure=1 * unit.kelvin), "pressure must be in units like bar"),
+    (partial(langevin, pressure="high"), "pressure must be a quantity or a number in bar"),
+    (partial(langevin, pressure=1, barostatInterval=0), "barostatInterval must be at least 1"),
+    (partial(langevin, pressure=1, barostatInterval=2.5), "barostatInterval must be a whole number"),
+    (partial(SIERHMCIntegrator, 0, 0.002), "temperature must be above zero"),
+    (partial(trials, frictionCoeff=0), "frictionCoeff must be above zero"),
+    (partial(trials, stepsPerTrial=0), "stepsPerTrial must be at least 1"),
+    (partial(trials, stepsPerTrial=2.5), "stepsPerTrial must be a whole number"),
+    (partial(trials, pressure=1, barostatInterval=0), "barostatInterval must be at least 1"),
+    (partial(trials, scheme=SIER2.with_bath()), "has a bath"),
+    (partial(trials, scheme=CROOKED), "is no palindrome"),
+    (partial(VelocityRescaling, -1, 1), "temperature must be at least 0, got -1.0 K"),
+    (partial(VelocityRescaling, 300, -1 / unit.picosecond), "rate must be at least 0, got -1.0 1/ps"),
+    (partial(VelocityRescaling, 300, 1 * unit.picosecond), "rate must be in units like 1/ps"),
+    (partial(VelocityRescaling, 300, 1, 0), "every must be at least 1"),
+    (partial(VelocityRescaling, 300, 1, 1.5), "every must be a whole number"),
+    (partial(SIERThermostatIntegrator, 300, 0.002), "thermostat must be an ensemble of constant temperature, got 300"),
+    (partial(SIERIntegrator, 0.002, engine=0), "engine"),
+    (partial(SIERIntegrator, 0.002, substeps=0), "substeps"),
+    *((partial(SIERIntegrator, 0.004, fastForceGroups=groups), "fastForceGroups") for groups in ({32}, {-1}, "a", 2.5)),
+    *((partial(SIER2Integrator, 0.001, bodies), LISTS) for bodies in (3, "0 1 2", [[0, 1.5]], [0, 1, 2])),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), REFUSED)
+def test_impossible_arguments_are_named(make, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        make()
