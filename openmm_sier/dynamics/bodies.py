@@ -259,7 +259,7 @@ class RigidBodies:
         if not torn.any():
             return
         worst = int(np.where(torn, misfit, 0.0).argmax())
-        extended = np.repeat([bool(s.moments.any()) for s in self.species], [len(s.atoms) for s in self.species])
+        extended = self.moments.any(axis=0)
         unit = "Are the positions in nanometres? Those in angstroms need their unit. " if torn[extended].all() else ""
         raise RigidityError(
             f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm from "
