@@ -17,8 +17,6 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import weakref

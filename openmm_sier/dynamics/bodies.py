@@ -5,8 +5,6 @@ Arrays of bodies are component-first: a vector for each of n bodies has shape (3
 Arrays of atoms have OpenMM's shape (N, 3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

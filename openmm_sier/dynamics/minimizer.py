@@ -1,7 +1,5 @@
 """Energy minimization of rigid bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 

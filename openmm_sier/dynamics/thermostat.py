@@ -1,7 +1,5 @@
 """Heat baths within steps, and the exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What an engine does: it moves the bodies of one Context for an ensemble, which decides what happens between flows."""
 
-from __future__ import annotations
-
 import weakref
 from abc import abstractmethod
 from collections.abc import Callable, Iterator

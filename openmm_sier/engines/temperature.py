@@ -14,8 +14,6 @@ Total angular momentum is not treated in this way. An isolated cluster conserves
 part of the thermal motion that `setVelocitiesToTemperature` draws, and no convention leaves it out.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Tuning of step and trajectory length in hybrid Monte Carlo by the cost of an independent sample."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Source: Bennett, J. Comput. Phys. 19, 267 (1975); Feenstra, Hess and Berendsen, 
 make the hydrogens of water heavier too.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

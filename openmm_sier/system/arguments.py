@@ -1,7 +1,5 @@
 """Arguments of integrators, checked and converted to one form."""
 
-from __future__ import annotations
-
 import math
 import numbers
 import operator

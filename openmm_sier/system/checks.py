@@ -1,7 +1,5 @@
 """Checks of a System: Forces that change positions, velocities or the box, and barostats that deform bodies."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -3,8 +3,6 @@
 They are read anew at each call, since users change them between Contexts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import combinations
 from typing import NamedTuple

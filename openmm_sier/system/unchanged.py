@@ -1,7 +1,5 @@
 """Whether a System is still what it was when its Context was made: OpenMM reads it only then."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import openmm

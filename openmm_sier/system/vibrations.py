@@ -6,8 +6,6 @@ the angular frequency sqrt(k u). For the hydrogens of rigid water u is 1/m, sinc
 move as if they were free. Heavier hydrogens, and those of larger bodies, are slower.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -4,8 +4,6 @@ Bodies have centres q, momenta p and angular momenta L, (3, n), and attitudes A,
 the number of calls determines the cost, so that sites are handled one by one, and all bodies at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

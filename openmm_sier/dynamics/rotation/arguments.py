@@ -1,7 +1,5 @@
 """Arguments of the free-rotation maps, and the order of the principal axes in which the maps work."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

@@ -1,7 +1,5 @@
 """The free-rotation map MRDL, with which van Zon and Schofield (2007) compare theirs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import body_frame

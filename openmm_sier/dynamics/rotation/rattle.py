@@ -1,7 +1,5 @@
 """The free rotation of constrained velocity Verlet: one step of RATTLE."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import body_frame, rotation_matrix, turned

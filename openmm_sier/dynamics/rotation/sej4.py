@@ -1,7 +1,5 @@
 """The free-rotation map SEJ4, with which van Zon and Schofield (2007) compare theirs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

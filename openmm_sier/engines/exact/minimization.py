@@ -4,8 +4,6 @@ OpenMM's LocalEnergyMinimizer moves atoms and keeps only the System's constraint
 rigid only because they were named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import islice
 from typing import Any

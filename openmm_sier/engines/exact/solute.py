@@ -1,7 +1,5 @@
 """Bonded forces on some atoms, from a Context that has no other forces, so that they cost no pass over all pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import numpy as np
