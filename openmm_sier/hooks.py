@@ -17,8 +17,6 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import weakref
@@ -32,13 +30,6 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
 from openmm_sier.system.unchanged import UnchangedSystem
 
-#: Methods that change a System without changing the number of its particles, constraints or Forces.
-_CHANGES_OF_SYSTEMS = (
-    (openmm.System, "removeForce"),
-    (openmm.Force, "setForceGroup"),
-    (openmm.NonbondedForce, "setPMEParameters"),
-)
-
 
 def install() -> None:
     """Replace the methods above. Calling it again changes nothing."""
@@ -51,8 +42,10 @@ def install() -> None:
     _replace(openmm.Context, "loadCheckpoint", functools.partial(_pass_on, Binding.take_over))
     _replace(openmm.Context, "createCheckpoint", functools.partial(_pass_on, Binding.start_anew))
     _replace(openmm.XmlSerializer, "serialize", _write_restart_point)
-    for owner, name in _CHANGES_OF_SYSTEMS:
-        _replace(owner, name, _count_change)
+    # These change a System without changing the number of its particles, constraints or Forces.
+    _replace(openmm.System, "removeForce", _count_change)
+    _replace(openmm.Force, "setForceGroup", _count_change)
+    _replace(openmm.NonbondedForce, "setPMEParameters", _count_change)
     _replace(openmm.LocalEnergyMinimizer, "minimize", _keep_bodies)
     for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
         _replace(cls, "updateParametersInContext", _tell_of_new_forces)

@@ -295,7 +295,7 @@ def sample(
         Unstable: an energy is not finite, a temperature is above `HIGHEST_TEMPERATURE`, or molecules are torn apart.
     """
     integrator = context.getIntegrator()
-    conserved = MomentumConservation.of_system(context.getSystem(), bodies).holds(integrator)
+    conserved = MomentumConservation(context.getSystem(), bodies).holds(integrator)
     rows = []
     for done in range(every, steps + 1, every):
         integrator.step(every)

@@ -5,8 +5,6 @@ Arrays of bodies are component-first: a vector for each of n bodies has shape (3
 Arrays of atoms have OpenMM's shape (N, 3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -259,7 +257,7 @@ class RigidBodies:
         if not torn.any():
             return
         worst = int(np.where(torn, misfit, 0.0).argmax())
-        extended = np.repeat([bool(s.moments.any()) for s in self.species], [len(s.atoms) for s in self.species])
+        extended = self.moments.any(axis=0)
         unit = "Are the positions in nanometres? Those in angstroms need their unit. " if torn[extended].all() else ""
         raise RigidityError(
             f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm from "

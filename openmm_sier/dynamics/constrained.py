@@ -28,8 +28,6 @@ that about the displaced ones. `DisplacedForces` corrects for this by a rigid ro
 the total angular momentum is exact.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

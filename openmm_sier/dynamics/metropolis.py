@@ -19,8 +19,6 @@ for partly refreshed momenta, which detailed balance requires to be reversed aft
 and Petersson, Phys. Lett. B 242, 437 (1990) for the acceptance.
 """
 
-from __future__ import annotations
-
 import math
 from statistics import NormalDist
 

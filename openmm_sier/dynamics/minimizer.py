@@ -1,9 +1,7 @@
 """Energy minimization of rigid bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +24,7 @@ FIRST_DISPLACEMENT = 1e-3
 Forces = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-@dataclass(frozen=True)
-class Iterate:
+class Iterate(NamedTuple):
     """The bodies after some iterations.
 
     Attributes:
@@ -82,9 +79,5 @@ def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -
         size = np.maximum(np.linalg.norm(v[:3], axis=0), np.linalg.norm(v[3:], axis=0))
         v *= np.minimum(1.0, LARGEST_DISPLACEMENT / np.maximum(step * size, 1e-300))
         v[:3] = held.project(q, v[:3])
-        q, A = held.displaced(q, v[:3], step), _turned(A, step * v[3:] * inverse)
-
-
-def _turned(A: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Attitudes turned by lab vectors (3, n), up to the third order."""
-    return turned(displacing_rotation(A[0], A[1], A[2], angle, (1.0, 1.0, 1.0), 1.0), A)
+        rows = displacing_rotation(A[0], A[1], A[2], step * v[3:] * inverse, (1.0, 1.0, 1.0), 1.0)
+        q, A = held.displaced(q, v[:3], step), turned(rows, A)

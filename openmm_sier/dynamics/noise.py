@@ -1,7 +1,5 @@
 """Random numbers that are a function of a seed and of counters alone, so that a restart draws the same ones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -5,8 +5,6 @@ kick keeps the very arrays q and A. `CachedForces` recognizes them, and so the f
 the start of the next without any bookkeeping.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

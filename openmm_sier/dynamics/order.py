@@ -6,8 +6,6 @@ Runge-Kutta-Nystroem schemes: [B, [B, [B, A]]] = 0 for a kick B and a drift A, s
 the momenta (see `_reduced`).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -12,15 +12,7 @@ from functools import cached_property
 
 from openmm_sier.dynamics import stability
 from openmm_sier.dynamics.order import order_of
-from openmm_sier.dynamics.stages import (
-    BATH,
-    DRIFT,
-    DRIFT_FROM_BATH,
-    DRIFT_TO_BATH,
-    GRADIENT_KICK,
-    KICK,
-    Stage,
-)
+from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK, Stage
 
 
 @dataclass(frozen=True)
@@ -56,19 +48,15 @@ class Scheme:
                 raise ValueError(
                     f"scheme {self.name}: only a '{GRADIENT_KICK}' has a shift, got one for '{stage.operator}'"
                 )
-        for operator in self._flows:
-            total = math.fsum(stage.fraction for stage in self.stages if stage.flow == operator)
+        for flow in dict.fromkeys(stage.flow for stage in self.stages):
+            total = math.fsum(stage.fraction for stage in self.stages if stage.flow == flow)
             if not math.isclose(total, 1.0, rel_tol=0.0, abs_tol=1e-14):
-                raise ValueError(f"scheme {self.name}: fractions of '{operator}' must sum to 1, they sum to {total!r}")
+                raise ValueError(f"scheme {self.name}: fractions of '{flow}' must sum to 1, they sum to {total!r}")
 
     @property
     def operators(self) -> tuple[str, ...]:
         """Names of the operators, in order of appearance."""
         return tuple(dict.fromkeys(stage.operator for stage in self.stages))
-
-    @property
-    def _flows(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(stage.flow for stage in self.stages))
 
     @property
     def is_palindrome(self) -> bool:
@@ -111,7 +99,7 @@ class Scheme:
         """
         if BATH in self.operators:
             return self
-        if self._is_verlet:
+        if self.is_palindrome and [stage.operator for stage in self.stages] == [KICK, DRIFT, KICK]:
             middle = Stage(DRIFT_TO_BATH, 0.5), Stage(BATH, 1.0), Stage(DRIFT_FROM_BATH, 0.5)
             return replace(self, stages=(Stage(KICK, 1.0), *middle))
         return replace(self, stages=(Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5)))
@@ -129,10 +117,6 @@ class Scheme:
             else:
                 stages.append(stage)
         return replace(self, stages=tuple(stages))
-
-    @property
-    def _is_verlet(self) -> bool:
-        return self.is_palindrome and [stage.operator for stage in self.stages] == [KICK, DRIFT, KICK]
 
     @property
     def bath_divides_drift(self) -> bool:

@@ -4,8 +4,6 @@ With (q, h p/m) as coordinates and x = (omega h)^2 a kick of fraction t is [[1, 
 s is [[1, 0], [-t x (1 - s x), 1]], and a drift [[1, t], [0, 1]].
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

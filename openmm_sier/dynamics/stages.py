@@ -1,7 +1,5 @@
 """The stages that splitting schemes are made of."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 KICK = "kick"

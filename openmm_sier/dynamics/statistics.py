@@ -1,7 +1,5 @@
 """The memory of a series: its correlation, and how many of its values are worth one independent value."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

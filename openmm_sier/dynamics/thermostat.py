@@ -1,7 +1,5 @@
 """Heat baths within steps, and the exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -15,6 +13,7 @@ from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.operators import Operator
 
 
+@dataclass(frozen=True)
 class Thermostat(ABC):
     """A heat bath within the steps of a scheme: an operator that changes nothing but momenta.
 
@@ -28,7 +27,7 @@ class Thermostat(ABC):
     temperature: float
     friction: float
     rotational_friction: float
-    seed: int
+    seed: int = 0
 
     @abstractmethod
     def operator(self, bodies: RigidBodies) -> Operator:
@@ -48,25 +47,13 @@ class Thermostat(ABC):
         raise ValueError(f"the heat bath {type(self).__name__} cannot be written out")
 
 
-@dataclass(frozen=True)
 class OrnsteinUhlenbeck(Thermostat):
     """Langevin thermostat for rigid bodies.
 
     Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
     or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
     for point particles; Davidchack, Ouldridge and Tretyakov, J. Chem. Phys. 142, 144114 (2015) for rigid bodies).
-
-    Attributes:
-        temperature: K.
-        friction: of the centres of mass, 1/ps.
-        rotational_friction: 1/ps.
-        seed: together with the number of earlier draws it fixes the noise.
     """
-
-    temperature: float
-    friction: float
-    rotational_friction: float
-    seed: int = 0
 
     def velocity(self, time: str, friction: str, thermal: str) -> str:
         return f"exp(-{friction}*{time})*v + sqrt((1 - exp(-2*{friction}*{time}))*{thermal}/m)*gaussian"

@@ -1,7 +1,5 @@
 """Which engine an integrator gets."""
 
-from __future__ import annotations
-
 import openmm
 
 from openmm_sier.engines.exact.engine import ExactEngine

@@ -1,7 +1,5 @@
 """Ctrl-C and other signals, which must not leave a Context between two steps."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Iterator

@@ -6,8 +6,6 @@ checkpoint. With one thread nothing else of the past affects them; with several 
 two evaluations agree. `docs/measurements/platforms.md` has the measurements.
 """
 
-from __future__ import annotations
-
 import openmm
 from openmm import unit
 

@@ -1,7 +1,5 @@
 """Operations on the phase point of what an engine moves, once for all engines."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What an engine does: it moves the bodies of one Context for an ensemble, which decides what happens between flows."""
 
-from __future__ import annotations
-
 import weakref
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
@@ -20,7 +18,7 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.phase_point import PhasePoint
-from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom, temperatures
+from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
 
 
@@ -228,13 +226,13 @@ class Engine(PhasePoint):
                 p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)
 
+    @abstractmethod
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`."""
-        return temperatures(self.bodies, self.state(), self.conserves_momentum())
 
     @cached_property
     def _momentum(self) -> MomentumConservation:
-        return MomentumConservation.of_system(self._context.getSystem(), self.movers.bodies)
+        return MomentumConservation(self._context.getSystem(), self.movers.bodies)
 
     @property
     def removes_momentum(self) -> bool:

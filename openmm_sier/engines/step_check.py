@@ -1,7 +1,5 @@
 """Whether a step is short enough for what vibrates in a System."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import openmm

@@ -14,11 +14,8 @@ Total angular momentum is not treated in this way. An isolated cluster conserves
 part of the thermal motion that `setVelocitiesToTemperature` draws, and no convention leaves it out.
 """
 
-from __future__ import annotations
-
 import math
 import re
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -64,7 +61,6 @@ class Temperatures(NamedTuple):
     flexible: float = math.nan
 
 
-@dataclass(frozen=True)
 class MomentumConservation:
     """Whether the total momentum of a System is conserved.
 
@@ -77,31 +73,22 @@ class MomentumConservation:
 
     Attributes:
         removed: there is a CMMotionRemover.
-        fixed: particles are fixed, or an AndersenThermostat acts.
-        external_groups: bit mask of the force groups in which a Force depends on absolute positions.
     """
 
-    removed: bool
-    fixed: bool
-    external_groups: int
-
-    @classmethod
-    def of_system(cls, system: openmm.System, bodies: RigidBodies) -> MomentumConservation:
+    def __init__(self, system: openmm.System, bodies: RigidBodies):
         """From a System and the choice of bodies; a particle that belongs to no body is fixed."""
         forces = system.getForces()
         fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
-        return cls(
-            removed=any(isinstance(force, openmm.CMMotionRemover) for force in forces),
-            fixed=fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces),
-            external_groups=sum({1 << force.getForceGroup() for force in forces if _is_external(force)}),
-        )
+        self.removed = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
+        self._changes = fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces)
+        self._external_groups = sum({1 << force.getForceGroup() for force in forces if _is_external(force)})
 
     def holds(self, integrator: openmm.Integrator) -> bool:
         """Whether an integrator, with its force groups and its present friction, conserves the total momentum."""
         if self.removed:
             return True
         groups = integrator.getIntegrationForceGroups() & ALL_GROUPS
-        return not (self.fixed or self.external_groups & groups or _has_friction(integrator))
+        return not (self._changes or self._external_groups & groups or _has_friction(integrator))
 
 
 def _has_friction(integrator: openmm.Integrator) -> bool:

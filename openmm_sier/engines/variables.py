@@ -1,7 +1,5 @@
 """Names of the variables of the CustomIntegrator that carry what checkpoints and States must hold."""
 
-from __future__ import annotations
-
 import weakref
 
 import openmm

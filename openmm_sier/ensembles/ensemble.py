@@ -1,7 +1,5 @@
 """The interface of ensembles, the one of constant energy, and what ensembles of constant temperature share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

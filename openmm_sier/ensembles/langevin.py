@@ -1,7 +1,5 @@
 """Langevin dynamics: a bath inside the scheme."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from openmm_sier.dynamics.schemes import Scheme

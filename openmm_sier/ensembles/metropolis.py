@@ -1,7 +1,5 @@
 """Hybrid Monte Carlo: a step is a trial, a trajectory that is accepted or rejected on its true energy."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Stochastic velocity rescaling: a heat bath that multiplies all velocities by one factor now and then."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

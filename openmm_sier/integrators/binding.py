@@ -1,7 +1,5 @@
 """The Python part of an integrator: settings and program and, with a Context, an engine and watches."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 import math

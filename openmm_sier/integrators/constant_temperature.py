@@ -1,7 +1,5 @@
 """Integrators of constant temperature: one for any ensemble, with temperature, pressure, heat and the noise's seed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Hybrid Monte Carlo of rigid bodies and constrained molecules, for OpenMM users."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """Langevin dynamics of rigid bodies, for OpenMM users."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

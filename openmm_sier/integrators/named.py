@@ -1,7 +1,5 @@
 """Integrators with a fixed scheme."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any, ClassVar
 

@@ -11,8 +11,6 @@ that integrators were made with in this process; classes are those of this packa
 somebody has imported.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

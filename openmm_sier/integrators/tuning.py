@@ -1,7 +1,5 @@
 """Tuning of step and trajectory length in hybrid Monte Carlo by the cost of an independent sample."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +12,7 @@ from openmm import unit
 from openmm_sier.dynamics.metropolis import spread_at
 from openmm_sier.dynamics.statistics import inefficiency_and_error
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
-from openmm_sier.system.arguments import whole_number
+from openmm_sier.system.arguments import group_mask, whole_number
 from openmm_sier.system.vibrations import Vibrations
 
 #: Trajectory lengths to compare, as multiples of the one that the integrator had.
@@ -157,8 +155,8 @@ def tune(
         raise TypeError(f"tune needs a Context with a SIERHMCIntegrator, got a {type(integrator).__name__}")
     if not 0 < acceptance < 1:
         raise ValueError(f"acceptance must be between 0 and 1, got {acceptance:g}")
-    trials, samples = _at_least("trials", trials, FEWEST), _at_least("samples", samples, FEWEST)
-    counts = None if lengths is None else [_at_least("lengths", steps, 1) for steps in lengths]
+    trials, samples = whole_number("trials", trials, FEWEST), whole_number("samples", samples, FEWEST)
+    counts = None if lengths is None else [whole_number("lengths", steps, 1) for steps in lengths]
     if lengths is not None and not counts:
         raise ValueError("lengths must have at least one number of steps, got none")
     before, forces = (integrator.getSchemeStepSize(), integrator.getStepsPerTrial()), integrator.forceEvaluations
@@ -174,12 +172,6 @@ def tune(
         raise
     integrator.resetStatistics()
     return Tuning(step, steps, acceptance, tried, compared, integrator.forceEvaluations - forces)
-
-
-def _at_least(name: str, value: int, least: int) -> int:
-    if (value := whole_number(name, value)) < least:
-        raise ValueError(f"{name} must be at least {least}, got {value}")
-    return value
 
 
 def _set(integrator: SIERHMCIntegrator, step: float, steps: int) -> None:
@@ -200,14 +192,11 @@ def _chances(errors: Sequence[float]) -> float:
 
 
 def _longest_step(context: openmm.Context) -> float:
-    """The longest step whose kicks do not resonate with fast forces, ps."""
+    """The longest step whose kicks do not resonate with fast forces, ps; infinite without them."""
     integrator = context.getIntegrator()
-    fast = sum(1 << group for group in integrator.fastForceGroups)
-    if not fast:
-        return math.inf
     vibrations = Vibrations(context.getSystem(), integrator.bodies)
     vibrations.measure(context)
-    return vibrations.longest_beside(fast)
+    return vibrations.longest_step(integrator.scheme, 0, group_mask("fastForceGroups", integrator.fastForceGroups))
 
 
 def _find_step(

@@ -48,7 +48,7 @@ class StockIntegrator(openmm.Integrator):
         self.bodies = bodies
         # The Context holds the integrator.
         self._context = weakref.proxy(context)
-        self._momentum = MomentumConservation.of_system(context.getSystem(), bodies)
+        self._momentum = MomentumConservation(context.getSystem(), bodies)
 
     @property
     def forceEvaluations(self) -> int:

@@ -8,8 +8,6 @@ one subtracts them in the kicks. The two cancel whatever is done to the other Fo
 what it was: if charges are scaled after that, only the division into fast and slow forces becomes less good.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator

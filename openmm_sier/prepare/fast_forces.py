@@ -1,7 +1,5 @@
 """Which Forces of a System can act within drifts, and the force groups in which integrators find them."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 

@@ -4,8 +4,6 @@ Source: Bennett, J. Comput. Phys. 19, 267 (1975); Feenstra, Hess and Berendsen, 
 make the hydrogens of water heavier too.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 
@@ -14,7 +12,7 @@ from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
-from openmm_sier.system.bonded_terms import bonded_terms
+from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: Dalton. The most that hydrogens get whose atom is bonded to another heavy atom, to which its loss matters. With 4
@@ -37,8 +35,6 @@ def checked_mass(mass: Any) -> float:
         ValueError: it is not above 0 and up to `HEAVIEST_HYDROGEN`.
         TypeError: it is no mass.
     """
-    if isinstance(mass, bool):
-        raise TypeError(f"hydrogenMass must be a quantity or a number in dalton, got {mass}")
     found = quantity_to_float("hydrogenMass", mass, unit.dalton, "dalton")
     if not 0 < found <= HEAVIEST_HYDROGEN:
         raise ValueError(f"hydrogenMass must be above 0 and up to {HEAVIEST_HYDROGEN:g} dalton, got {found:g}")
@@ -102,8 +98,8 @@ def _partners(system: openmm.System) -> dict[int, dict[int, float]]:
     pairs = [(*pair, length) for pair, length in tables.constraints(system).by_pair().items()]
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce):
-            terms = (force.getBondParameters(i) for i in range(force.getNumBonds()))
-            pairs += [(first, second, length.value_in_unit(unit.nanometer)) for first, second, length, _ in terms]
+            ends, lengths, _ = harmonic_bonds(force)
+            pairs += [(*pair, length) for pair, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
         elif isinstance(force, openmm.CustomBondForce):
             pairs += [(first, second, 0.0) for first, second in bonded_terms(force).tolist()]
     found: dict[int, dict[int, float]] = {}

@@ -1,7 +1,5 @@
 """A better-balanced split of PME between direct and mesh sums than OpenMM's, for integrators of high order."""
 
-from __future__ import annotations
-
 import math
 
 import openmm

@@ -1,7 +1,5 @@
 """Preparation of a System for long steps: fast forces in their own group, and balanced PME sums."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Arguments of integrators, checked and converted to one form."""
 
-from __future__ import annotations
-
 import math
 import numbers
 import operator
@@ -99,9 +97,9 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
         if not value.unit.is_compatible(of):
             raise TypeError(f"{name} must be in units like {symbol}, got {value}")
         value = value.value_in_unit(of)
-    # Python would read a number from a text, which hides that somebody forgot to.
+    # Python would read a number from a text, which hides that somebody forgot to, and takes True for 1.
     wrong = TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}")
-    if isinstance(value, str | bytes):
+    if isinstance(value, str | bytes | bool):
         raise wrong
     try:
         value = float(value)
@@ -112,11 +110,13 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
     return value
 
 
-def whole_number(name: str, value: Any) -> int:
-    """A nonnegative integer, from an int or a float without a fraction."""
+def whole_number(name: str, value: Any, least: int = 0) -> int:
+    """A nonnegative integer that is at least so large, from an int or a float without a fraction."""
     whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
     if not whole or value < 0:
         raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
+    if value < least:
+        raise ValueError(f"{name} must be at least {least}, got {value}")
     return int(value)
 
 

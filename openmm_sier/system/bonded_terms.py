@@ -1,7 +1,5 @@
 """Bonded Forces of a System, and the atoms that their terms act on."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Periodic boxes: points and their images."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

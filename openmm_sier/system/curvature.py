@@ -4,8 +4,6 @@ Each term gets atoms of its own, on the Reference platform. So one displacement 
 second derivatives of every term.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection
 from itertools import combinations

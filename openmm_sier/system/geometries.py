@@ -4,8 +4,6 @@ All bodies of one kind share one geometry. Each kind adds some 25 us to a step. 
 rounded, and would make every molecule a kind of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 

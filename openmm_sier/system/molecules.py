@@ -85,10 +85,6 @@ class Bonds(NamedTuple):
         _, first = np.unique(pairs, axis=0, return_index=True)
         return cls(*(column[np.sort(first)] for column in (pairs, *others)))
 
-    def broken(self, positions: np.ndarray, box: np.ndarray | None) -> np.ndarray:
-        """Which bonds are longer than they may be at positions (N, 3) in nm, (b,)."""
-        return self.measured(positions, box) > self.longest
-
     def measured(self, positions: np.ndarray, box: np.ndarray | None) -> np.ndarray:
         """Lengths at positions (N, 3) in nm, (b,), nm."""
         arms = positions[self.pairs[:, 1]] - positions[self.pairs[:, 0]]
@@ -134,7 +130,7 @@ def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np
 
     What is not broken stays as it is, even if another image is nearer.
     """
-    if box is None or not (cut := bonds.broken(positions, box)).any():
+    if box is None or not (cut := bonds.measured(positions, box) > bonds.longest).any():
         return positions
     parents, numbers = _tree(bonds, len(positions))
     atoms = np.flatnonzero(numbers >= 0)

@@ -3,8 +3,6 @@
 Energy that an integrator creates ends as heat, so temperatures show every runaway, with all heat baths alike.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -3,9 +3,8 @@
 They are read anew at each call, since users change them between Contexts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +29,11 @@ class Constraints(NamedTuple):
     def by_pair(self) -> dict[tuple[int, int], float]:
         """Lengths in nm by pairs of particles, the smaller first."""
         return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
+
+    def hold(self, clusters: np.ndarray) -> np.ndarray:
+        """For each cluster of particles, (m, k), whether every distance in it is fixed, (m,)."""
+        held = self.by_pair()
+        return np.array([all(pair in held for pair in combinations(sorted(row), 2)) for row in clusters.tolist()], bool)
 
 
 #: Dalton. The most that hydrogens may weigh, also those that were made heavier before.

@@ -1,7 +1,5 @@
 """Whether a System is still what it was when its Context was made: OpenMM reads it only then."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import openmm
@@ -19,7 +17,7 @@ class UnchangedSystem:
     changes = 0
 
     def __init__(self, system: openmm.System):
-        self._then, self._seen = _outline(system), self._glance(system)
+        self._then, self._seen = _outline(system), (self.changes, _glance(system))
 
     def check(self, system: openmm.System) -> None:
         """Compare particles, a few masses, constraints, Forces, their groups and the parameters of PME.
@@ -27,7 +25,7 @@ class UnchangedSystem:
         Raises:
             openmm.OpenMMException: the System was changed after its Context was made.
         """
-        if (seen := self._glance(system)) == self._seen:
+        if (seen := (self.changes, _glance(system))) == self._seen:
             return
         now = _outline(system)
         for name, value in self._then.items():
@@ -39,26 +37,22 @@ class UnchangedSystem:
                 )
         self._seen = seen
 
-    def _glance(self, system: openmm.System) -> tuple[float, ...]:
-        counts = system.getNumParticles(), system.getNumConstraints(), system.getNumForces()
-        return self.changes, *counts, *_first_masses(system)
 
-
-def _first_masses(system: openmm.System) -> list[float]:
-    """Masses of the first particles, dalton: heavy hydrogens are seen in a few."""
-    few = range(min(LOOKED_AT, system.getNumParticles()))
-    return [system.getParticleMass(i).value_in_unit(unit.dalton) for i in few]
-
-
-def _outline(system: openmm.System) -> dict[str, Any]:
-    """What is compared of a System, by names for messages."""
+def _glance(system: openmm.System) -> dict[str, Any]:
+    """What is looked at, at each call of `step`, by names for messages: heavy hydrogens are seen in a few masses."""
     found: dict[str, Any] = {
         "number of particles": system.getNumParticles(),
         "number of constraints": system.getNumConstraints(),
         "number of Forces": system.getNumForces(),
     }
-    for number, mass in enumerate(_first_masses(system)):
-        found[f"mass of particle {number}, in dalton,"] = mass
+    for number in range(min(LOOKED_AT, system.getNumParticles())):
+        found[f"mass of particle {number}, in dalton,"] = system.getParticleMass(number).value_in_unit(unit.dalton)
+    return found
+
+
+def _outline(system: openmm.System) -> dict[str, Any]:
+    """What is compared of a System, by names for messages."""
+    found = _glance(system)
     for number, force in enumerate(system.getForces()):
         found[f"Force {number}"] = kind = type(force).__name__
         found[f"force group of Force {number}, a {kind},"] = force.getForceGroup()

@@ -6,8 +6,6 @@ the angular frequency sqrt(k u). For the hydrogens of rigid water u is 1/m, sinc
 move as if they were free. Heavier hydrogens, and those of larger bodies, are slower.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -144,7 +142,7 @@ class Vibrations:
         self._bonds = list(_fastest_bonds(system, bodies, self._constraints, self._mobility))
         self._librations = list(_fastest_librations(system, bodies, self._constraints, self._mobility))
         self._is_measured = not any(map(_is_expression, system.getForces()))
-        self._unknown = [force for force in map(_unknown, system.getForces()) if force is not None]
+        self._unknown = [force for force in system.getForces() if not isinstance(force, KNOWN)]
         self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
         self._told: set[str] = set()
 
@@ -179,7 +177,6 @@ class Vibrations:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
         """
         self._check_bonds("A step", scheme, h, groups, SHORTER_STEP)
-        self._tell_of_unknown("A step", scheme, h, groups)
         libration = _fastest(self._librations, groups)
         if libration is None:
             return
@@ -206,7 +203,6 @@ class Vibrations:
                 window or beyond `DESTROYED`.
         """
         self._check_bonds("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
-        self._tell_of_unknown("An inner step", inner, inner_step, groups)
         if scheme.bath_divides_drift:
             self._tell_of_stiffness(h, groups)
         bond = _fastest(self._bonds, groups)
@@ -263,32 +259,24 @@ class Vibrations:
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
         """The longest step without a warning, ps, with inner steps that are short enough for the fast groups.
 
-        Infinite where no bond vibrates. Both groups are bit masks.
+        Its kicks do not resonate with those. Infinite where no bond vibrates. Both groups are bit masks.
         """
-        slow = _fastest(self._bonds + self._librations, groups)
+        slow, within = _fastest(self._bonds + self._librations, groups), _fastest(self._bonds, fast)
         accurate = _limits(scheme, slow.period)[1] if slow else math.inf
-        return min(accurate, self.longest_beside(fast))
-
-    def longest_beside(self, fast: int) -> float:
-        """The longest step whose kicks do not resonate with fast forces, ps; infinite without them."""
-        within = _fastest(self._bonds, fast)
-        return RESONANCE * within.period if within else math.inf
+        return min(accurate, RESONANCE * within.period if within else math.inf)
 
     def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
-        bond = _fastest(self._bonds, groups)
-        if bond is None:
-            return
-        stable, accurate = _limits(scheme, bond.period)
-        described = (
-            f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} follows it "
-            f"accurately with steps of up to {_fs(accurate)}, and is unstable from {_fs(stable)} on. {remedy}, or "
-            f"{CONSTRAIN}"
-        )
-        self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
-
-    def _tell_of_unknown(self, what: str, scheme: Scheme, h: float, groups: int) -> None:
-        """Name, once, the Forces that may be too fast for a step at which the fastest bonds would be."""
-        names = [name for group, name in self._unknown if groups >> group & 1]
+        """Judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
+        if bond := _fastest(self._bonds, groups):
+            stable, accurate = _limits(scheme, bond.period)
+            described = (
+                f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} follows "
+                f"it accurately with steps of up to {_fs(accurate)}, and is unstable from {_fs(stable)} on. {remedy}, "
+                f"or {CONSTRAIN}"
+            )
+            self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
+        unknown = [force for force in self._unknown if groups >> force.getForceGroup() & 1]
+        names = [f"{force.getName()} ({type(force).__name__})" for force in unknown]
         if names and h > _limits(scheme, FASTEST_BOND)[1]:
             self._tell_once(
                 f"{what} of {_fs(h)} cannot be judged: of {', '.join(names)} no stiffness is known. If the energy "
@@ -337,13 +325,6 @@ def _is_expression(force: openmm.Force) -> bool:
     return isinstance(force, EXPRESSIONS) and not force.getName().startswith("openmm_sier: ")
 
 
-def _unknown(force: openmm.Force) -> tuple[int, str] | None:
-    """Group and name of a Force whose terms nobody can tell apart; None for others."""
-    if isinstance(force, KNOWN):
-        return None
-    return force.getForceGroup(), f"{force.getName()} ({type(force).__name__})"
-
-
 def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
     """The motion of shortest period in force groups, a bit mask; None if there is none."""
     return min((motion for motion in motions if groups >> motion.group & 1), default=None)
@@ -357,10 +338,9 @@ def _fastest_bonds(
         if not isinstance(force, openmm.HarmonicBondForce) or not force.getNumBonds():
             continue
         ends, _, strength = harmonic_bonds(force)
-        held, owner = constraints.by_pair(), bodies.owners[ends]
+        owner = bodies.owners[ends]
         apart = (owner[:, 0] != owner[:, 1]) | (owner[:, 0] < 0)
-        apart &= np.array([pair not in held for pair in map(tuple, np.sort(ends, axis=1).tolist())])
-        squares = apart * strength * mobility[ends].sum(axis=1)
+        squares = (apart & ~constraints.hold(ends)) * strength * mobility[ends].sum(axis=1)
         fastest = int(squares.argmax())
         if squares[fastest] > 0:
             period = 2 * math.pi / math.sqrt(squares[fastest])

@@ -8,8 +8,6 @@ the environment variable OPENMM_SIER_NUMBA is not 0, otherwise NumPy.
 'NumPy'
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -10,8 +10,6 @@ Positions x, relative to the first atom of each component, and momenta p are (3,
 and total momentum have the rounding of numbers of their own size, wherever in the box the atoms are.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

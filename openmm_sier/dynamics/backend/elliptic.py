@@ -1,7 +1,5 @@
 """Elliptic functions and integrals of the free top, elementwise, and the quadratures that go with their series."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

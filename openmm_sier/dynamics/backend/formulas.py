@@ -5,8 +5,6 @@ arrays of bodies; Numba compiles the very same functions for one body. Vectors a
 rotations are quaternions (w, i, j, k) of any norm.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 #: Largest angle of `small_sine_cosine`, up to which its truncation error is below 2e-17.

@@ -1,7 +1,5 @@
 """Free rotation over steps too long for the series, and of angular momenta whose squares no double can hold."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics.backend.elliptic import LONGEST, complete_integrals, shortest_series

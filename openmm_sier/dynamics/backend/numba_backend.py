@@ -1,7 +1,5 @@
 """The costly steps of all bodies in loops that Numba compiles and threads share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any

@@ -5,8 +5,6 @@ on Linux, in `~/Library/Caches` on macOS, in `%LOCALAPPDATA%` on Windows. Where 
 compiles anew.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Functions of this folder compiled by Numba together with all that they call, and kept on disk (`numba_cache`)."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from functools import cache

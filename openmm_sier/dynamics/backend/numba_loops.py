@@ -1,7 +1,5 @@
 """Loops for Numba to compile. Nothing else executes them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics.backend.constraint_solver import LINEAR

@@ -1,7 +1,5 @@
 """The costly steps of all bodies executed by NumPy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

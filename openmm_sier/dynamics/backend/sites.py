@@ -4,8 +4,6 @@ Bodies have centres q, momenta p and angular momenta L, (3, n), and attitudes A,
 the number of calls determines the cost, so that sites are handled one by one, and all bodies at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,7 +30,7 @@ class Sites:
     @cached_property
     def _columns(self) -> list[slice | np.ndarray]:
         """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
-        return [_as_slice(column) for column in self.atoms.T]
+        return [as_slice(column) for column in self.atoms.T]
 
     def arms(self, A: np.ndarray) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
         """For each site what picks its atoms, and their places relative to the centres, (3, m)."""
@@ -41,7 +39,8 @@ class Sites:
             yield column, combine(place, x, y, z)
 
 
-def _as_slice(indices: np.ndarray) -> slice | np.ndarray:
+def as_slice(indices: np.ndarray) -> slice | np.ndarray:
+    """Indices, (k,), as a slice where their spacing is even: a slice of an array is no copy."""
     if indices.size == 1:
         return slice(int(indices[0]), int(indices[0]) + 1)
     step = int(indices[1] - indices[0]) if indices.size else 0

@@ -1,7 +1,5 @@
 """Threads that share compiled loops over many bodies, and the cores there are for them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

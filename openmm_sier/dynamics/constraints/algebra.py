@@ -153,9 +153,7 @@ class Constraints:
         q, push = np.ascontiguousarray(q), shift * np.ascontiguousarray(force)
         new_q = q + push / self.masses
         if len(self.pairs):
-            failed = backend.active().execute(constraint_solver.displace, self._table, q, push, new_q)
-            if failed >= 0:
-                raise self._insoluble(failed)
+            self._solve(constraint_solver.displace, q, push, new_q)
         return new_q
 
     def satisfied(self, q: np.ndarray) -> np.ndarray:
@@ -186,14 +184,15 @@ class Constraints:
         new_q, new_p = q + (t / self.masses) * p, p.copy()
         if t != 0 and len(self.pairs):
             times = t * np.asarray(fractions, dtype=float)
-            failed = backend.active().execute(constraint_solver.drift, self._table, q, p, times, new_q, new_p)
-            if failed >= 0:
-                raise self._insoluble(failed)
+            self._solve(constraint_solver.drift, q, p, times, new_q, new_p)
         return new_q, new_p
 
-    def _insoluble(self, failed: int) -> ConstraintError:
-        bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
-        return ConstraintError(
-            f"the constraints of {self._name(*bodies)} have no solution near: they contradict each other, their "
-            "atoms are far from where they belong, or they move too fast for this time"
-        )
+    def _solve(self, function: Callable[..., int], *arrays: np.ndarray) -> None:
+        """Execute a function of the solver that writes its result into the last arrays."""
+        failed = backend.active().execute(function, self._table, *arrays)
+        if failed >= 0:
+            bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
+            raise ConstraintError(
+                f"the constraints of {self._name(*bodies)} have no solution near: they contradict each other, their "
+                "atoms are far from where they belong, or they move too fast for this time"
+            )

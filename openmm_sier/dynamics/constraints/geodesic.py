@@ -21,8 +21,6 @@ conserve and RATTLE does not. CH2 groups have up to 1.6 times these errors.
 Within nested steps, which are short, `TRIPLE_JUMP` does as well.
 """
 
-from __future__ import annotations
-
 _YOSHIDA, _SUZUKI = 1 / (2 - 2 ** (1 / 3)), 1 / (4 - 4 ** (1 / 3))
 
 #: RATTLE steps as fractions of a drift, of fourth order: Yoshida, Phys. Lett. A 150, 262 (1990).

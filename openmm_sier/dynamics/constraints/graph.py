@@ -1,7 +1,5 @@
 """The graph of constraints: its connected components, and which constraints share atoms."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics.backend.constraint_solver import ConstraintTable, differences, linear_equations, relative

@@ -1,7 +1,5 @@
 """Arguments of the free-rotation maps, and the order of the principal axes in which the maps work."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -103,7 +101,7 @@ def checked(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tupl
     """The arguments of a free-rotation map as arrays, the moments prepared.
 
     Raises:
-        ValueError: shapes do not fit, moments are impossible, or h is not finite.
+        ValueError: shapes do not fit, moments are impossible, or h or an angular momentum is not finite.
     """
     axes, h = axes_of(moments), float(h)
     A, L = np.ascontiguousarray(A, dtype=float), np.ascontiguousarray(L, dtype=float)
@@ -113,14 +111,6 @@ def checked(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tupl
         raise ValueError(f"h must be finite, got {h}")
     if axes.rates.ndim == 2 and axes.rates.shape[1] != A.shape[2]:
         raise ValueError(f"moments are given for {axes.rates.shape[1]} bodies, A and L for {A.shape[2]}")
-    return axes, A, L, h
-
-
-def demand_finite(L: np.ndarray) -> None:
-    """Refuse angular momenta (3, n) that are not finite.
-
-    Raises:
-        ValueError: one is not.
-    """
     if not np.isfinite(L).all():
         raise ValueError(f"the angular momentum of body {np.isfinite(L).all(axis=0).argmin()} is not finite")
+    return axes, A, L, h

@@ -1,7 +1,5 @@
 """The exact free rotation as a map."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics import backend

@@ -1,11 +1,9 @@
 """The free-rotation map MRDL, with which van Zon and Schofield (2007) compare theirs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import body_frame
-from openmm_sier.dynamics.rotation.arguments import checked, demand_finite
+from openmm_sier.dynamics.rotation.arguments import checked
 from openmm_sier.dynamics.rotation.exact import exact
 
 #: The factors, as principal axis (0 has the smallest moment, 2 the largest) and fraction of the step.
@@ -31,7 +29,6 @@ def mrdl(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[n
     8
     """
     axes, A, L, h = checked(A, L, moments, h)
-    demand_finite(L)
     rows = np.array(axes.sort(A))
     body_L = body_frame(rows, L)
     for axis, fraction in FACTORS:

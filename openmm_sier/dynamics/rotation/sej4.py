@@ -1,13 +1,11 @@
 """The free-rotation map SEJ4, with which van Zon and Schofield (2007) compare theirs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import body_frame, combine, cross, rotation_matrix, turned
-from openmm_sier.dynamics.rotation.arguments import checked, demand_finite
+from openmm_sier.dynamics.rotation.arguments import checked
 from openmm_sier.dynamics.rotation.exact import exact
 
 #: Where the two-point Gauss rule on (0, 1) has its first node; the second lies as far from the end.
@@ -35,7 +33,6 @@ def sej4(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[n
     32
     """
     axes, A, L, h = checked(A, L, moments, h)
-    demand_finite(L)
     rows = axes.sort(A)
     rates = axes.rates.reshape(3, -1)
     times = GAUSS_NODE * h, (1 - GAUSS_NODE) * h, h

@@ -1,7 +1,5 @@
 """Agreement of the bodies with their Context, whose atoms anybody may move between two steps."""
 
-from __future__ import annotations
-
 import weakref
 from dataclasses import replace
 

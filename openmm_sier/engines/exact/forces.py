@@ -1,7 +1,5 @@
 """Where the bodies of a Context are placed as atoms, and the forces on them and energies that it computes there."""
 
-from __future__ import annotations
-
 import weakref
 
 import numpy as np

@@ -4,8 +4,6 @@ OpenMM's LocalEnergyMinimizer moves atoms and keeps only the System's constraint
 rigid only because they were named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import islice
 from typing import Any
@@ -22,12 +20,8 @@ from openmm_sier.system import tables
 
 def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
     """Whether every distance inside every body is constrained."""
-    pairs = tables.constraints(system).pairs
-    owner = bodies.owners
-    inside = owner[pairs[:, 0]]
-    found = np.bincount(inside[(inside == owner[pairs[:, 1]]) & (inside >= 0)], minlength=bodies.n)
-    sizes = np.repeat([s.atoms.shape[1] for s in bodies.species], [len(s.atoms) for s in bodies.species])
-    return bool((found == sizes * (sizes - 1) // 2).all())
+    constraints = tables.constraints(system)
+    return all(constraints.hold(species.atoms).all() for species in bodies.species)
 
 
 def minimize_bodies(

@@ -1,7 +1,5 @@
 """What moves the bodies of one Context: the operators of a scheme, with constraints, and fast forces in the drifts."""
 
-from __future__ import annotations
-
 import numpy as np
 import openmm
 

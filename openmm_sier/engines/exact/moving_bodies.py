@@ -1,7 +1,5 @@
 """The bodies of one Context from the plan on, the forces on them, and what moves them."""
 
-from __future__ import annotations
-
 import weakref
 
 import numpy as np

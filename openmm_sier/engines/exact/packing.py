@@ -4,8 +4,6 @@ The numbers of the bodies follow one another, kind by kind, without regard to wh
 copied once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,13 +1,12 @@
 """Bonded forces on some atoms, from a Context that has no other forces, so that they cost no pass over all pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 import openmm
 from numpy.typing import ArrayLike
 
+from openmm_sier.dynamics.backend.sites import as_slice
 from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES, bonded_kind, bonded_terms
 
 
@@ -110,10 +109,8 @@ class SoluteForces:
         # Other atoms stay anywhere, apart from each other.
         self._positions = np.random.default_rng(0).random((reduced.getNumParticles(), 3))
         self._values = np.empty_like(self._positions)
-        # The atoms of one molecule follow each other, and a slice of an array is no copy.
-        first, last = int(self.atoms.min()), int(self.atoms.max())
-        in_order = np.array_equal(self.atoms, np.arange(first, last + 1))
-        self._members = slice(first, last + 1) if in_order else self.atoms
+        # The atoms of one molecule follow each other.
+        self._members = as_slice(self.atoms)
 
     def __del__(self) -> None:
         # Delete it before its System and its integrator, even if the garbage collector deletes all of them.

@@ -1,7 +1,5 @@
 """The native engine: OpenMM executes the scheme, which is written out as the integrator's program, on any platform."""
 
-from __future__ import annotations
-
 import math
 import weakref
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A program as the computations of an OpenMM CustomIntegrator, with the variables that it uses."""
 
-from __future__ import annotations
-
 import inspect
 from xml.etree import ElementTree
 

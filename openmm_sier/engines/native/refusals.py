@@ -1,7 +1,5 @@
 """What the native engine refuses, since only the exact engine can do it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from itertools import combinations
 
