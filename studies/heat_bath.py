@@ -149,7 +149,7 @@ METHODS = {
     "MTSLangevin, 8 fs": Method(8, 1, 4.0, _several_steps),
     **{f"SIER2, {step} fs, light": Method(step, 1, None, _own) for step in (4, 5, 6)},
     **{f"SIER2, {step} fs": Method(step, 1, 4.0, _own) for step in (8, 9, 10, 11)},
-    **{f"SIER2, 9 fs, hydrogens of {mass}": Method(9, 1, mass, _own) for mass in (2, 3, 5)},
+    **{f"SIER2, 9 fs, hydrogens of {mass:g}": Method(9, 1, mass, _own) for mass in (2.0, 3.0, 4.5)},
     "SIER4G HMC, 8 fs": _exact(8, 5),
     "SIER4G HMC, 9 fs": _exact(9, 4),
 }

@@ -12,7 +12,9 @@ from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
-from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
+from openmm_sier.system.bonded_terms import harmonic_bonds
+from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.notices import notify
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: Dalton. The most that hydrogens get whose atom is bonded to another heavy atom, to which its loss matters. With 4
@@ -69,7 +71,8 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         for atom in (centre, *found):
             system.setParticleMass(int(atom), float(masses[atom]))
     if not given:
-        return "there are no hydrogens whose mass could be changed."
+        notify("hydrogenMass does nothing: the System has no hydrogens whose mass could be changed")
+        return "There are no hydrogens whose mass could be changed."
     said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(given.items()))
     return f"{said}: averages stay, motion changes."
 
@@ -100,8 +103,7 @@ def _partners(system: openmm.System) -> dict[int, dict[int, float]]:
         if isinstance(force, openmm.HarmonicBondForce):
             ends, lengths, _ = harmonic_bonds(force)
             pairs += [(*pair, length) for pair, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
-        elif isinstance(force, openmm.CustomBondForce):
-            pairs += [(first, second, 0.0) for first, second in bonded_terms(force).tolist()]
+    pairs += [(first, second, 0.0) for first, second in Links(system).custom_bonds().tolist()]
     found: dict[int, dict[int, float]] = {}
     for first, second, length in pairs:
         if masses[first] > 0 and masses[second] > 0:

@@ -98,11 +98,11 @@ def prepare_system(
     if meshed_forces(system):
         balance_pme(system)
         done.append("The sums of PME are balanced.")
+    for i in reversed(close_pairs.own_forces(system)):
+        system.removeForce(i)
     if heavy is not None:
         done.append(set_hydrogen_masses(system, heavy))
     fast = list(known.fast.values())
-    for i in reversed(close_pairs.own_forces(system)):
-        system.removeForce(i)
     for force in fast:
         force.setForceGroup(group)
     if fast:
@@ -120,7 +120,7 @@ def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openm
     done = [f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}."]
     periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
     links = Links(system)
-    edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
+    edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom_bonds()])
     edges = edges[points[edges].all(axis=1)]
     if count := close_pairs.add_close_pairs(system, edges, group, periodic):
         done.append(

@@ -12,7 +12,7 @@ import openmm
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError
-from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.constraints.graph import joined, within
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import Bodies, checked_positions, checked_system
@@ -326,6 +326,17 @@ class Links:
         self.bonds = _pairs(system, openmm.HarmonicBondForce)
         self.terms = _pairs(system, _JOINING)
         self.custom = _pairs(system, openmm.CustomBondForce)
+
+    def custom_bonds(self) -> np.ndarray:
+        """Those of `custom` that join what nothing else does, (d, 2).
+
+        CustomBondForces may also have the pairs three bonds apart, in Systems of OpenMM's readers of GROMACS and CHARMM
+        files.
+        """
+        if not len(self.custom):
+            return self.custom
+        near = within(3, self.n_particles, np.concatenate([self.constraints.pairs, self.bonds]))
+        return np.array([pair for pair in np.sort(self.custom).tolist() if tuple(pair) not in near], int).reshape(-1, 2)
 
     def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
         """For each cluster of particles whether a bond joins it to a particle outside."""

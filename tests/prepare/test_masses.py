@@ -8,6 +8,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import RigidBodies, SIER4GIntegrator, prepare_system
+from openmm_sier.prepare.close_pairs import NAME
 from openmm_sier.prepare.masses import HEAVIEST_IN_CHAINS
 from openmm_sier.system.tables import masses
 from tests.support.peptides import capped_alanine_box
@@ -51,6 +52,39 @@ def test_hydrogens_of_water_and_solutes(alanine, constraints, before):
     others = sorted(set(range(len(new))) - set(hydrogens_of(topology)) - set(centres_of(topology)))
     np.testing.assert_array_equal(new[others], old[others])
     assert "12 hydrogens have 3 dalton and 4 hydrogens have 4 dalton" in said
+
+
+@pytest.mark.parametrize("constraints", [None, app.HBonds])
+def test_custom_bonds_between_atoms_three_bonds_apart_are_no_bonds(alanine, constraints):
+    """OpenMM's readers of GROMACS and CHARMM files have interactions of such pairs in a CustomBondForce."""
+    topology, forcefield = alanine
+    plain, with_pairs = (forcefield.createSystem(topology, constraints=constraints) for _ in range(2))
+    force = openmm.CustomBondForce("0*r")
+    torsions = next(each for each in plain.getForces() if isinstance(each, openmm.PeriodicTorsionForce))
+    for first, *_, last in (torsions.getTorsionParameters(i)[:4] for i in range(torsions.getNumTorsions())):
+        force.addBond(first, last)
+    with_pairs.addForce(force)
+    for system in (plain, with_pairs):
+        prepare_system(system, hydrogenMass=4)
+    np.testing.assert_array_equal(masses(with_pairs), masses(plain))
+    close = [next(each for each in each_of.getForces() if each.getName() == NAME) for each_of in (plain, with_pairs)]
+    assert close[0].getNumBonds() == close[1].getNumBonds()
+
+
+def test_masses_that_change_nothing_are_told():
+    system = openmm.System()
+    system.addParticle(40.0)
+    with pytest.warns(UserWarning, match="hydrogenMass does nothing: the System has no hydrogens"):
+        prepare_system(system, hydrogenMass=4)
+
+
+def test_a_prepared_system_may_get_its_heavy_hydrogens_later(alanine):
+    topology, forcefield = alanine
+    once, twice = (forcefield.createSystem(topology, constraints=app.HBonds) for _ in range(2))
+    prepare_system(twice)
+    for system in (once, twice):
+        prepare_system(system, hydrogenMass=4)
+    np.testing.assert_array_equal(masses(twice), masses(once))
 
 
 @pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p"])
