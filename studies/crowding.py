@@ -22,7 +22,6 @@ from openmm import unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, RigidBodies, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
-from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.starts import make_context
 from studies import boxes, records, style
 from studies.command import Settings, command
@@ -50,7 +49,6 @@ COLUMNS = {
     "translation, D/D0": "{translation:.2f} ± {translation_error:.2f}",
     "rotation, D/D0": "{rotation:.2f} ± {rotation_error:.2f}",
     "ms a step": "{milliseconds:.2f}",
-    "forces, ms": "{forces:.2f}",
 }
 
 
@@ -59,7 +57,6 @@ WATER_COLUMNS = {
     "atoms": "{atoms}",
     "atoms of water": "{beside}",
     "ms a step": "{milliseconds:.0f}",
-    "forces, ms": "{forces:.0f}",
 }
 
 
@@ -138,13 +135,11 @@ class Followed(NamedTuple):
         centres: nm, (frames, 3, n).
         attitudes: (frames, 3, 3, n).
         milliseconds: of processor time for a step.
-        forces: of these, in OpenMM's forces.
     """
 
     centres: np.ndarray
     attitudes: np.ndarray
     milliseconds: float
-    forces: float
 
 
 def followed(protein: Protein, edge: float, settings: CrowdSettings, interact: bool) -> Followed:
@@ -164,16 +159,15 @@ def followed(protein: Protein, edge: float, settings: CrowdSettings, interact: b
     openmm.LocalEnergyMinimizer.minimize(context, 10, 500)
     context.setVelocitiesToTemperature(settings.temperature, settings.seed)
     integrator.step(round(settings.settle / step))
-    clock, start = ForceClock(context, time.process_time), time.process_time()
+    start = time.process_time()
     frames, steps = [], round(EVERY / step)
     for _ in range(round(settings.time / EVERY)):
         integrator.step(steps)
         state = integrator.getBodyState()
         frames.append((state.q.copy(), state.A.copy()))
-    each = 1e3 / (steps * len(frames))
-    spent = each * (time.process_time() - start), each * clock.seconds
+    spent = 1e3 * (time.process_time() - start) / (steps * len(frames))
     centres, attitudes = (np.array(values) for values in zip(*frames, strict=True))
-    return Followed(centres, attitudes, *spent)
+    return Followed(centres, attitudes, spent)
 
 
 def cost_in_water(settings: CrowdSettings) -> list[dict[str, Any]]:
@@ -191,11 +185,11 @@ def cost_in_water(settings: CrowdSettings) -> list[dict[str, Any]]:
         context.setPositions(positions)
         context.setVelocitiesToTemperature(settings.temperature, settings.seed)
         integrator.step(2)
-        clock, start = ForceClock(context, time.process_time), time.process_time()
+        start = time.process_time()
         integrator.step(settings.water_steps)
-        each = 1e3 / settings.water_steps
-        spent = {"milliseconds": each * (time.process_time() - start), "forces": each * clock.seconds}
-        rows.append({"protein": name, "atoms": len(protein), "beside": len(positions) - len(protein), **spent})
+        spent = 1e3 * (time.process_time() - start) / settings.water_steps
+        atoms = {"atoms": len(protein), "beside": len(positions) - len(protein)}
+        rows.append({"protein": name, **atoms, "milliseconds": spent})
     return rows
 
 
@@ -231,7 +225,7 @@ def study(settings: CrowdSettings, report: Report = SILENT) -> Record:
         row: dict[str, Any] = {"fraction": fraction, "edge": edge, "beads": settings.copies * len(protein.masses)}
         for kind in ("translation", "rotation"):
             row |= {name: found[name] / free[kind] for name in (kind, f"{kind}_error")}
-        rows.append(row | {"milliseconds": path.milliseconds, "forces": path.forces})
+        rows.append(row | {"milliseconds": path.milliseconds})
         report.note(f"{fraction:g} of the volume: {row['translation']:.3f}, {row['rotation']:.3f}")
     tables = {"crowds": pd.DataFrame(rows), "water": pd.DataFrame(cost_in_water(settings))}
     title = "Diffusion in a crowd of DHFR, over that without interactions"

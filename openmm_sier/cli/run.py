@@ -22,7 +22,6 @@ from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued
 from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.engines.temperature import degrees_of_freedom
-from openmm_sier.measure.force_clock import ForceClock
 from openmm_sier.measure.pdb_files import first_line
 from openmm_sier.observe import conservation, stock
 
@@ -157,20 +156,18 @@ def _advance(
     """
     integrator = context.getIntegrator()
     begun = step = context.getStepCount()
-    watch, seconds, force_seconds = ForceClock(context), 0.0, 0.0
-    evaluations, longest = integrator.forceEvaluations, 1
+    evaluations, seconds, longest = integrator.forceEvaluations, 0.0, 1
     progress = progress_bar(plan.method.name, plan.steps, plan.step_time, begun)
     with _saying_how_to_go_on(context, plan, outputs), progress as show:
         if outputs.saved_step is None:
             _write(["log", "checkpoint"], context, plan, outputs, bounds)
         while step < plan.steps and requests.received is None:
             chunk = min(outputs.next_due(step), plan.steps, step + longest) - step
-            start, before = clock(), watch.seconds
+            start = clock()
             integrator.step(chunk)
             spent = clock() - start
             longest = max(1, min(LONGEST_CHUNK, int(LONGEST_WAIT * chunk / spent)))
             seconds += spent
-            force_seconds += watch.seconds - before
             step += chunk
             _write(outputs.due(step), context, plan, outputs, bounds)
             show(step)
@@ -181,7 +178,7 @@ def _advance(
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
         raise Stopped(requests.received, message)
     evaluations = integrator.forceEvaluations - evaluations
-    return summary.cost_rows(step - begun, plan.step_time, seconds, force_seconds, evaluations, watch.calls)
+    return summary.cost_rows(step - begun, plan.step_time, seconds, evaluations)
 
 
 @contextmanager

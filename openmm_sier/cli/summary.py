@@ -9,28 +9,20 @@ from openmm_sier.measure.report import duration
 from openmm_sier.measure.statistics import Estimate, mean_and_error, rms, slope_and_error
 
 
-def cost_rows(
-    steps: int, ps: float, seconds: float, force_seconds: float, evaluations: int, measured: int
-) -> list[tuple[str, str]]:
+def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:
     """Names and values of the wall time of a run, without the time for its files.
 
     Args:
         steps: number of them.
         ps: length of each.
         seconds: that they took.
-        force_seconds: the part of these for evaluations of forces, and of energies for moves of the volume.
         evaluations: force evaluations that the integrator counted.
-        measured: force evaluations whose time is in `force_seconds`.
     """
     if not steps or not seconds:
         return []
-    # The time of force evaluations that were not measured is unknown.
-    known = evaluations and measured == evaluations
-    share = (1 - force_seconds / seconds) * 100
     return [
         ("wall time per step", duration(seconds / steps)),
         ("force evaluations per step", f"{evaluations / steps:.2f}"),
-        ("time outside the force", f"{share:.1f} %" if known else "not measured"),
         ("speed of the integration", f"{steps * ps / 1000 / seconds * 86400:.2f} ns/day"),
     ]
 

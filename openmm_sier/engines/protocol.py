@@ -100,11 +100,6 @@ class Engine(PhasePoint):
         """The rigid and point bodies of the System."""
         return self.movers.bodies
 
-    @property
-    def callers(self) -> tuple[Any, ...]:
-        """What asks OpenMM for forces in a step, for those in the kicks and then for fast ones; see `ForceClock`."""
-        return ()
-
     # --- one call of the integrator's step ---
 
     @contextmanager

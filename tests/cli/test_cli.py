@@ -1,6 +1,5 @@
 """The command line, on small boxes of water: `run` with its files, crashes and continuations, `info`, refusals."""
 
-import itertools
 import re
 import shutil
 import signal
@@ -10,15 +9,13 @@ from pathlib import Path
 
 import mdtraj
 import numpy as np
-import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import SIER2Integrator
 from openmm_sier.cli import main
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import NothingLeft
-from openmm_sier.measure import force_clock, forcefields
+from openmm_sier.measure import forcefields
 from openmm_sier.version import __version__
 from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, rewrite_notes, write_lattice
 
@@ -57,7 +54,6 @@ def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
         assert name in out
     # One evaluation more than one a step: the first step of a run has no force to start from.
     assert re.search(r"force evaluations per step +│ +1\.00", out)
-    assert 0 < float(re.search(r"time outside the force +│ +([\d.]+) %", out).group(1)) < 100
     assert frames(Path("box.dcd"), box).n_frames == FRAMES
     rows = log("box.csv")
     # 1 fs steps, rows every 0.04 ps.
@@ -102,22 +98,6 @@ def test_one_molecule_without_a_box_tumbles_freely(capsys):
     # Rounding alone: the molecule has no potential energy.
     np.testing.assert_allclose(rows["Total Energy (kJ/mole)"], rows["Total Energy (kJ/mole)"][0], rtol=1e-12)
     assert rows["Total Energy (kJ/mole)"][0] > 0
-
-
-def test_time_of_forces_and_energies_is_that_of_openmm(box):
-    """What steps ask for either is timed, and what sets positions; calls are counted for forces alone."""
-    found = forcefields.read_box(box)
-    context = openmm.Context(found.system, SIER2Integrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions(found.positions)
-    context.getIntegrator().step(1)
-    watch = force_clock.ForceClock(context, itertools.count().__next__)
-    context.getState(forces=True)
-    assert (watch.seconds, watch.calls) == (0, 0)
-    context.getIntegrator().step(1)
-    # By a clock that goes on by one whenever it is read: once to set positions, once for the forces.
-    assert (watch.seconds, watch.calls) == (2, 1)
-    context.getIntegrator().binding.engine.potential_energy()
-    assert (watch.seconds, watch.calls) == (3, 1)
 
 
 # --- crashes and continuations ---

@@ -3,9 +3,8 @@
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 #: Least number of bodies for a thread, since starting one takes as long as some ten thousand bodies in a light loop.
@@ -16,45 +15,14 @@ SHARE = 32768
 _used: tuple[int | None, int] = (None, SHARE)
 
 
-#: On Linux, where a process reads of which control groups it is, and where these are.
-OWN_GROUPS, ALL_GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-
-
 def count() -> int:
     """Number of threads for a long loop: `cores()`, or OPENMM_CPU_THREADS, as OpenMM reads it."""
     return _used[0] or _available()
 
 
 def cores() -> int:
-    """Cores that this process may use, which in a batch job or a container are fewer than the machine has.
-
-    They are those that it is bound to, and not more than its control groups grant it time for.
-    """
-    bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, int(min((bound, *_granted()))))
-
-
-def _granted() -> Iterator[float]:
-    """Cores' worth of time that each of the control groups of this process grants, in both layouts of Linux."""
-    try:
-        groups = OWN_GROUPS.read_text().splitlines()
-    except OSError:
-        return
-    for group in groups:
-        _, controllers, path = group.split(":", 2)
-        if not controllers:
-            place, files = ALL_GROUPS, ["cpu.max"]
-        elif "cpu" in controllers.split(","):
-            place, files = ALL_GROUPS / "cpu", ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
-        else:
-            continue
-        folder = place / path.lstrip("/")
-        # Each group is within the limits of those above it. In a container the path may begin elsewhere.
-        for level in (folder, *folder.parents):
-            with suppress(OSError, ValueError):  # There is no such file, or no limit in it.
-                quota, period = map(int, " ".join((level / name).read_text() for name in files).split())
-                if quota > 0:
-                    yield quota / period
+    """Cores that this process is bound to, which in a batch job are fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

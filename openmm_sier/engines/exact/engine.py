@@ -80,11 +80,6 @@ class ExactEngine(Engine):
         return self._moving.settle_by(Snapshot(self._context).positions, self._flow)
 
     @property
-    def callers(self) -> tuple[Any, ...]:
-        solute = self._moving.motion.solute if self._moving.is_settled else None
-        return (self.forces, solute) if solute else (self.forces,)
-
-    @property
     def point(self) -> BodyState:
         if self._state is None:
             raise openmm.OpenMMException("The Context has no positions yet")
