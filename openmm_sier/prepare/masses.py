@@ -26,6 +26,9 @@ HEAVIEST_IN_CHAINS = 3.0
 #: Dalton, below which no atom is made lighter for its hydrogens.
 LIGHTEST_CENTRE = 6.0
 
+#: nm. The longest bonds of hydrogen, to iodine and silicon, have 0.16 and 0.15; what is further away is restrained.
+LONGEST_BOND = 0.17
+
 #: Dalton. Hydrogens that would get less are left as they are, as in HD.
 LIGHTEST_HYDROGEN = 1.0
 
@@ -80,17 +83,22 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
 def hydrogens(system: openmm.System) -> dict[int, list[int]]:
     """Hydrogens of a System, which knows no elements, by the atom that each is bonded to.
 
-    A hydrogen is an atom of no more than `HEAVIEST_HYDROGEN`. Of the atoms that bonds and constraints join to it the
-    nearest is heavier or has more such neighbours, and all the others are neighbours of that one. So a methyl's carbon,
-    which heavy hydrogens may have made lighter than they are, is none. Frozen atoms, virtual sites, Drude particles and
-    H2 are left out.
+    A hydrogen is an atom of no more than `HEAVIEST_HYDROGEN`. Of the atoms that bonds and constraints of up to
+    `LONGEST_BOND` join to it the nearest is heavier or has more such neighbours, and all the others are neighbours of
+    that one. So a methyl's carbon, which heavy hydrogens may have made lighter than they are, is none. Where it has no
+    such bond its custom bonds count. Frozen atoms, virtual sites, Drude particles and H2 are left out.
     """
     masses, partners = tables.masses(system), _partners(system)
     found: dict[int, list[int]] = {}
-    for atom, joined in sorted(partners.items()):
-        centre = min(joined, key=lambda other: joined[other])
+    for atom in sorted(atom for atom in partners if masses[atom] <= HEAVIEST_HYDROGEN):
+        joined = partners[atom]
+        near = [other for other in sorted(joined, key=joined.__getitem__) if 0 < joined[other] <= LONGEST_BOND]
+        near = near or [other for other in joined if not joined[other]]
+        if not near:
+            continue
+        centre = near[0]
         is_centre = masses[centre] > masses[atom] or len(partners[centre]) > len(joined)
-        if masses[atom] <= HEAVIEST_HYDROGEN and is_centre and joined.keys() <= {centre, *partners[centre]}:
+        if is_centre and set(near) <= {centre, *partners[centre]}:
             found.setdefault(centre, []).append(atom)
     return found
 

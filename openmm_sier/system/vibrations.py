@@ -208,10 +208,12 @@ class Vibrations:
         bond = _fastest(self._bonds, groups)
         if bond is None or h <= RESONANCE * bond.period:
             return
+        # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
+        heavier = f"or {HEAVIER}, " if self._mobility[list(bond.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1 else ""
         message = (
             f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
             f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
-            f"{_fs(RESONANCE * bond.period)}, or {HEAVIER}, or {CONSTRAIN}"
+            f"{_fs(RESONANCE * bond.period)}, {heavier}or {CONSTRAIN}"
         )
         angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
         stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))

@@ -71,6 +71,34 @@ def test_custom_bonds_between_atoms_three_bonds_apart_are_no_bonds(alanine, cons
     assert close[0].getNumBonds() == close[1].getNumBonds()
 
 
+@pytest.mark.parametrize("kind", ["harmonic", "custom"])
+@pytest.mark.parametrize("constraints", [None, app.HBonds])
+def test_restraints_of_hydrogens_are_no_bonds(alanine, kind, constraints):
+    """To an atom of another molecule, as of a hydrogen bond, and to each other, as nuclear Overhauser effects ask."""
+    topology, forcefield = alanine
+    plain, restrained = (forcefield.createSystem(topology, constraints=constraints) for _ in range(2))
+    found = hydrogens_of(topology)
+    force = openmm.HarmonicBondForce() if kind == "harmonic" else openmm.CustomBondForce("1000*(r-0.2)^2")
+    for first, second, length in ((found[0], plain.getNumParticles() - 3, 0.19), (found[1], found[-1], 0.3)):
+        force.addBond(first, second, *((length, 1e3) if kind == "harmonic" else ()))
+    restrained.addForce(force)
+    for system in (plain, restrained):
+        prepare_system(system, hydrogenMass=3)
+    np.testing.assert_array_equal(masses(restrained), masses(plain))
+
+
+def test_beads_of_a_coarse_chain_are_no_hydrogens():
+    system, bonds = openmm.System(), openmm.HarmonicBondForce()
+    for i in range(4):
+        system.addParticle(1.0)
+        if i:
+            bonds.addBond(i - 1, i, 0.35, 1e4)
+    system.addForce(bonds)
+    with pytest.warns(UserWarning, match="hydrogenMass does nothing"):
+        prepare_system(system, hydrogenMass=4)
+    assert masses(system).tolist() == [1.0] * 4
+
+
 def test_masses_that_change_nothing_are_told():
     system = openmm.System()
     system.addParticle(40.0)
