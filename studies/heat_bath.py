@@ -20,6 +20,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple
@@ -41,9 +42,9 @@ from openmm_sier.measure.statistics import mean_and_error
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes
-from studies.command import SYSTEMS, Settings, chosen, claim, command
-from studies.hmc.dihedrals import backbone, dihedral
-from studies.records import Record
+from studies.command import SYSTEMS, RunsSettings, chosen, command
+from studies.hmc.samples import backbone, charges, cost, dihedral
+from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import HIGHEST_TEMPERATURE, Unstable
 from studies.units import md
@@ -62,7 +63,7 @@ AVERAGED = {
 }
 
 #: Columns that tell a row.
-NAMES = {"box": "{box}", "method": "{method}", "hydrogens": "{hydrogens}", "ps": "{time:g}", "at": "{at}"}
+NAMES = records.columns("box", "method", "hydrogens", "time", "at")
 
 AVERAGES = {
     **NAMES,
@@ -159,7 +160,7 @@ STOCK = (openmm.LangevinMiddleIntegrator, openmm.MTSLangevinIntegrator)
 
 
 @dataclass(frozen=True)
-class BathSettings(Settings):
+class BathSettings(RunsSettings):
     """Settings of the comparison; the seeds of runs follow `seed`.
 
     Attributes:
@@ -172,7 +173,6 @@ class BathSettings(Settings):
         friction: 1/ps.
         pressure: bar; the volume is kept unless given.
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
-        processes: that make runs at the same time.
     """
 
     box: Positional[Path] = SYSTEMS / "peptide.pdb"
@@ -184,7 +184,8 @@ class BathSettings(Settings):
     friction: float = 5.0
     pressure: float | None = None
     tolerance: float = 1e-4
-    processes: int = 1
+
+    SHARED = ("temperature", "friction", "tolerance", "equilibrate")
 
 
 class Observer:
@@ -202,7 +203,7 @@ class Observer:
                 self._parts[name] = part, freedom
         self._contexts = {kind: _alone(system, force) for kind, force in BONDED.items()} if solute.any() else {}
         self._dihedrals = _backbone(box.topology)
-        self._charges = _charges(system)
+        self._charges = charges(system)
 
     def __call__(self, context: openmm.Context) -> dict[str, float]:
         """The values at the end of a step."""
@@ -238,12 +239,6 @@ def _backbone(topology: app.Topology) -> tuple[list[int], ...]:
         return ()
 
 
-def _charges(system: openmm.System) -> np.ndarray:
-    """Charges of the particles."""
-    nonbonded = next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
-    return np.array([md(nonbonded.getParticleParameters(i)[0]) for i in range(system.getNumParticles())])
-
-
 def _alone(system: openmm.System, kind: str) -> openmm.Context:
     """A Context with the Forces of one class alone."""
     bare = openmm.System()
@@ -255,43 +250,30 @@ def _alone(system: openmm.System, kind: str) -> openmm.Context:
     return openmm.Context(bare, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
 
 
-class Task(NamedTuple):
-    """One run."""
-
-    settings: BathSettings
-    method: str
-    seed: int
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """What identifies the run."""
-        box, time, pressure = self.settings.box.stem, self.settings.time, self.settings.pressure
-        at = "constant volume" if pressure is None else f"{pressure:g} bar"
-        return {"box": box, "at": at, "method": self.method, "time": time, "seed": self.seed}
-
-
 def tasks(settings: BathSettings) -> Iterator[Task]:
     """All runs that the settings ask for, seed by seed."""
     chosen(settings.methods, METHODS, "method")
-    for seed in range(settings.seed, settings.seed + settings.starts):
-        for name in settings.methods or METHODS:
-            yield Task(settings, name, seed)
+    at = "constant volume" if settings.pressure is None else f"{settings.pressure:g} bar"
+    place = {"box": settings.box.stem, "at": at, "time": settings.time}
+    seeds = range(settings.seed, settings.seed + settings.starts)
+    for seed, name in product(seeds, settings.methods or METHODS):
+        yield Task(settings, place | {"method": name, "seed": seed}, name)
 
 
 def run(task: Task) -> dict[str, Any]:
     """Averages of a run with their errors, and its speed in fs per second of processor time."""
-    settings, method = task.settings, METHODS[task.method]
+    settings, method, seed = task.settings, METHODS[task.method], task.point["seed"]
     box = _read_box(settings)
     bath = Bath(settings.temperature, settings.friction, settings.pressure)
     integrator = method.make(bath, 1e-3 * method.step)
-    integrator.setRandomNumberSeed(task.seed)
+    integrator.setRandomNumberSeed(seed)
     _fit(box.system, method, bath, integrator)
     found = task.point | {"hydrogens": "as they are" if method.mass is None else f"{method.mass:g} Da", "broken": ""}
     try:
         context = make_context(box.system, integrator, "CPU")
         context.setPositions(box.positions)
         openmm.LocalEnergyMinimizer.minimize(context, 10, 300)
-        context.setVelocitiesToTemperature(settings.temperature, task.seed)
+        context.setVelocitiesToTemperature(settings.temperature, seed)
         integrator.step(max(1, round(1e3 * settings.equilibrate / method.step)))
         if isinstance(integrator, SIERHMCIntegrator):
             integrator.resetStatistics()
@@ -320,15 +302,10 @@ def _distributions(series: pd.DataFrame) -> dict[str, Any]:
 
 def _costs(series: pd.DataFrame, forces: float) -> dict[str, float]:
     """Forces for an independent energy, dipole of the box and cosine of psi, of a run of so many forces."""
-
-    def cost(values: np.ndarray) -> float:
-        return forces / len(series) * inefficiency(values)
-
-    found = {"cost": cost(series["potential"].to_numpy())}
-    found["dipole_cost"] = float(np.mean([cost(series[name].to_numpy()) for name in DIPOLE]))
+    samples = {"cost": series[["potential"]], "dipole_cost": series[list(DIPOLE)]}
     if "psi" in series:
-        found["psi_cost"] = cost(np.cos(series["psi"].to_numpy()))
-    return found
+        samples["psi_cost"] = np.cos(series[["psi"]])
+    return {name: cost(values, forces / len(series)).value for name, values in samples.items()}
 
 
 def _read_box(settings: BathSettings) -> Any:
@@ -370,15 +347,11 @@ def _sampled(
 
 def study(settings: BathSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write heat-bath.json."""
-    shared = {name: settings.recorded()[name] for name in ("temperature", "friction", "tolerance", "equilibrate")}
-    claim(settings.out / "heat-bath-settings.json", shared)
-    path = settings.out / "heat-bath.jsonl"
-    for found in records.make_missing(path, tasks(settings), run, settings.processes):
-        report.note(", ".join(f"{name} {found[name]}" for name in ("box", "at", "method", "time", "seed", "broken")))
-    rows = averaged(pd.DataFrame(records.kept_runs(path)))
+    form = "{box}, {at}, {method}, {time:g} ps, seed {seed}: done"
+    rows = averaged(records.all_runs(settings, "heat-bath", tasks(settings), run, report, form))
     for title, columns in (("Averages in a heat bath", AVERAGES), ("What they cost", COSTS)):
-        report.table(records.table(title, records.with_text(rows, *AVERAGED), columns, left=3))
-    return Record(shared, {"rows": rows}, {}).write(settings.out / "heat-bath.json")
+        report.table(records.table(title, rows, columns, left=3))
+    return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "heat-bath.json")
 
 
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:
@@ -398,11 +371,10 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     """Means over the runs of one method in one box."""
     row = runs.iloc[0][["box", "at", "method", "hydrogens"]].to_dict()
     row |= {"time": runs["time"].sum(), "broken": next((each for each in runs["broken"] if each), "")}
-    for key in ("cost", "dipole_cost", "psi_cost", "accepted"):
-        row[key] = runs[key].mean() if key in runs else math.nan
-    row["trials"] = runs["trials"].sum() if "trials" in runs else 0
-    row |= records.pooled(runs, AVERAGED)
-    return row | {"speed": runs["fs_per_second"].mean() if "fs_per_second" in runs else math.nan}
+    # What is not known of any run has no column.
+    known = runs.reindex(columns=["cost", "dipole_cost", "psi_cost", "accepted", "trials", "fs_per_second"])
+    row |= known.mean().rename({"fs_per_second": "speed"}).to_dict() | {"trials": known["trials"].sum()}
+    return row | records.pooled(runs, AVERAGED)
 
 
 def _probability(angle: str, runs: pd.DataFrame, exact: pd.DataFrame) -> float:
@@ -410,9 +382,8 @@ def _probability(angle: str, runs: pd.DataFrame, exact: pd.DataFrame) -> float:
 
     Source: N. Smirnov, Ann. Math. Stat. 19, 279 (1948), with the numbers of independent samples.
     """
-    if f"{angle}_counts" not in runs:
-        return math.nan
-    several = [part.dropna(subset=[f"{angle}_counts"]) for part in (runs, exact)]
+    names = [f"{angle}_counts", f"{angle}_samples"]
+    several = [part.reindex(columns=names).dropna() for part in (runs, exact)]
     if any(part.empty for part in several) or several[0].index.equals(several[1].index):
         return math.nan
     first, second = (np.cumsum(np.sum(part[f"{angle}_counts"].tolist(), axis=0)) for part in several)

@@ -169,10 +169,8 @@ def pooled(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
     """Means over runs of one kind, with errors; NaN where no run has a value."""
     found = {}
     for name in names:
-        known = runs.dropna(subset=[name, f"{name}_error"]) if name in runs else runs[:0]
-        estimates = (
-            [Estimate(*pair) for pair in zip(known[name], known[f"{name}_error"], strict=True)] if len(known) else []
-        )
+        known = runs.reindex(columns=[name, f"{name}_error"]).dropna()
+        estimates = [Estimate(*pair) for pair in known.to_numpy(dtype=float)]
         found[name], found[f"{name}_error"] = statistics.pooled(estimates)[:2] if estimates else (math.nan, math.nan)
     return found
 
@@ -287,16 +285,6 @@ def cell(form: str, row: Mapping[str, Any]) -> str:
     """
     text = form.format_map(_Known(row)).replace(" ± nan", "").replace("±nan", "")
     return "-" if "nan" in text else text
-
-
-def with_text(frame: pd.DataFrame, *names: str) -> pd.DataFrame:
-    """A table in which `NAME_text` has each of these values with its error as text."""
-
-    def text(name: str) -> list[str]:
-        pairs = zip(frame[name], frame[f"{name}_error"], strict=True)
-        return [str(Estimate(value, error)) for value, error in pairs]
-
-    return frame.assign(**{f"{name}_text": text(name) for name in names})
 
 
 def markdown(made: Table) -> str:

@@ -16,8 +16,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import mdtraj
 import numpy as np
@@ -27,8 +28,8 @@ from openmm_sier.cli.methods import METHODS
 from openmm_sier.measure import transport
 from openmm_sier.measure.statistics import Estimate, mean_and_error
 from studies import command_runs, records, style
-from studies.command import SYSTEMS, Settings, chosen, claim, command
-from studies.records import Record
+from studies.command import SYSTEMS, RunsSettings, chosen, command
+from studies.records import Record, Task
 from studies.report import SILENT, Report, Table
 
 #: Properties by their keys in rows, with their names in the table and labels in the figure.
@@ -85,7 +86,7 @@ APART = 0.06
 
 
 @dataclass(frozen=True)
-class StepSettings(Settings):
+class StepSettings(RunsSettings):
     """What is run.
 
     Attributes:
@@ -95,7 +96,6 @@ class StepSettings(Settings):
         times: of runs at each of them, ps.
         starts: runs of each kind, whose seeds follow `seed`.
         skip: ps to leave out at the beginning of each run.
-        processes: that make runs at the same time.
     """
 
     boxes: tuple[str, ...] = ("spce-512", "tip3p-512", "tip4p2005-512")
@@ -104,70 +104,39 @@ class StepSettings(Settings):
     times: tuple[float, ...] = (60.0, 44.0, 30.0, 20.0)
     starts: int = 1
     skip: float = 5.0
-    processes: int = 1
 
     ANY_SIGN: ClassVar[tuple[str, ...]] = ("skip",)
-
-
-class Task(NamedTuple):
-    """One run."""
-
-    settings: StepSettings
-    box: str
-    method: str
-    per_force: float
-    length: float
-    seed: int
-
-    @property
-    def scheme(self) -> str:
-        return SCHEME if self.method == TRIALS else self.method
-
-    @property
-    def step(self) -> float:
-        """fs."""
-        scheme = METHODS[self.scheme].scheme
-        return self.per_force * (scheme.force_evaluations if scheme else 1)
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """What identifies the run."""
-        name = METHODS[self.scheme].name + (EXACT if self.method == TRIALS else "")
-        return {"box": self.box, "method": name, "step": self.step, "seed": self.seed, "length": self.length}
-
-    @property
-    def directory(self) -> Path:
-        return self.settings.out / f"{self.box}-{self.method}-{self.step:g}fs-seed{self.seed}"
-
-    @property
-    def options(self) -> dict[str, Any]:
-        ensemble = "hmc" if self.method == TRIALS else "npt"
-        mine = {"scheme": self.scheme, "ensemble": ensemble, "dt": self.step, "time": self.length, "seed": self.seed}
-        return mine | OPTIONS
+    SHARED = ("skip",)
 
 
 def tasks(settings: StepSettings) -> Iterator[Task]:
     """All runs that the settings ask for, seed by seed, long steps first."""
     chosen(settings.methods, METHODS | {TRIALS: None}, "method")
-    for seed in range(settings.seed, settings.seed + settings.starts):
-        for per_force, length in zip(settings.per_force, settings.times, strict=True):
-            for box in settings.boxes:
-                for method in settings.methods:
-                    yield Task(settings, box, method, per_force, length, seed)
+    seeds = range(settings.seed, settings.seed + settings.starts)
+    lengths = zip(settings.per_force, settings.times, strict=True)
+    for seed, (per_force, length), box, name in product(seeds, lengths, settings.boxes, settings.methods):
+        method = METHODS[SCHEME if name == TRIALS else name]
+        step = per_force * (method.scheme.force_evaluations if method.scheme else 1)
+        point = {"box": box, "method": method.name + (EXACT if name == TRIALS else ""), "step": step, "seed": seed}
+        yield Task(settings, point | {"length": length, "fs_per_force": per_force}, name)
 
 
 def run(task: Task) -> dict[str, Any]:
     """What follows from a run; what it does not tell is NaN."""
-    box, skip = SYSTEMS / f"{task.box}.pdb", task.settings.skip
-    command_runs.carry_out(task.directory, box, task.options)
-    log = command_runs.read_log(task.directory, skip)
-    frames = command_runs.read_frames(task.directory, box)
+    step, seed, skip = task.point["step"], task.point["seed"], task.settings.skip
+    directory = task.settings.out / f"{task.point['box']}-{task.method}-{step:g}fs-seed{seed}"
+    box = SYSTEMS / f"{task.point['box']}.pdb"
+    trials = {"scheme": SCHEME, "ensemble": "hmc"}
+    method = trials if task.method == TRIALS else {"scheme": task.method, "ensemble": "npt"}
+    command_runs.carry_out(directory, box, method | {"dt": step, "time": task.point["length"], "seed": seed} | OPTIONS)
+    log = command_runs.read_log(directory, skip)
+    frames = command_runs.read_frames(directory, box)
     found = {name: mean_and_error(log[column]) for name, column in LOGGED.items()}
     found["energy"] = found["energy"].times(1 / frames.n_residues)
     # Momenta that are drawn anew tell no diffusion.
     if task.method != TRIALS:
-        found["diffusion"] = diffusion(frames, 1e-3 * task.step, skip)
-    row = task.point | {"fs_per_force": task.per_force, "time": float(np.ptp(log["Time (ps)"]))}
+        found["diffusion"] = diffusion(frames, 1e-3 * step, skip)
+    row = task.point | {"time": float(np.ptp(log["Time (ps)"]))}
     for name, estimate in found.items():
         row |= {name: estimate.value, f"{name}_error": estimate.error}
     return row
@@ -197,11 +166,9 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
         RunFailed: a run ended with an error.
         ValueError: there is no such method, or `per_force` and `times` are not of one length.
     """
-    claim(settings.out / "step-study-settings.json", {"skip": settings.skip})
-    path = settings.out / "step-study.jsonl"
-    for found in records.make_missing(path, tasks(settings), run, settings.processes):
-        report.note(", ".join(f"{name} {value}" for name, value in found.items()))
-    rows = in_order(with_shared_errors(averaged(pd.DataFrame(records.kept_runs(path)))))
+    form = "{box}, {method}, {step:g} fs, seed {seed}: {density_text} g/cm³, {energy_text} kJ/mol"
+    runs = records.all_runs(settings, "step-study", tasks(settings), run, report, form)
+    rows = in_order(with_shared_errors(averaged(runs)))
     record = Record(settings.recorded(), {"rows": rows}, {"title": "Water against the step, 297 K, 1 bar"})
     for made in tables(record):
         report.table(made)

@@ -15,24 +15,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
-import openmm
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER4G
-from openmm_sier.dynamics.statistics import inefficiency_and_error
 from openmm_sier.measure.forcefields import read_box
-from openmm_sier.measure.statistics import Estimate, mean_and_error
+from openmm_sier.measure.statistics import mean_and_error
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
 from studies import command_runs, records
-from studies.command import SYSTEMS, Settings, chosen, claim, command
-from studies.hmc.dihedrals import backbone, dihedral
-from studies.records import Record
+from studies.command import SYSTEMS, RunsSettings, chosen, command
+from studies.hmc.samples import backbone, charges, cost, dihedral
+from studies.records import Record, Task
 from studies.report import SILENT, Report
-from studies.units import md
 
 BOX = SYSTEMS / "dipeptide.pdb"
 
@@ -79,15 +77,8 @@ OBSERVED = {"potential": "Potential Energy (kJ/mole)", "volume": "Box Volume (nm
 #: Of what means are shown.
 MEANS = OBSERVED | {"density": "Density (g/mL)"}
 
-COLUMNS = {
-    "run": "{label}",
-    "runs": "{runs}",
-    "ps": "{time:.0f}",
-    "accepted": "{accepted:.3f}",
-    "energy error, kT": "{spread:.3f}",
-    "V, kJ/mol": "{potential_text}",
+COLUMNS = records.columns("label", "runs", "time", "accepted", "spread", "potential", "density") | {
     "volume, nm³": "{volume_text}",
-    "g/cm³": "{density_text}",
     "forces for an independent V": "{potential_cost_text}",
     "volume": "{volume_cost_text}",
     "dipole": "{dipole_cost_text}",
@@ -99,7 +90,7 @@ COSTS = tuple(f"{name}_cost" for name in (*OBSERVED, "dipole", "psi"))
 
 
 @dataclass(frozen=True)
-class CostSettings(Settings):
+class CostSettings(RunsSettings):
     """What is run.
 
     Attributes:
@@ -107,42 +98,29 @@ class CostSettings(Settings):
         starts: runs of each, whose seeds follow `seed`.
         time: of each run, ps.
         skip: ps to leave out at the beginning of each.
-        processes: that make runs at the same time.
     """
 
     methods: tuple[str, ...] = ()
     starts: int = 2
     time: float = 100.0
     skip: float = 0.0
-    processes: int = 1
 
     ANY_SIGN: ClassVar[tuple[str, ...]] = ("skip",)
-
-
-class Task(NamedTuple):
-    """One run."""
-
-    settings: CostSettings
-    method: str
-    seed: int
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """What identifies the run."""
-        return {"label": f"{BOX.stem}: {self.method}", "seed": self.seed}
-
-    @property
-    def directory(self) -> Path:
-        name = self.method.replace(",", "").replace(" ", "-").replace("/", "-")
-        return self.settings.out / f"{name}-seed{self.seed}"
+    SHARED = ("time", "skip")
 
 
 def tasks(settings: CostSettings) -> Iterator[Task]:
     """All runs that the settings ask for, seed by seed."""
     chosen(settings.methods, METHODS, "method")
-    for seed in range(settings.seed, settings.seed + settings.starts):
-        for method in settings.methods or METHODS:
-            yield Task(settings, method, seed)
+    seeds = range(settings.seed, settings.seed + settings.starts)
+    for seed, method in product(seeds, settings.methods or METHODS):
+        yield Task(settings, {"label": f"{BOX.stem}: {method}", "seed": seed}, method)
+
+
+def directory(task: Task) -> Path:
+    """Where the files of a run are."""
+    name = task.method.replace(",", "").replace(" ", "-").replace("/", "-")
+    return task.settings.out / f"{name}-seed{task.point['seed']}"
 
 
 def forces_per_step(options: Mapping[str, Any]) -> float:
@@ -160,43 +138,29 @@ def forces_per_sample(options: Mapping[str, Any]) -> float:
 
 def run(task: Task) -> dict[str, Any]:
     """Means with errors, and costs, of one run; what it does not have is NaN."""
-    settings, options = task.settings, METHODS[task.method]
-    given = OPTIONS | options | {"time": settings.time, "seed": task.seed}
-    command_runs.carry_out(task.directory, BOX, given)
-    log = command_runs.read_log(task.directory, settings.skip)
+    settings, options, place = task.settings, METHODS[task.method], directory(task)
+    command_runs.carry_out(place, BOX, OPTIONS | options | {"time": settings.time, "seed": task.point["seed"]})
+    log = command_runs.read_log(place, settings.skip)
     row = task.point | {"time": float(np.ptp(log["Time (ps)"])), "accepted": math.nan, "spread": math.nan}
     if options["ensemble"] == "hmc":
         row |= {"accepted": log["Acceptance"][-1], "spread": float(np.nanstd(log["Energy Error (kT)"], ddof=1))}
     for name, column in MEANS.items():
         row[name], row[f"{name}_error"], _ = mean_and_error(log[column])
     series = {name: pd.DataFrame({name: log[column]}) for name, column in OBSERVED.items()}
-    for name, samples in (series | in_frames(task.directory, settings.skip)).items():
+    for name, samples in (series | in_frames(place, settings.skip)).items():
         # What does not change has no samples.
         if (np.ptp(samples.to_numpy(), axis=0) > 0).all():
             row[f"{name}_cost"], row[f"{name}_cost_error"], _ = cost(samples, forces_per_sample(options))
     return row
 
 
-def cost(samples: pd.DataFrame, forces: float) -> Estimate:
-    """Forces for an independent sample; the mean over columns, which are components of one vector.
-
-    Args:
-        samples: a column for each component.
-        forces: from one sample to the next.
-    """
-    found = np.array([inefficiency_and_error(samples[name].to_numpy()) for name in samples])
-    return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
-
-
 def in_frames(directory: Path, skip: float) -> dict[str, pd.DataFrame]:
     """The dipole of the box, of whole molecules, e nm, and the cosine of psi."""
     box = read_box(BOX, None, "hbonds")
     positions = command_runs.read_frames(directory, BOX).xyz[round(skip / EVERY) :].astype(float)
-    force = next(each for each in box.system.getForces() if isinstance(each, openmm.NonbondedForce))
-    charges = np.array([md(force.getParticleParameters(i)[0]) for i in range(positions.shape[1])])
     psi = backbone(box.topology)[1]
     return {
-        "dipole": pd.DataFrame(np.einsum("i,kix->kx", charges, positions), columns=["x", "y", "z"]),
+        "dipole": pd.DataFrame(charges(box.system) @ positions, columns=["x", "y", "z"]),
         "psi": pd.DataFrame({"psi": np.cos([dihedral(each, psi) for each in positions])}),
     }
 
@@ -208,15 +172,9 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
         RunFailed: a run ended with an error.
         ValueError: there is no such method.
     """
-    shared = {"time": settings.time, "skip": settings.skip}
-    claim(settings.out / "costs-settings.json", shared)
-    path = settings.out / "costs.jsonl"
-    for found in records.make_missing(path, tasks(settings), run, settings.processes):
-        report.note(f"{found['label']}, seed {found['seed']}: done")
-    # Where no run has trials, nothing but null was kept of them.
-    rows = averaged(pd.DataFrame(records.kept_runs(path)).astype({"accepted": float, "spread": float}))
-    report.table(records.table("Samples", records.with_text(rows, *MEANS, *COSTS), COLUMNS))
-    return Record(shared, {"rows": rows}, {}).write(settings.out / "costs.json")
+    rows = averaged(records.all_runs(settings, "costs", tasks(settings), run, report, "{label}, seed {seed}: done"))
+    report.table(records.table("Samples", rows, COLUMNS))
+    return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "costs.json")
 
 
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:

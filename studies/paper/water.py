@@ -138,7 +138,7 @@ def tables(record: Record) -> list[Table]:
     columns = {"h/f (fs)": "{force_step_fs:g}", "-": "{shown}"}
     for kind in settings["kinds"]:
         mine = points[points["kind"] == kind].sort_values("force_step_fs", kind="stable")
-        shown = records.with_text(mine, "percent")["percent_text"].where(mine["runs"] > 0, "breaks")
+        shown = [records.cell("{percent_text}", row) if row["runs"] else "breaks" for row in mine.to_dict("records")]
         made.append(records.table(f"Liquid water, {kind}, {told}", mine.assign(shown=shown), columns, across="method"))
     ratios = [published.ratio(value, published.CROSSING) for value in record.tables["crossings"]["force_step_fs"]]
     crossings = record.tables["crossings"].assign(ratio=ratios)

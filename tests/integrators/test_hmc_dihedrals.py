@@ -14,7 +14,7 @@ from openmm import app, unit
 from openmm_sier import Scheme, SIERHMCIntegrator
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
 from openmm_sier.measure.statistics import mean_and_error
-from studies.hmc.dihedrals import backbone, dihedral
+from studies.hmc.samples import backbone, dihedral
 from systems import peptide
 
 TEMPERATURE, FRICTION = 300.0, 5.0

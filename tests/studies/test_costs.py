@@ -60,9 +60,9 @@ def test_dipoles_and_dihedrals_are_those_of_the_frames(tmp_path, monkeypatch):
     often = {"every": 0.03, "report_every": 0.03, "equilibrate": 0.004, "minimize": False}
     monkeypatch.setattr(costs, "OPTIONS", costs.OPTIONS | often)
     settings = costs.CostSettings(time=0.3, skip=0.15, out=tmp_path)
-    task = costs.Task(settings, TRIALS, 1)
+    task = next(task for task in costs.tasks(settings) if task.method == TRIALS)
     row = costs.run(task)
-    found = costs.in_frames(task.directory, 0.15)
+    found = costs.in_frames(costs.directory(task), 0.15)
     assert {name: each.shape for name, each in found.items()} == {"dipole": (5, 3), "psi": (5, 1)}
     assert row["time"] == pytest.approx(0.15)
     assert 0 <= row["accepted"] <= 1

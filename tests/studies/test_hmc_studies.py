@@ -8,7 +8,7 @@ import pytest
 from openmm_sier import RigidBodies
 from studies.hmc import solutes
 from studies.hmc.curvature import Curvature
-from studies.hmc.dihedrals import dihedral
+from studies.hmc.samples import dihedral
 from tests.support.commands import SYSTEMS
 from tests.support.waters import plain_context
 

@@ -37,7 +37,7 @@ def test_cells_say_what_is_known():
     assert made.rows == [["SIER2", "296.8 ± 0.1", "512"], ["SIER4", "-", "64"]]
     assert records.cell("{x:.1f} ± {e:.1f}", {"x": 1.0, "e": math.nan}) == "1.0"
     assert records.markdown(made).splitlines()[1:3] == ["| --- | --- | --- |", "| SIER2 | 296.8 ± 0.1 | 512 |"]
-    assert list(records.with_text(ROWS[:1], "T")["T_text"]) == ["296.83 ± 0.14"]
+    assert records.cell("{T_text}", ROWS.iloc[0].to_dict()) == "296.83 ± 0.14"
 
 
 @dataclass(frozen=True)

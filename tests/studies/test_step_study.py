@@ -6,7 +6,7 @@ import pytest
 
 from studies import records, step_study
 from studies.command_runs import RunFailed
-from studies.step_study import StepSettings, Task
+from studies.step_study import StepSettings
 from tests.support.commands import log, write_lattice
 from tests.support.reports import Told
 from tests.support.studies import make_here
@@ -59,7 +59,8 @@ def test_a_longer_run_goes_on_and_takes_the_place_of_the_shorter(box, tmp_path):
 
 @pytest.mark.slow
 def test_momenta_that_are_drawn_anew_tell_no_diffusion(box, tmp_path):
-    found = step_study.run(Task(settings(box, tmp_path, "hmc"), box, "hmc", 2.0, 0.24, 1))
+    wanted = settings(box, tmp_path, "hmc", per_force=(2.0,), times=(0.24,))
+    found = step_study.run(next(step_study.tasks(wanted)))
     assert found["method"] == "SIER4G HMC"
     # Trials of ten steps of 6 fs.
     assert found["time"] == pytest.approx(0.24)
@@ -73,10 +74,10 @@ def test_a_run_that_fails_is_told(box, tmp_path):
 
 
 def test_a_method_has_its_step():
-    of = {method: Task(StepSettings(), "spce-512", method, 2.0, 30.0, 1) for method in ("verlet", "sier4g", "hmc")}
-    assert [task.step for task in of.values()] == [2.0, 6.0, 6.0]
-    assert [task.options["ensemble"] for task in of.values()] == ["npt", "npt", "hmc"]
-    assert len({task.directory for task in of.values()}) == 3
+    methods = {"methods": ("verlet", "sier4g", "hmc"), "boxes": ("spce-512",)}
+    of = list(step_study.tasks(StepSettings(**methods, per_force=(2.0,), times=(30.0,))))
+    assert [task.point["step"] for task in of] == [2.0, 6.0, 6.0]
+    assert [task.point["method"] for task in of] == ["OpenMM Verlet", "SIER4G", "SIER4G HMC"]
     with pytest.raises(ValueError, match="unknown method 'leapfrog'"):
         next(step_study.tasks(StepSettings(methods=("leapfrog",))))
 

@@ -1,9 +1,15 @@
-"""Dihedrals of a dipeptide."""
+"""Samples of a solute in water: dihedrals, charges for dipoles, and how many forces an independent sample costs."""
 
 from __future__ import annotations
 
 import numpy as np
+import openmm
+import pandas as pd
 from openmm import app
+
+from openmm_sier.dynamics.statistics import inefficiency_and_error
+from openmm_sier.measure.statistics import Estimate
+from studies.units import md
 
 #: Atoms of phi and psi, each with its residue beside that of the alpha carbon.
 PHI = ((-1, "C"), (0, "N"), (0, "CA"), (0, "C"))
@@ -32,3 +38,20 @@ def dihedral(positions: np.ndarray, atoms: list[int]) -> float:
     axis = (c - b) / np.linalg.norm(c - b)
     first, last = np.cross(b - a, axis), np.cross(axis, d - c)
     return float(np.arctan2(np.cross(first, last) @ axis, first @ last))
+
+
+def charges(system: openmm.System) -> np.ndarray:
+    """Charges of the particles, (N,), in e."""
+    nonbonded = next(force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    return np.array([md(nonbonded.getParticleParameters(i)[0]) for i in range(system.getNumParticles())])
+
+
+def cost(samples: pd.DataFrame, forces: float) -> Estimate:
+    """Forces for an independent sample; the mean over columns, which are components of one vector.
+
+    Args:
+        samples: a column for each component.
+        forces: from one sample to the next.
+    """
+    found = np.array([inefficiency_and_error(samples[name].to_numpy()) for name in samples])
+    return Estimate(forces * float(found[:, 0].mean()), forces * float(np.linalg.norm(found[:, 1])) / len(found))
