@@ -7,12 +7,12 @@ make the hydrogens of water heavier too.
 from collections import Counter
 from typing import Any
 
+import numpy as np
 import openmm
 from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
-from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.notices import notify
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
@@ -105,16 +105,13 @@ def hydrogens(system: openmm.System) -> dict[int, list[int]]:
 
 def _partners(system: openmm.System) -> dict[int, dict[int, float]]:
     """What bonds and constraints join to each particle that moves, with distances in nm; that of custom bonds is 0."""
-    masses = tables.masses(system)
-    pairs = [(*pair, length) for pair, length in tables.constraints(system).by_pair().items()]
-    for force in system.getForces():
-        if isinstance(force, openmm.HarmonicBondForce):
-            ends, lengths, _ = harmonic_bonds(force)
-            pairs += [(*pair, length) for pair, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
-    pairs += [(first, second, 0.0) for first, second in Links(system).custom_bonds().tolist()]
+    masses, links = tables.masses(system), Links(system)
+    lengths = dict(zip(map(tuple, np.sort(links.bonds).tolist()), links.lengths.tolist(), strict=True))
+    lengths |= links.constraints.by_pair()
     found: dict[int, dict[int, float]] = {}
-    for first, second, length in pairs:
+    for first, second in np.sort(links.covalent()).tolist():
         if masses[first] > 0 and masses[second] > 0:
-            found.setdefault(first, {})[second] = length
-            found.setdefault(second, {})[first] = length
+            found.setdefault(first, {})[second] = found.setdefault(second, {})[first] = lengths.get(
+                (first, second), 0.0
+            )
     return found

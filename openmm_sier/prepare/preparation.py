@@ -119,8 +119,7 @@ def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openm
     """Add the close pairs of points to the group of the fast forces; returns what was done."""
     done = [f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}."]
     periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
-    links = Links(system)
-    edges = np.concatenate([links.constraints.pairs, links.bonds, links.custom_bonds()])
+    edges = Links(system).covalent()
     edges = edges[points[edges].all(axis=1)]
     if count := close_pairs.add_close_pairs(system, edges, group, periodic):
         done.append(

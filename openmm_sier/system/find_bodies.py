@@ -12,16 +12,19 @@ import openmm
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError
-from openmm_sier.dynamics.constraints.graph import joined, within
+from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import Bodies, checked_positions, checked_system
-from openmm_sier.system.bonded_terms import bonded_terms
+from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.notices import notify
 
 #: The value of `rigid` that makes each heavy atom and its hydrogens one body.
 HYDROGEN_GROUPS = "heavy atoms with hydrogens"
+
+#: nm. The longest covalent bonds, those of iodine and of heavy metals.
+LONGEST_BOND = 0.3
 
 #: Forces whose terms join their atoms into a molecule, besides bonds.
 _JOINING = (openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce)
@@ -314,7 +317,7 @@ class Links:
     Attributes:
         n_particles: of the System.
         constraints: that act in it.
-        bonds: pairs of particles that a harmonic bond joins, (b, 2).
+        bonds, lengths: pairs of particles that a harmonic bond joins, (b, 2), and its lengths, (b,), nm.
         terms: pairs that an angle or a torsion joins, (t, 2); those of an improper torsion need not be bonded.
         custom: pairs that a CustomBondForce joins, (d, 2). It may be a restraint: molecules that it joins count as one,
             as in OpenMM, but rigid ones stay rigid.
@@ -323,20 +326,24 @@ class Links:
     def __init__(self, system: openmm.System):
         self.n_particles = system.getNumParticles()
         self.constraints = tables.constraints(system)
-        self.bonds = _pairs(system, openmm.HarmonicBondForce)
+        bonds = [harmonic_bonds(force) for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
+        self.bonds = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, *_ in bonds)])
+        self.lengths = np.concatenate([np.empty(0), *(lengths for _, lengths, _ in bonds)])
         self.terms = _pairs(system, _JOINING)
         self.custom = _pairs(system, openmm.CustomBondForce)
 
-    def custom_bonds(self) -> np.ndarray:
-        """Those of `custom` that join what nothing else does, (d, 2).
+    def covalent(self) -> np.ndarray:
+        """Constraints and bonds, (b, 2), without restraints within molecules.
 
-        CustomBondForces may also have the pairs three bonds apart, in Systems of OpenMM's readers of GROMACS and CHARMM
-        files.
+        Such are harmonic bonds longer than `LONGEST_BOND`, as of elastic networks, and terms of CustomBondForces, if
+        shorter bonds join their atoms already. In Systems of OpenMM's readers of GROMACS and CHARMM files a
+        CustomBondForce has the pairs three bonds apart.
         """
-        if not len(self.custom):
-            return self.custom
-        near = within(3, self.n_particles, np.concatenate([self.constraints.pairs, self.bonds]))
-        return np.array([pair for pair in np.sort(self.custom).tolist() if tuple(pair) not in near], int).reshape(-1, 2)
+        short = self.lengths <= LONGEST_BOND
+        sure = np.concatenate([self.constraints.pairs, self.bonds[short]])
+        others = np.concatenate([self.bonds[~short], self.custom])
+        ends = joined(self.n_particles, sure)[others]
+        return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
 
     def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
         """For each cluster of particles whether a bond joins it to a particle outside."""

@@ -1,6 +1,7 @@
 """Heavy hydrogens, in water and in solutes: masses of molecules stay, and only hydrogens and their centres change."""
 
 import copy
+import itertools
 
 import numpy as np
 import openmm
@@ -85,6 +86,23 @@ def test_restraints_of_hydrogens_are_no_bonds(alanine, kind, constraints):
     for system in (plain, restrained):
         prepare_system(system, hydrogenMass=3)
     np.testing.assert_array_equal(masses(restrained), masses(plain))
+
+
+@pytest.mark.parametrize("kind", ["harmonic", "custom"])
+def test_an_elastic_network_makes_no_close_pairs(alanine, kind):
+    topology, forcefield = alanine
+    plain, network = (forcefield.createSystem(topology, constraints=app.HBonds) for _ in range(2))
+    force = openmm.HarmonicBondForce() if kind == "harmonic" else openmm.CustomBondForce("1000*(r-0.5)^2")
+    heavy = [atom.index for atom in topology.atoms() if atom.element is app.element.carbon]
+    for first, second in itertools.combinations(heavy, 2):
+        force.addBond(first, second, *((0.5, 1e3) if kind == "harmonic" else ()))
+    network.addForce(force)
+    counts = []
+    for system in (plain, network):
+        prepare_system(system, hydrogenMass=4)
+        counts.append(next(each for each in system.getForces() if each.getName() == NAME).getNumBonds())
+    assert counts[0] == counts[1]
+    np.testing.assert_array_equal(masses(network), masses(plain))
 
 
 def test_beads_of_a_coarse_chain_are_no_hydrogens():
