@@ -203,7 +203,9 @@ def continued_plan(options: Options, checkpoint: Path, saved: Mapping[str, objec
         given, noted = getattr(options, name), getattr(plan, name)
         if given is not None and not _same(given, noted):
             option = OPTIONS[name].flag + ("" if given is True else f" {_shown(given)}")
-            raise RunError(f"{option} differs from {_shown(noted)} of {checkpoint}; leave it out")
+            raise RunError(
+                f"{option} differs from {_shown(noted)} of {checkpoint}; leave it out, or begin a new run with --start"
+            )
     for name in OUTPUTS:
         if (path := getattr(plan, name)) and getattr(options, name) is None and not _is_below(path, checkpoint):
             raise RunError(

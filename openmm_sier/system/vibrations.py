@@ -104,6 +104,13 @@ CONSTRAIN = (
     "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
     f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)'
 )
+CONSTRAIN_HEAVY = (
+    "hold the bond: by constraints=AllBonds in createSystem, or its molecule in a rigid body, by "
+    "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)"
+)
+
+#: Dalton. Atoms below this are hydrogens whose mass was left as it is.
+LIGHT = 2.0
 
 
 class Motion(NamedTuple):
@@ -209,11 +216,11 @@ class Vibrations:
         if bond is None or h <= RESONANCE * bond.period:
             return
         # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
-        heavier = f"or {HEAVIER}, " if self._mobility[list(bond.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1 else ""
+        heavier = f"or {HEAVIER}, " if self._has_below(LIGHT, bond) else ""
         message = (
             f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
             f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
-            f"{_fs(RESONANCE * bond.period)}, {heavier}or {CONSTRAIN}"
+            f"{_fs(RESONANCE * bond.period)}, {heavier}or {self._hold(bond)}"
         )
         angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
         stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
@@ -227,8 +234,7 @@ class Vibrations:
         A constant force in kicks every h, beside a spring that is followed exactly, moves the mean length of the bond
         by x/tan(x) of what it should, x = pi h/T with the period T: averages shift, at the right temperature.
         """
-        light = [bond for bond in self._bonds if self._mobility[list(bond.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1]
-        bond = _fastest(light, groups)
+        bond = _fastest([bond for bond in self._bonds if self._has_below(tables.HEAVIEST_HYDROGEN, bond)], groups)
         if bond is None or (x := math.pi * h / bond.period) <= STIFFENED:
             return
         left = max(0.0, x / math.tan(x)) if x < math.pi / 2 else 0.0
@@ -274,7 +280,7 @@ class Vibrations:
             described = (
                 f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} follows "
                 f"it accurately with steps of up to {_fs(accurate)}, and is unstable from {_fs(stable)} on. {remedy}, "
-                f"or {CONSTRAIN}"
+                f"or {self._hold(bond)}"
             )
             self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
         unknown = [force for force in self._unknown if groups >> force.getForceGroup() & 1]
@@ -290,6 +296,13 @@ class Vibrations:
             raise openmm.OpenMMException(f"{what} is too long: {described}")
         if h > accurate:
             self._tell_once(f"{what} is long: {described}")
+
+    def _has_below(self, mass: float, bond: Motion) -> bool:
+        """Whether an atom of a bond moves as one of this mass, dalton, or less."""
+        return bool(self._mobility[list(bond.atoms)].max() * mass >= 1)
+
+    def _hold(self, bond: Motion) -> str:
+        return CONSTRAIN if self._has_below(tables.HEAVIEST_HYDROGEN, bond) else CONSTRAIN_HEAVY
 
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels

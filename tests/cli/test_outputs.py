@@ -159,7 +159,7 @@ def test_files_that_are_missing_at_a_restart(box, capsys):
     for name in ("box.dcd", "box.csv"):
         content = Path(name).read_bytes()
         Path(name).unlink()
-        assert f"{name}: No such file or directory" in complaint(capsys, *again)
+        assert f"{name}, which the run of this checkpoint writes, is missing: put it back" in complaint(capsys, *again)
         Path(name).write_bytes(content)
     assert main.main([str(argument) for argument in again]) == 0
 

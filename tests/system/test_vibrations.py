@@ -145,6 +145,24 @@ def test_the_period_is_that_of_the_reduced_mass(masses):
         openmm.Context(system, SIER2Integrator(1.001 * stable), platform())
 
 
+@pytest.mark.parametrize(
+    ("masses", "named", "left_out"),
+    [
+        ((1.0, 16.0), ("make all hydrogens heavy", "constraints=HBonds"), "AllBonds"),
+        ((3.0, 10.0), ("constraints=HBonds",), "make all hydrogens heavy"),
+        ((14.0, 14.0), ("constraints=AllBonds",), "hydrogens"),
+    ],
+)
+def test_remedies_are_those_that_help(masses, named, left_out):
+    system = diatomic(4e5, masses)
+    prepare_system(system)
+    with pytest.raises(openmm.OpenMMException, match="resonates with fast forces") as refused:
+        openmm.Context(system, SIERLangevinIntegrator(300, 1, 0.03, substeps=40), platform())
+    for remedy in named:
+        assert remedy in str(refused.value)
+    assert left_out not in str(refused.value)
+
+
 def test_bonds_without_strength_are_no_oscillators():
     openmm.Context(diatomic(strength=0.0), SIER2Integrator(1.0), platform())
     openmm.Context(diatomic(masses=(0.0, 0.0)), SIER2Integrator(1.0), platform())

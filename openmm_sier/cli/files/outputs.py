@@ -82,8 +82,8 @@ class Outputs:
         """Check that the outputs are those of the run that a checkpoint notes; none is changed.
 
         Raises:
-            RecordError: an output is of another run.
-            OSError: one is missing.
+            RecordError: an output is missing or of another run.
+            OSError: one cannot be read.
         """
         for name, path in self._grown.items():
             records.check(path, records.Noted(**notes[name]))

@@ -138,9 +138,14 @@ def check(path: Path, noted: Noted) -> None:
         noted: of it by the checkpoint.
 
     Raises:
-        OSError: the output is missing.
-        RecordError: it does not begin with the noted bytes.
+        RecordError: the output is missing, or does not begin with the noted bytes.
+        OSError: it cannot be read.
     """
+    if not os.path.exists(path):
+        raise RecordError(
+            f"{path}, which the run of this checkpoint writes, is missing: put it back under this name, or begin a new "
+            "run from the checkpoint with --start"
+        )
     if noted.size and _fingerprint(path, noted.size) != noted.fingerprint:
         raise RecordError(
             f"{path} is not the file that the checkpoint belongs to, or was edited: its first {noted.size} bytes "
