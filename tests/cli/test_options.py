@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import os
 import shutil
 from pathlib import Path
 
@@ -25,12 +24,9 @@ def short_run(tmp_path_factory):
     """Directory of a run of two steps."""
     place = tmp_path_factory.mktemp("short")
     box = write_lattice(place / "box.pdb", 8)
-    before = Path.cwd()
-    os.chdir(place)
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
         assert main(["run", str(box), *SHORT, "--steps", "2"]) == 0
-    finally:
-        os.chdir(before)
     return place
 
 
