@@ -9,6 +9,7 @@ import pytest
 os.environ.setdefault("OPENMM_CPU_THREADS", "1")
 
 from openmm_sier.dynamics import backend
+from tests.support.waters import cluster_system, periodic_system, relaxed
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -36,6 +37,23 @@ def seeded_libraries():
 def rng():
     """Random numbers that are the same in every run."""
     return np.random.default_rng(20070518)
+
+
+def settled(topology, positions, system):
+    """Topology, System, and positions and velocities (N, 3) near 297 K; tests change no System but copies of it."""
+    return topology, system, relaxed(topology, positions, system)
+
+
+@pytest.fixture(scope="session")
+def cluster():
+    """Eight molecules of water without a cut-off."""
+    return settled(*cluster_system(8))
+
+
+@pytest.fixture(scope="session")
+def box():
+    """59 molecules of water in a periodic box."""
+    return settled(*periodic_system())
 
 
 @pytest.fixture(params=["NumPy", "Numba"] if util.find_spec("numba") else ["NumPy"])

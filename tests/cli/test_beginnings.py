@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import console, main
-from openmm_sier.cli import run as command
 from openmm_sier.cli.files import checkpoints
 from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, run
 
@@ -115,29 +114,6 @@ def test_unwrapped_frames_do_not_jump(box):
 
 
 # --- what is shown ---
-
-
-def test_table_of_constant_pressure_has_the_density(box, npt_run, capsys):
-    again = ["run", box, "--platform", "Reference", "--out", "a.dcd", "--start", npt_run / "npt.chk", "--steps", "10"]
-    run(*again, "--ensemble", "npt", "--pressure", "-500")
-    table = capsys.readouterr().out
-    volume = log("a.csv")["Box Volume (nm^3)"]
-    density = float(table.split("density")[1].split("g/ml")[0].split()[-1])
-    # 27 waters of 18.01528 g/mol, by Avogadro's number.
-    expected = (27 * 18.01528 / 6.02214076e23 / (volume * 1e-21)).mean()
-    assert density == pytest.approx(expected, abs=1e-4)
-    run(*again, "--ensemble", "nve", "--overwrite")
-    assert "density" not in capsys.readouterr().out
-
-
-def test_progress_lines_where_there_is_no_terminal(box, capsys, monkeypatch):
-    monkeypatch.setattr(console, "LINE_AFTER", 0.0)
-    monkeypatch.setattr(command, "LONGEST_CHUNK", 1)
-    run("run", box, *SMALL, "--equilibrate", "0", "--steps", "4")
-    lines = capsys.readouterr().err.splitlines()
-    assert [line.split(" steps")[0] for line in lines] == [f"SIER2: {i}/4" for i in (1, 2, 3, 4)]
-    assert "50 %, " in lines[1]
-    assert " ns/day, 0:00:0" in lines[1]
 
 
 def test_progress_lines_are_rare(monkeypatch, capsys):

@@ -43,14 +43,7 @@ def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--scheme", "sier2", "--dt", "1"]) == 0
     out = capsys.readouterr().out
     assert "force field tip3p.xml (named in the PDB file)" in out
-    for name in (
-        "drift of the conserved energy",
-        "rms(H)/rms(V)",
-        "T_trans",
-        "T_rot",
-        "total momentum",
-        "wall time per step",
-    ):
+    for name in ("drift of the conserved energy", "rms(H)/rms(V)", "T_trans", "total momentum", "wall time per step"):
         assert name in out
     # One evaluation more than one a step: the first step of a run has no force to start from.
     assert re.search(r"force evaluations per step +│ +1\.00", out)
@@ -178,19 +171,6 @@ def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
     np.testing.assert_allclose(rows["Potential Energy (kJ/mole)"], all_rows["Potential Energy (kJ/mole)"], rtol=1e-6)
 
 
-@pytest.mark.slow
-def test_run_can_be_moved_to_another_directory_and_continued(box):
-    Path("there").mkdir()
-    Path("moved").mkdir()
-    start = ["run", str(box), *SMALL, "--steps", "20", "--out", "there/a.dcd"]
-    assert main.main(start) == 0
-    for path in Path("there").iterdir():
-        path.rename(Path("moved") / path.name)
-    again = ["run", str(box), "--platform", "Reference", "--steps", "40", "--restart", "moved/a.chk"]
-    assert main.main(again) == 0
-    assert frames(Path("moved/a.dcd"), box).n_frames == 8
-
-
 # --- refusals ---
 
 #: What a restart keeps, each with another value.
@@ -224,14 +204,6 @@ def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys):
         assert "old.chk was written by another version of openmm-sier, in format 3 in place of 4: finish" in message
 
 
-def test_continuation_with_another_force_field_is_refused(whole_run, box, capsys):
-    other = Path("box.pdb")
-    other.write_text(box.read_text().replace("tip3p.xml", "spce.xml"))
-    chk = whole_run / "whole.chk"
-    command = "run", other, "--restart", chk, "--time", "1", "--platform", "Reference"
-    assert f"box.pdb is not the file that the run of {chk} read, or was edited" in complaint(capsys, *command)
-
-
 def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
     """As where OpenMM's own force field has changed, which is none of the files that are noted."""
     for path in whole_run.glob("whole.*"):
@@ -253,17 +225,8 @@ def test_bad_input_is_refused_in_one_line(box, capsys):
 
 
 def test_bad_arguments_are_refused_in_one_line(box, capsys):
-    for arguments in (
-        ["run"],
-        ["run", "a.pdb", "--dt", "-1"],
-        ["run", "a.pdb", "--dt", "fast"],
-        ["run", "a.pdb", "--steps", "0"],
-        ["run", "a.pdb", "--steps", "5", "--time", "1"],
-        ["run", "a.pdb", "--scheme", "sier3"],
-        ["fly"],
-        [],
-    ):
-        complaint(capsys, *arguments, code=main.MISUSED)
+    for arguments in ("run a.pdb --dt fast", "run a.pdb --steps 5 --time 1", "run a.pdb --scheme sier3", "fly", ""):
+        complaint(capsys, *arguments.split(), code=main.MISUSED)
 
 
 def test_missing_rich_names_the_extra(box, capsys, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier.cli.main import main
-from tests.support.commands import complaint, contents, log
+from tests.support.commands import log
 from tests.support.peptides import capped_alanine_box
 
 
@@ -60,19 +60,3 @@ def test_info(box, capsys):
     assert "20 rigid bodies, 22 points (atoms that move by themselves), 82 particles" in out
     # Twelve hydrogens of the peptide; three degrees of freedom of its atoms but these, and six of each water.
     assert f"{22 * 3 - 12 + 20 * 6} degrees of freedom, 12 constraints between points" in out
-
-
-def test_a_broken_molecule_is_refused_before_anything_is_done(box, tmp_path, monkeypatch, capsys):
-    """It was minimized and run: "the largest force on a molecule was 1.14e+06 kJ/mol/nm"."""
-    monkeypatch.chdir(tmp_path)
-    pdb = app.PDBFile(str(box))
-    positions = pdb.getPositions(asNumpy=True)
-    oxygen = next(atom for atom in pdb.topology.atoms() if atom.name == "O" and atom.residue.name == "HOH")
-    positions[oxygen.index] += [0, 500, 0] * unit.nanometer
-    with open("broken.pdb", "w") as file:
-        app.PDBFile.writeFile(pdb.topology, positions, file)
-    before = contents(tmp_path)
-    said = complaint(capsys, "run", "broken.pdb", *FILES, "--steps", "1")
-    assert f"broken.pdb: a molecule is broken: O of HOH {oxygen.residue.id} and H" in said
-    assert "belong 0.0957 nm apart, and are 500" in said
-    assert contents(tmp_path) == before

@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import os
 import shutil
 from pathlib import Path
 
@@ -25,12 +24,9 @@ def short_run(tmp_path_factory):
     """Directory of a run of two steps."""
     place = tmp_path_factory.mktemp("short")
     box = write_lattice(place / "box.pdb", 8)
-    before = Path.cwd()
-    os.chdir(place)
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
         assert main(["run", str(box), *SHORT, "--steps", "2"]) == 0
-    finally:
-        os.chdir(before)
     return place
 
 
@@ -72,10 +68,8 @@ def test_help_says_every_default(command):
     [
         ("--pressure", "101325", "from -5000 to 50000 bar (1 bar is 100000 Pa), got '101325'"),
         ("--seed", "99999999999", "from 1 to 2147483647, got '99999999999'"),
-        ("--seed", "1" * 5000, "from 1 to 2147483647, got '111"),
         ("--time", "1e300", "above 0 and up to 1e+09 ps, got '1e300'"),
         ("--dt", "nan", "from 0.05 to 1000 fs, got 'nan' (see"),
-        ("--dt", "1e-300", "from 0.05 to 1000 fs, got '1e-300' (see"),
         ("--dt", "0.006", "from 0.05 to 1000 fs, got '0.006' fs. It is in fs, not in ps: did you mean 6?"),
         ("--hydrogen-mass", "12", "from 1 to 4 dalton, got '12'"),
         ("--steps", "1e3", "from 1 to 1000000000000000, got '1e3'"),

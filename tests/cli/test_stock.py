@@ -2,22 +2,12 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.support.commands import complaint, log, run
 
 FAST = ["--dt", "2", "--platform", "Reference", "--equilibrate", "0.01", "--seed", "7"]
 FAST += ["--every", "0.02", "--report-every", "0.02", "--checkpoint-every", "0.06"]
-
-
-def test_heat_that_openmm_does_not_count_is_not_made_up(box, capsys):
-    run("run", box, "--scheme", "verlet", "--ensemble", "nvt", *FAST, "--time", "0.04")
-    assert np.isnan(log("box.csv")["Conserved Energy (kJ/mole)"]).all()
-    assert "not known" in capsys.readouterr().out
-    run("run", box, "--scheme", "verlet", *FAST, "--time", "0.04", "--overwrite")
-    found = log("box.csv")
-    assert np.array_equal(found["Conserved Energy (kJ/mole)"], found["Total Energy (kJ/mole)"])
 
 
 def test_runs_that_start_from_each_other_have_the_same_motion(box):

@@ -42,11 +42,11 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box):
 
 
 def test_line_keeps_what_was_given():
-    words = "tune a/b.pdb --forcefield x.xml y.xml --dt 6 --no-minimize --hydrogen-mass 3 --start s.chk"
+    words = "tune a/b.crd --topology c.psf --forcefield x.prm y.rtf --edges 1 1 2 --no-minimize --start s.chk"
     given = {name: value for name, value in vars(parse(words.split())).items() if name in OPTIONS}
     assert run_line(Options(**given), FOUND) == (
-        "openmm-sier run a/b.pdb --ensemble hmc --forcefield x.xml y.xml --hydrogen-mass 3.0 --dt 8.023 --no-minimize "
-        "--start s.chk --steps-per-trial 4"
+        "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm y.rtf --edges 1.0 1.0 2.0 "
+        "--dt 8.023 --no-minimize --start s.chk --steps-per-trial 4"
     )
 
 

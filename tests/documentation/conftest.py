@@ -60,18 +60,9 @@ def browser(tmp_path_factory):
         pytest.skip("no browser: chromium and chromedriver are not on the PATH")
     options = webdriver.ChromeOptions()
     options.binary_location = chromium
-    for switch in (
-        "headless",
-        "no-sandbox",
-        "disable-gpu",
-        "disable-quic",
-        "disable-dev-shm-usage",
-        "no-first-run",
-        "disable-background-networking",
-        "disable-component-update",
-        "disable-sync",
-        f"user-data-dir={tmp_path_factory.mktemp('chromium')}",
-    ):
+    for switch in ("gpu", "quic", "dev-shm-usage", "background-networking", "component-update", "sync"):
+        options.add_argument(f"--disable-{switch}")
+    for switch in ("headless", "no-sandbox", "no-first-run", f"user-data-dir={tmp_path_factory.mktemp('chromium')}"):
         options.add_argument(f"--{switch}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     browser = webdriver.Chrome(options, webdriver.ChromeService(driver))

@@ -65,13 +65,6 @@ def test_what_a_record_does_not_have_is_told(data, text, message):
         pages.value(text)
 
 
-def test_a_changed_record_changes_the_number(data):
-    text = "a.json others | h == 2 | {percent:.2f}"
-    assert pages.value(text) == "0.83"
-    Record({}, {"others": ROWS[:1].assign(percent=0.5)}, {}).write(data / "a.json")
-    assert pages.value(text) == "0.50"
-
-
 def test_columns_and_tables_of_studies():
     assert "gain" in pages.columns_of("whole_run.GAINS", ["drift, Verlet/kJ/mol/ps"])
     assert "ps" not in pages.columns_of("whole_run.GAINS", ["ps"])

@@ -42,11 +42,7 @@ QUESTIONS = [
     ("openmm 3993: rigid body and Nose-Hoover: weird distribution", "rigid thermostat", "guide/howto/rigid-molecules"),
     ("openff-evaluator 587: temperature below the bath's", "average temperature below bath", "guide/howto/density"),
     ("openmmtools 22: GHMC is slow", "GHMC slower", "guide/howto/exact-averages"),
-    (
-        "timemachine 787: HMC's acceptance of a solvated protein",
-        "acceptance solvated protein",
-        "guide/howto/exact-averages",
-    ),
+    ("timemachine 787: HMC of a solvated protein", "acceptance solvated protein", "guide/howto/exact-averages"),
     ("openmm 2202: Best practices for checkpointing", "determinism checkpoint", "guide/restarts"),
     ("openmm 2634: Reported temperature for MD with constraints", "degrees of freedom", "guide/howto/density"),
     ("alchemical free energies", "alchemical free energies", "guide/howto/enhanced-sampling"),

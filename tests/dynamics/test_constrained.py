@@ -24,7 +24,7 @@ from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.operators import CachedForces, drift, stepper
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G, SIER4P
 from openmm_sier.dynamics.species import Species
-from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK
+from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.flexible import KAHAN_LI, Points, cage, chains, ring, rotor
 
@@ -77,32 +77,6 @@ def test_every_scheme_keeps_its_order(name, scheme):
     errors = [distance(run(operators, scheme, start, TIME / n, n), exact) for n in (12, 24)]
     # The next term, smaller by h^2, changes the slope by a few hundredths.
     assert slope(errors) == pytest.approx(scheme.order, abs=0.15)
-
-
-@pytest.mark.parametrize("name", ["XH3", "ring", "cage"])
-def test_the_gradient_kick_is_the_force_of_the_modified_potential(name):
-    """Minus the derivatives of V - s |P F|^2 / 2 along the constraint manifold, by central differences."""
-    system, start, _ = solved(name)
-    constraints = system.constraints()
-    kick = points_of(system)[GRADIENT_KICK]
-
-    def squared(q):
-        F = constraints.project(q, system.forces(q))
-        return 0.5 * (F**2 / system.masses).sum()
-
-    def correction(s):
-        return (kick(start, 1.0, s).p - kick(start, 1.0, -s).p) / (2 * s)
-
-    rng = np.random.default_rng(3)
-    for _ in range(3):
-        # Along a tangent, which is M^-1 times a tangent momentum.
-        along = constraints.project(start.q, rng.normal(size=start.q.shape))
-        width = 1e-4
-        sides = [squared(constraints.displaced(start.q, along, sign * width)) for sign in (1, -1)]
-        expected = (sides[0] - sides[1]) / (2 * width)
-        found = (correction(1e-7) * along / system.masses).sum()
-        # Differences of width w err by w^2 times third derivatives over the first: 1e-8 (12 nm^-1)^2, some 1e-6.
-        assert found == pytest.approx(expected, rel=1e-4, abs=1e-3)
 
 
 # --- reversal and conservation ----------------------------------------------------------------------------------------
@@ -186,16 +160,6 @@ def test_rigid_and_constrained_molecules_together(rng, scheme):
         end = run(operators, scheme, state, TIME / n, n)
         errors.append(np.abs(bodies.place(end.q, end.A, np.empty((11, 3))) - exact).max())
     assert slope(errors) == pytest.approx(scheme.order, abs=0.2)
-
-
-def test_angular_momentum_of_rigid_and_constrained_molecules(rng):
-    atoms, bodies, constraints = with_water()
-    atoms.field = 0.0
-    state = body_state(bodies, atoms, atoms.start(rng))
-    operators = constrained_operators(bodies, body_forces(atoms, bodies), constraints)
-    end = run(operators, SIER4G, state, 0.003, 100)
-    for found, expected in zip(bodies.total_momenta(end), bodies.total_momenta(state), strict=True):
-        assert np.abs(found - expected).max() < 1e-13 * 100
 
 
 # --- temperature ------------------------------------------------------------------------------------------------------
@@ -317,16 +281,7 @@ def test_steps_with_a_bath_in_one_are_odd():
 
 
 def test_inner_steps():
-    assert [inner_steps(h, 0.001) for h in (0.0, 0.0005, 0.001, -0.001, 0.0010001, 0.0029, 0.003, -0.004)] == [
-        1,
-        1,
-        1,
-        1,
-        2,
-        3,
-        3,
-        4,
-    ]
+    assert [inner_steps(h, 0.001) for h in (0.0, 0.001, 0.0010001, 0.003, -0.004)] == [1, 1, 2, 3, 4]
     # Rounding of a product does not make one step more.
     assert inner_steps(0.1 * 0.003 * 10, 0.001) == 3
 

@@ -1,71 +1,19 @@
-"""The gradient kick: what it is the force of, which displacement has which order, and its symplecticity."""
-
-from dataclasses import replace
+"""The gradient kick: which displacement has which order, and its symplecticity."""
 
 import numpy as np
 import pytest
 
 from openmm_sier import Scheme
-from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.schemes import CATALOGUE, GRADIENT_KICK, KICK, SIER4G, Stage
 from tests.support.convergence import operators_of, run, slope
-from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
-from tests.support.phase_space import symplectic_defect, turned
+from tests.support.molecules import WATER, SoftCluster
+from tests.support.phase_space import symplectic_defect
 
 
 def with_shift(shift):
     """SIER4G with another displacement of its middle force."""
     middle = Stage(GRADIENT_KICK, 2 / 3, shift) if shift else Stage(KICK, 2 / 3)
     return Scheme("shifted", (*SIER4G.stages[:2], middle, *SIER4G.stages[3:]))
-
-
-# --- the operator -----------------------------------------------------------------------------------------------------
-
-
-def squared_acceleration(cluster, state):
-    """(F M^-1 F + tau I^-1 tau) / 2, of which a gradient kick takes s off the potential."""
-    F, tau = cluster.forces(state.q, state.A)
-    turning = body_frame(state.A, tau)
-    return 0.5 * ((F**2 / cluster.bodies.masses).sum() + (turning**2 * cluster.bodies.inverse_moments).sum())
-
-
-def generalized_force(function, state, body, width=1e-5):
-    """Minus the derivatives of a function by translations and by rotations of a body about lab axes."""
-    found = []
-    for axis in np.eye(3):
-        shift = np.zeros_like(state.q)
-        shift[:, body] = width * axis
-        pair = [function(replace(state, q=state.q + sign * shift)) for sign in (1, -1)]
-        found.append((pair[1] - pair[0]) / (2 * width))
-    for axis in np.eye(3):
-        pair = [function(turned(state, body, sign * width * axis)) for sign in (1, -1)]
-        found.append((pair[1] - pair[0]) / (2 * width))
-    return np.array(found)
-
-
-def test_it_is_the_force_of_the_modified_potential(rng):
-    """Minus the gradient of V - s (F M^-1 F + tau I^-1 tau) / 2, translations and rotations, for every kind of body.
-
-    The terms of the rotations that the derivation says cancel are in the finite differences.
-    """
-    mixture = SoftCluster([WATER, ION, CARBON_DIOXIDE, METHANE, WATER])
-    state = mixture.start(rng)
-    _, operators = operators_of(mixture)
-    exact = np.array(
-        [generalized_force(lambda s: -squared_acceleration(mixture, s), state, i) for i in range(mixture.bodies.n)]
-    )
-
-    def correction(s):
-        """What the displacement adds to a kick of unit length, over s."""
-        moved = [operators[GRADIENT_KICK](state, 1.0, sign * s) for sign in (1, -1)]
-        return np.concatenate([getattr(moved[0], v) - getattr(moved[1], v) for v in ("p", "L")]).T / (2 * s)
-
-    scale = np.abs(exact).max(axis=0)
-    errors = [np.abs((correction(s) - exact) / scale).max() for s in (4e-6, 2e-6)]
-    # Of the difference between s and -s, the first term left out is of the third order in s, a relative s^2; at
-    # s = h^2/24 with h = 7 fs it is a few per cent.
-    assert errors[1] < 1e-2
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
 # --- order ------------------------------------------------------------------------------------------------------------

@@ -25,34 +25,20 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, RigidityError, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.schemes import BATH, KICK
+from openmm_sier.dynamics.schemes import BATH
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.faults import Fault, lines_run
+from tests.support.molecules import GEOMETRIES
 from tests.support.waters import phase_point, platform
 
 TEMPERATURE, FRICTION, SEED = 300.0, 3.0, 17
 
-#: Numbers of atoms and of dimensions of the shapes of bodies.
-SHAPES = {"point": (1, 0), "pair": (2, 1), "line": (3, 1), "triangle": (3, 2), "plane": (4, 2), "solid": (4, 3)}
-#: OpenMM's constraint solver is singular for three atoms in line and for four in a plane.
-CONSTRAINED_SHAPES = ["point", "pair", "triangle", "solid"]
-
-
-def random_shape(name, rng):
-    """Coordinates of atoms about 0.1 nm apart that fill a line, a plane or space."""
-    atoms, dimensions = SHAPES[name]
-    grid = 0.1 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])[:atoms]
-    if name == "line":
-        grid = 0.1 * np.array([[-1, 0, 0], [0, 0, 0], [1, 0, 0]])
-    if name == "plane":
-        grid = 0.1 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    blur = rng.uniform(-0.02, 0.02, grid.shape)
-    blur[:, dimensions:] = 0
-    return (grid + blur) @ Rotation.random(rng=rng).as_matrix()
+#: Kinds that OpenMM's constraint solver holds: it is singular for three atoms in line and for four in a plane.
+CONSTRAINED = ["ion", "pair", "water", "handed"]
 
 
 class World:
-    """A System of random bodies in a trap with soft repulsion and springs between neighbours.
+    """A System of bodies in a trap with soft repulsion and springs between neighbours.
 
     Attributes:
         system: openmm.System.
@@ -61,7 +47,7 @@ class World:
         positions: shape (N, 3), nm.
     """
 
-    def __init__(self, shapes, seed, named, sweep):
+    def __init__(self, kinds, seed, named, sweep):
         rng = np.random.default_rng(seed)
         self.system = openmm.System()
         trap = openmm.CustomExternalForce("strength*(x^2 + 2*y^2 + 3*z^2 + 2*x*y*z)")
@@ -70,9 +56,10 @@ class World:
         # A harmonic bond would make the bodies that it joins parts of one flexible molecule.
         springs = openmm.CustomBondForce("100*(r - 0.2)^2")
         self.clusters, parts = [], []
-        for number, shape in enumerate(shapes):
-            places = random_shape(shape, rng)
-            atoms = [self.system.addParticle(rng.uniform(1, 30)) for _ in places]
+        for number, kind in enumerate(kinds):
+            masses, coordinates, _ = GEOMETRIES[kind]
+            places = Rotation.random(rng=rng).apply(coordinates - np.mean(coordinates, axis=0))
+            atoms = [self.system.addParticle(mass) for mass in masses]
             for atom in atoms:
                 trap.addParticle(atom)
                 repulsion.addParticle([])
@@ -107,7 +94,7 @@ class Replay:
         self.bodies = RigidBodies.from_system(world.system, rigid=world.named, positions=world.positions)
         self._context = openmm.Context(world.system, openmm.VerletIntegrator(1.0), platform())
         self._forces = operators.CachedForces(self._compute)
-        self._operators = {KICK: operators.kick(self._forces), **operators.drifts(operators.drift(self.bodies))}
+        self._operators = operators.body_operators(self.bodies, self._forces)
         self._operators[BATH] = OrnsteinUhlenbeck(TEMPERATURE, FRICTION, FRICTION, SEED).operator(self.bodies)
         self.steps, self.time = 0, 0.0
         self.state = BodyState(*4 * [np.zeros(0)])
@@ -155,24 +142,23 @@ class Replay:
 
 
 seeds = st.integers(0, 2**16)
-few = settings(max_examples=60, deadline=None, derandomize=True, database=None)
 
 
 class Calls(RuleBasedStateMachine):
     """Everything that users do to a Context and its integrator, in any order."""
 
     @initialize(
-        shapes=st.lists(st.sampled_from(sorted(SHAPES)), min_size=1, max_size=4),
+        kinds=st.lists(st.sampled_from(sorted(GEOMETRIES)), min_size=1, max_size=4),
         seed=seeds,
         named=st.booleans(),
         scheme=st.sampled_from([SIER2, SIER4]),
         thermostat=st.booleans(),
         sweep=st.sampled_from([0, 1, 3]),
     )
-    def build(self, shapes, seed, named, scheme, thermostat, sweep):
+    def build(self, kinds, seed, named, scheme, thermostat, sweep):
         if not named:
-            shapes = [shape if shape in CONSTRAINED_SHAPES else "solid" for shape in shapes]
-        self.world = World(shapes, seed, named, sweep)
+            kinds = [kind if kind in CONSTRAINED else "handed" for kind in kinds]
+        self.world = World(kinds, seed, named, sweep)
         if thermostat:
             integrator = SIERLangevinIntegrator(TEMPERATURE, FRICTION, 0.001, scheme=scheme, bodies=self.world.named)
             integrator.setRandomNumberSeed(SEED)
@@ -335,7 +321,5 @@ def test_any_sequence_of_calls_is_its_replay(number):
     machine = seed(number)(type("Calls", (Calls,), {}))
     # It would explain a failure by tracing lines, as the faults do.
     phases = (Phase.generate, Phase.shrink)
-    run_state_machine_as_test(machine, settings=settings(few, max_examples=25, stateful_step_count=25, phases=phases))
-
-
-# --- bodies -----------------------------------------------------------------------------------------------------
+    options = {"max_examples": 25, "stateful_step_count": 25, "deadline": None, "derandomize": True, "database": None}
+    run_state_machine_as_test(machine, settings=settings(phases=phases, **options))

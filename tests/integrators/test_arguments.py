@@ -39,7 +39,6 @@ REFUSED = [
     (partial(trials, frictionCoeff=0), "frictionCoeff must be above zero"),
     (partial(trials, stepsPerTrial=0), "stepsPerTrial must be at least 1"),
     (partial(trials, stepsPerTrial=2.5), "stepsPerTrial must be a whole number"),
-    (partial(trials, pressure=1, barostatInterval=0), "barostatInterval must be at least 1"),
     (partial(trials, scheme=SIER2.with_bath()), "has a bath"),
     (partial(trials, scheme=CROOKED), "is no palindrome"),
     (partial(VelocityRescaling, -1, 1), "temperature must be at least 0, got -1.0 K"),

@@ -8,6 +8,7 @@ import pytest
 
 import openmm_sier
 from openmm_sier import SIERLangevinIntegrator
+from tests.support.seeded import seeded
 from tests.support.waters import cluster_system, context_at, phase_point, relaxed
 
 PACKAGE = Path(openmm_sier.__file__).parent
@@ -85,8 +86,7 @@ def test_an_integrator_that_is_offered_to_a_second_context_stays_that_of_the_fir
     point = relaxed(topology, positions, system)
     ends = []
     for is_offered in (False, True):
-        integrator = SIERLangevinIntegrator(300, 5, 0.002, engine=engine)
-        integrator.setRandomNumberSeed(3)
+        integrator = seeded(SIERLangevinIntegrator(300, 5, 0.002, engine=engine))
         context = context_at(system, integrator, point, steps=3)
         if is_offered:
             with pytest.raises(openmm.OpenMMException, match="already bound"):

@@ -11,7 +11,6 @@ from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.ensembles import metropolis
-from openmm_sier.observe.reporters import ConservationReporter
 from tests.support.methanols import positions_of, system_of
 from tests.support.samplers import KT, counted, energies_computed, sampler
 from tests.support.strangers import fails_as_stranger
@@ -335,17 +334,6 @@ def test_fails_without_this_package(cluster, tmp_path, kind, engine):
     _context = context_at(system, integrator, point, steps=1)
     assert integrator.getGlobalVariableByName(EXACT_ONLY) == 1
     assert fails_as_stranger(tmp_path, integrator)
-
-
-def test_reports_tell_of_acceptance(cluster, tmp_path):
-    topology = cluster_system(4)[0]
-    simulation = app.Simulation(topology, cluster[0], sampler(n=4), platform())
-    simulation.context.setPositions(cluster[1][0])
-    simulation.reporters.append(ConservationReporter(tmp_path / "samples.csv", 2))
-    simulation.step(4)
-    rows = np.genfromtxt(tmp_path / "samples.csv", delimiter=",", names=True, deletechars="")
-    assert rows["Acceptance"][0] in (0, 0.5, 1)
-    assert rows["Energy_Error_(kT)"].shape == (2,)
 
 
 @pytest.mark.parametrize(

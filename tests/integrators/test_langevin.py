@@ -22,15 +22,14 @@ from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck, Thermostat
 from openmm_sier.ensembles import Langevin
 from tests.support.flexible import chains
 from tests.support.flexible_systems import FAST, system_of
+from tests.support.seeded import seeded
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 TEMPERATURE = 297.0
 
 
 def thermostat(h=0.002, friction=1.0, scheme=SIER2, seed=11, **options):
-    integrator = SIERLangevinIntegrator(TEMPERATURE, friction, h, scheme=scheme, **options)
-    integrator.setRandomNumberSeed(seed)
-    return integrator
+    return seeded(SIERLangevinIntegrator(TEMPERATURE, friction, h, scheme=scheme, **options), seed)
 
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G], ids=lambda s: s.name)
@@ -61,8 +60,7 @@ def test_settings_are_those_of_openmm():
 
 def test_an_integrator_that_is_given_the_ensemble_has_a_bath(cluster):
     _, system, point = cluster
-    given = SIERIntegrator(0.002, SIER2, ensemble=Langevin(TEMPERATURE, 1.0))
-    given.setRandomNumberSeed(11)
+    given = seeded(SIERIntegrator(0.002, SIER2, ensemble=Langevin(TEMPERATURE, 1.0)), 11)
     ends = []
     for integrator in (thermostat(), given):
         context = context_at(system, integrator, point, steps=5)
@@ -100,8 +98,7 @@ def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remove
     x, v = relaxed(topology, positions, system, steps=100)
     point = x, v + np.array([0.5, 0.0, -0.2])
     friction = 20.0
-    integrator = SIERLangevinIntegrator(300, friction, 0.002, engine=engine)
-    integrator.setRandomNumberSeed(4)
+    integrator = seeded(SIERLangevinIntegrator(300, friction, 0.002, engine=engine), 4)
     context = context_at(system, integrator, point, "CPU")
     moving = 0.5 * integrator.bodies.masses.sum() * 0.29
 
@@ -123,8 +120,7 @@ def test_noise_that_a_state_does_not_hold_is_spoken_of():
     point = positions, np.zeros_like(positions)
 
     def made(engine):
-        integrator = SIERLangevinIntegrator(300, 5.0, 0.002, engine=engine)
-        integrator.setRandomNumberSeed(4)
+        integrator = seeded(SIERLangevinIntegrator(300, 5.0, 0.002, engine=engine), 4)
         return integrator, context_at(system, integrator, point)
 
     for engine in ("exact", "native"):
@@ -155,8 +151,7 @@ def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
     state = points.start(np.random.default_rng(4), 300.0)
     deviations = {"end": [], "whole": []}
     for h in (0.002, 0.001):
-        integrator = SIERLangevinIntegrator(300, 2, h, SIER2, engine=engine, fastForceGroups={FAST}, substeps=2)
-        integrator.setRandomNumberSeed(3)
+        integrator = seeded(SIERLangevinIntegrator(300, 2, h, SIER2, engine=engine, fastForceGroups={FAST}, substeps=2))
         context = context_at(system_of(points)[0], integrator, (state.q.T, (state.p / points.masses).T))
         found = []
         for _ in range(round(0.2 / h)):
@@ -173,6 +168,21 @@ def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
     assert deviations["whole"][1] < deviations["end"][1] / 5
 
 
+def fast_bonds(count, masses, stiffness, slow):
+    """System and positions of bonds of 0.1 nm in the fast group, on each of which a slow force acts too."""
+    system, fast = openmm.System(), openmm.HarmonicBondForce()
+    fast.setForceGroup(FAST)
+    for _ in range(count):
+        pair = [system.addParticle(mass) for mass in masses]
+        fast.addBond(*pair, 0.1, stiffness)
+        slow.addBond(*pair)
+    system.addForce(fast)
+    system.addForce(slow)
+    positions = np.repeat(np.random.default_rng(3).uniform(0, 10, (count, 3)), 2, axis=0)
+    positions[1::2, 0] += 0.1
+    return system, positions
+
+
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_temperatures_are_those_just_after_the_bath(engine):
     """At the end of a step of 10 fs a bond of 24 fs is too hot, if slow forces pull at it; reporters do not show that.
@@ -181,21 +191,11 @@ def test_temperatures_are_those_just_after_the_bath(engine):
     the end has the variance 1.21 kT and that after the bath kT (solved with `scipy.linalg.solve_discrete_lyapunov`).
     A stretch is one of six degrees of freedom.
     """
-    count, mass, period, rng = 100, 12.0, 0.024, np.random.default_rng(3)
+    count, mass, period = 100, 12.0, 0.024
     stiffness = (2 * np.pi / period) ** 2 * mass / 2
-    system, positions = openmm.System(), rng.uniform(0, 10, (count, 3))
-    fast, slow = openmm.HarmonicBondForce(), openmm.HarmonicBondForce()
-    fast.setForceGroup(FAST)
-    for _ in range(count):
-        pair = system.addParticle(mass), system.addParticle(mass)
-        fast.addBond(*pair, 0.15, stiffness)
-        slow.addBond(*pair, 0.15, -0.05 * stiffness)
-    system.addForce(fast)
-    system.addForce(slow)
-    positions = np.repeat(positions, 2, axis=0)
-    positions[1::2, 0] += 0.15
-    integrator = SIERLangevinIntegrator(300, 20, 0.010, SIER2, fastForceGroups={FAST}, engine=engine)
-    integrator.setRandomNumberSeed(5)
+    slow = openmm.CustomBondForce(f"{-0.025 * stiffness}*(r-0.1)^2")
+    system, positions = fast_bonds(count, (mass, mass), stiffness, slow)
+    integrator = seeded(SIERLangevinIntegrator(300, 20, 0.010, SIER2, fastForceGroups={FAST}, engine=engine), 5)
     context = context_at(system, integrator, (positions, 0 * positions), steps=50)
     after_bath, at_end = [], []
     for _ in range(1000):
@@ -216,22 +216,12 @@ def test_temperatures_are_those_just_after_the_bath(engine):
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_slow_forces_stretch_a_fast_bond_by_too_little(engine):
     """Their share of the mean extension is x/tan(x), x = pi h/T; a warning tells it from 0.9 on."""
-    count, period, h, force, rng = 50, 0.0093, 0.004, 200.0, np.random.default_rng(2)
+    count, period, h, force = 50, 0.0093, 0.004, 200.0
     stiffness = (2 * np.pi / period) ** 2 * 16 / 17
-    system, positions = openmm.System(), np.repeat(rng.uniform(0, 10, (count, 3)), 2, axis=0)
-    fast, slow = openmm.HarmonicBondForce(), openmm.CustomBondForce(f"-{force}*r")
-    fast.setForceGroup(FAST)
-    for i in range(count):
-        pair = system.addParticle(16.0), system.addParticle(1.0)
-        fast.addBond(*pair, 0.1, stiffness)
-        slow.addBond(*pair)
-        positions[2 * i + 1, 0] += 0.1
-    system.addForce(fast)
-    system.addForce(slow)
+    system, positions = fast_bonds(count, (16.0, 1.0), stiffness, openmm.CustomBondForce(f"-{force}*r"))
     x = np.pi * h / period
     share = x / np.tan(x)
-    integrator = SIERLangevinIntegrator(1, 20, h, SIER2, fastForceGroups={FAST}, engine=engine, substeps=6)
-    integrator.setRandomNumberSeed(7)
+    integrator = seeded(SIERLangevinIntegrator(1, 20, h, SIER2, fastForceGroups={FAST}, engine=engine, substeps=6), 7)
     with pytest.warns(UserWarning, match=f"slow forces stretch the bond .* by {100 * share:.0f} % of what they should"):
         context = context_at(system, integrator, (positions, 0 * positions))
     integrator.step(100)

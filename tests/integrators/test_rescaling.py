@@ -10,6 +10,7 @@ from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERThermostatIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.ensembles import VelocityRescaling
 from tests.support.restarts import assert_same, everything
+from tests.support.seeded import seeded
 from tests.support.waters import context_at, energies, phase_point
 
 TEMPERATURE = 297.0
@@ -18,9 +19,7 @@ both_engines = pytest.mark.parametrize("engine", ["exact", "native"])
 
 def integrator(h=0.002, rate=5.0, every=4, scheme=SIER2, seed=7, engine="auto", **options):
     bath = VelocityRescaling(TEMPERATURE, rate, every, **options)
-    made = SIERThermostatIntegrator(bath, h, scheme, engine=engine)
-    made.setRandomNumberSeed(seed)
-    return made
+    return seeded(SIERThermostatIntegrator(bath, h, scheme, engine=engine), seed)
 
 
 # --- the distribution -------------------------------------------------------------------------------------------------
@@ -125,22 +124,6 @@ def test_energy_less_heat_and_the_total_momentum_are_conserved(cluster, engine):
 
 
 # --- restarts ---------------------------------------------------------------------------------------------------------
-
-
-@both_engines
-def test_chunks_of_steps_do_not_matter_beside_moves_of_the_volume(box, engine):
-    _, system, point = box
-    ends = []
-    for chunks in ([14], [1] * 14, [3, 7, 4]):
-        made = integrator(h=0.001, engine=engine, pressure=1000 * unit.bar, interval=3)
-        context = context_at(system, made, point)
-        volume = context.getState().getPeriodicBoxVolume()
-        for steps in chunks:
-            made.step(steps)
-        assert context.getState().getPeriodicBoxVolume() != volume
-        ends.append(everything(context))
-    assert_same(ends[0], ends[1])
-    assert_same(ends[0], ends[2])
 
 
 def test_a_step_that_fails_takes_its_scaling_back(cluster):

@@ -26,26 +26,29 @@ from openmm_sier import (
 )
 from openmm_sier.ensembles import VelocityRescaling
 from tests.support.integrators import constrained_velocity_verlet
-from tests.support.restarts import WAYS, after_ten_steps, assert_same, clock_and_box, everything, simulation_of
+from tests.support.restarts import (
+    WAYS,
+    after_ten_steps,
+    assert_restart_is_the_same,
+    assert_same,
+    clock_and_box,
+    everything,
+    simulation_of,
+)
+from tests.support.seeded import seeded
 from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
 
 
 def langevin(scheme, **options):
-    integrator = SIERLangevinIntegrator(297.0, 2.0, 0.001, scheme=scheme, **options)
-    integrator.setRandomNumberSeed(3)
-    return integrator
+    return seeded(SIERLangevinIntegrator(297.0, 2.0, 0.001, scheme=scheme, **options))
 
 
 def trials(engine="exact", **options):
-    integrator = SIERHMCIntegrator(297.0, 0.006, SIER2, stepsPerTrial=2, engine=engine, **options)
-    integrator.setRandomNumberSeed(3)
-    return integrator
+    return seeded(SIERHMCIntegrator(297.0, 0.006, SIER2, stepsPerTrial=2, engine=engine, **options))
 
 
 def rescaled(engine):
-    integrator = SIERThermostatIntegrator(VelocityRescaling(297.0, 5.0, 4), 0.002, SIER2, engine=engine)
-    integrator.setRandomNumberSeed(3)
-    return integrator
+    return seeded(SIERThermostatIntegrator(VelocityRescaling(297.0, 5.0, 4), 0.002, SIER2, engine=engine))
 
 
 MAKERS = {
@@ -161,66 +164,29 @@ def test_positions_from_outside_end_the_past(box):
     assert_same(*ends)
 
 
-def test_a_checkpoint_costs_nothing_where_forces_have_no_past(box, cluster):
-    """The force of the last step is used again, but on the CPU platform with a cut-off."""
-    for system, point, name, extra in (
-        (box[1], box[2], "CPU", 1),
-        (box[1], box[2], "Reference", 0),
-        (*cluster[1:], "CPU", 0),
-    ):
-        integrator = SIER2Integrator(0.001)
-        context = context_at(system, integrator, point, name, steps=2)
-        before = integrator.forceEvaluations
-        context.createCheckpoint()
-        context.getState(positions=True, energy=True)
-        integrator.step(1)
-        integrator.step(1)
-        assert integrator.forceEvaluations - before == 2 + extra
-
-
 # --- constant pressure ------------------------------------------------------------------------------------------
 
 
 def with_barostat(system, frequency):
     system = openmm.XmlSerializer.clone(system)
-    barostat = openmm.MonteCarloBarostat(1.0, 297.0, frequency)
-    barostat.setRandomNumberSeed(5)
-    system.addForce(barostat)
+    system.addForce(seeded(openmm.MonteCarloBarostat(1.0, 297.0, frequency), 5))
     return system
 
 
-def stock():
-    integrator = openmm.LangevinMiddleIntegrator(297.0, 2.0, 0.001)
-    integrator.setRandomNumberSeed(3)
-    return integrator
-
-
-NPT = {"OpenMM": stock, **MAKERS}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("make", NPT.values(), ids=NPT.keys())
-def test_restart_at_constant_pressure(box, make):
-    """What holds for every integrator of OpenMM holds for ours.
+@every_integrator
+def test_restart_beside_a_barostat_of_openmm(box, make):
+    """A checkpoint brings the random numbers of the barostat.
 
-    A checkpoint brings the random numbers of the barostat. It does not bring the count of steps since its last move nor
-    the acceptance ratio of its last ten, so that a restart is exact from a multiple of its frequency on, for ten moves.
+    It does not bring the count of steps since its last move nor the acceptance ratio of its last ten, with integrators
+    of OpenMM either, so that a restart is exact from a multiple of its frequency on, for ten moves.
     """
     _, system, point = box
     system = with_barostat(system, 2)
-    ends = []
-    integrator, other = make(), make()
-    context = context_at(system, integrator, point, steps=4)
-    checkpoint = context.createCheckpoint()
+    context = context_at(system, make(), point, steps=4)
     volume = context.getState().getPeriodicBoxVolume()
-    integrator.step(9)
-    ends.append(phase_point(context))
+    assert_restart_is_the_same(system, context, make(), 9)
     assert context.getState().getPeriodicBoxVolume() != volume
-    continued = openmm.Context(system, other, platform())
-    continued.loadCheckpoint(checkpoint)
-    other.step(9)
-    assert continued.getState().getPeriodicBoxVolume() == context.getState().getPeriodicBoxVolume()
-    assert_same(phase_point(continued), ends[0])
 
 
 # --- what is believed -------------------------------------------------------------------------------------------
@@ -310,8 +276,7 @@ def test_noise_after_a_state_is_of_its_own(cluster):
         ends.append(integrator.getBodyState())
     assert [end.draws for end in ends] == [10, 15, 20]
     for seed in (1, 2, 0, 0):
-        other = langevin(SIER2)
-        other.setRandomNumberSeed(seed)
+        other = seeded(langevin(SIER2), seed)
         context = openmm.Context(system, other, platform())
         context.setState(saved)
         other.step(5)

@@ -8,6 +8,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIERHMCIntegrator, SIERLangevinIntegrator
+from tests.support.seeded import seeded
 from tests.support.waters import platform
 
 N, SPRING = 10, 1000.0
@@ -31,8 +32,7 @@ def simulation(request):
         wells.addParticle(i)
         topology.addAtom("X", None, residue)
     system.addForce(wells)
-    integrator = MAKERS[kind](engine)
-    integrator.setRandomNumberSeed(5)
+    integrator = seeded(MAKERS[kind](engine), 5)
     made = app.Simulation(topology, system, integrator, platform())
     made.context.setPositions(np.zeros((N, 3)))
     made.context.setVelocitiesToTemperature(300, 1)

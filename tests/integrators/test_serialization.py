@@ -8,6 +8,7 @@ import math
 import pickle
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -31,6 +32,7 @@ from openmm_sier import (
 from openmm_sier.dynamics import rotation
 from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.integrators import settings
+from tests.support.seeded import seeded
 from tests.support.waters import array, cluster_system, context_at, platform, relaxed
 
 serialize, deserialize = openmm.XmlSerializer.serialize, openmm.XmlSerializer.deserialize
@@ -93,24 +95,6 @@ DISTINCT = {
 }
 
 
-def described(integrator) -> list:
-    """All that users can ask of an integrator."""
-    parts = [type(integrator), integrator.getStepSize(), integrator.scheme, integrator.rotation]
-    parts += [integrator.getIntegrationForceGroups(), integrator.getConstraintTolerance()]
-    parts.append(integrator.getRandomNumberSeed())
-    if isinstance(integrator, SIERLangevinIntegrator):
-        parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getRotationalFriction()]
-        parts += [
-            integrator.getPressure(),
-            integrator.getBarostatInterval(),
-            integrator.binding.ensemble.rotational_friction,
-        ]
-    if isinstance(integrator, SIERHMCIntegrator):
-        parts += [integrator.getTemperature(), integrator.getFriction(), integrator.getStepsPerTrial()]
-        parts += [integrator.getPressure(), integrator.getBarostatInterval()]
-    return parts
-
-
 def test_what_differs_serializes_differently():
     found = {name: serialize(make()) for name, make in DISTINCT.items()}
     alike = [pair for pair in itertools.combinations(found, 2) if found[pair[0]] == found[pair[1]]]
@@ -126,39 +110,33 @@ def test_xml_gives_back_the_integrator(make):
     original.setRandomNumberSeed(12)
     for way in (lambda it: deserialize(serialize(it)), openmm.XmlSerializer.clone):
         back = way(original)
-        assert described(back) == described(original)
+        assert type(back) is type(original)
+        # Bodies that are given as such are compared below.
+        given = (it.binding.settings for it in (back, original))
+        assert len({replace(each, bodies=None) for each in given}) == 1
+        for name in ("IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"):
+            assert getattr(back, f"get{name}")() == getattr(original, f"get{name}")()
         assert serialize(back) == serialize(original)
 
 
 def test_settings_that_are_changed_are_in_xml():
     integrator = langevin(pressure=1 * unit.bar)
-    changes = {
-        "setTemperature": 320,
-        "setFriction": 3,
-        "setRotationalFriction": 4,
-        "setPressure": 5,
-        "setStepSize": 0.001,
-    }
     seen = {serialize(integrator)}
-    for name, value in changes.items():
-        getattr(integrator, name)(value)
+    for name in ("Temperature", "Friction", "RotationalFriction", "Pressure", "StepSize"):
+        getattr(integrator, f"set{name}")(5)
         seen.add(serialize(integrator))
-        assert described(deserialize(serialize(integrator))) == described(integrator)
-    assert len(seen) == len(changes) + 1
+        back = deserialize(serialize(integrator))
+        assert getattr(back, f"get{name}")() == getattr(integrator, f"get{name}")()
+    assert len(seen) == 6
 
 
-@pytest.mark.parametrize("make", DISTINCT.values(), ids=DISTINCT)
-def test_copies_of_a_bound_integrator_serialize_like_it(cluster, make):
-    integrator = make()
-    if integrator_has_pressure(integrator):
-        integrator = langevin()
+@pytest.mark.parametrize("name", [name for name in DISTINCT if "pressure" not in name and name != "interval"])
+def test_copies_of_a_bound_integrator_serialize_like_it(cluster, name):
+    """Three molecules without a box, which have no pressure."""
+    integrator = DISTINCT[name]()
     _context = context_at(cluster[1], integrator, cluster[2], steps=1)
     for way in (copy.copy, copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))):
         assert serialize(way(integrator)) == serialize(integrator)
-
-
-def integrator_has_pressure(integrator) -> bool:
-    return hasattr(integrator, "getPressure") and integrator.getPressure() is not None
 
 
 def test_settled_bodies_come_back_to_the_bit(cluster):
@@ -199,7 +177,7 @@ def test_a_state_does_not_bring_back_settings(cluster):
     second = context_at(system, warm, point)
     second.loadCheckpoint(first.createCheckpoint())
     assert warm.getTemperature() == 300 * unit.kelvin
-    assert described(deserialize(serialize(warm)))[7] == 300 * unit.kelvin
+    assert deserialize(serialize(warm)).getTemperature() == 300 * unit.kelvin
 
 
 @pytest.mark.parametrize("n", [1, 5])
@@ -237,8 +215,7 @@ def test_copies_of_a_bound_integrator_have_their_own_noise(cluster):
 def test_variables_that_others_write_over_ours_do_not_repeat_noise(cluster):
     """openmmtools' ContextCache copies the variables of an integrator without a Context, all zero, over ours."""
     _, system, point = cluster
-    integrator = langevin(friction=50.0)
-    integrator.setRandomNumberSeed(3)
+    integrator = seeded(langevin(friction=50.0))
     context = context_at(system, integrator, point)
     ends = []
     for _ in range(3):

@@ -1,9 +1,6 @@
 """The start of a run: settled, at the temperature, with the energy that keeps it there."""
 
 import math
-import subprocess
-import sys
-import warnings
 
 import numpy as np
 import openmm
@@ -17,6 +14,8 @@ from openmm_sier.measure.starts import EquilibrationWarning, equilibrate, prepar
 from tests.support import solutes
 from tests.support.commands import write_lattice
 from tests.support.reports import Told
+from tests.support.seeded import seeded
+from tests.support.silence import silence
 from tests.support.solutes import spc, system_of
 from tests.support.tethers import falling_water, tethered_water
 from tests.support.waters import energies, phase_point, platform
@@ -75,9 +74,7 @@ def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
 def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered):
     monkeypatch.setattr(starts, "LONGEST", 4.0)
     system = openmm.XmlSerializer.clone(tethered[0])
-    other = openmm.AndersenThermostat(2 * TEMPERATURE, 50)
-    other.setRandomNumberSeed(1)
-    system.addForce(other)
+    system.addForce(seeded(openmm.AndersenThermostat(2 * TEMPERATURE, 50), 1))
     with pytest.warns(EquilibrationWarning, match="a temperature is out of bounds"):
         found = equilibrate(context_of(system, tethered[1]), TEMPERATURE)
     assert not found.settled
@@ -99,8 +96,7 @@ def test_the_step_follows_the_bonds(fast):
     system, positions = system_of([spc(), spc()])
     groups = prepare_system(system).fastForceGroups if fast else None
     told = Told()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         context = context_of(system, positions, SIER4GIntegrator(0.002, fastForceGroups=groups))
         found = equilibrate(context, TEMPERATURE, time=0.05, report=told)
     period = 2 * math.pi * math.sqrt(1 / (solutes.WITH_HYDROGEN * (1 / 1.008 + 1 / 15.999)))
@@ -158,9 +154,7 @@ def test_a_run_with_a_bath_starts_from_the_snapshot(tethered):
 def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path):
     """Positions and volume at the end of the equilibration are those at the start of the run."""
     box = forcefields.read_box(write_lattice(tmp_path / "box.pdb"))
-    barostat = openmm.MonteCarloBarostat(2e4, 297.0, 2)
-    barostat.setRandomNumberSeed(1)
-    box.system.addForce(barostat)
+    box.system.addForce(seeded(openmm.MonteCarloBarostat(2e4, 297.0, 2), 1))
     context = starts.make_context(box.system, SIER2Integrator(0.001), "Reference")
     context.setPositions(box.positions)
     context.computeVirtualSites()
@@ -189,38 +183,6 @@ def test_threads_are_no_more_than_the_cores_of_the_process(monkeypatch):
             assert cpu.getPropertyDefaultValue("Threads") == default
     finally:
         cpu.setPropertyDefaultValue("Threads", usual)
-
-
-WITHOUT_EXTRAS = """
-import sys
-
-for name in ("rich", "matplotlib", "h5py", "numba"):
-    sys.modules[name] = None
-
-import openmm
-from openmm_sier import SIER2Integrator
-from openmm_sier.measure import starts
-
-system, positions = openmm.System(), []
-for x in range(3):
-    for site in ((0, 0), (0.1, 0), (0, 0.1)):
-        system.addParticle(1.0)
-        positions.append((x, *site))
-    for i, j, length in ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.02**0.5)):
-        system.addConstraint(3 * x + i, 3 * x + j, length)
-context = starts.make_context(system, SIER2Integrator(0.001), "Reference")
-starts.prepare(context, positions, 300.0, time=0.05)
-context.getIntegrator().step(20)
-print(context.getStepCount(), context.getIntegrator().bodies.n)
-assert not any(name.split(".")[0] in ("rich", "matplotlib") for name, module in sys.modules.items() if module)
-"""
-
-
-@pytest.mark.slow
-def test_equilibrating_needs_neither_rich_nor_matplotlib():
-    done = subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["20", "3"]
 
 
 def test_the_force_that_calls_for_a_minimization_does_not_grow_with_a_molecule():

@@ -13,7 +13,7 @@ from openmm_sier.dynamics.constants import BAR
 from openmm_sier.observe.pressure import COLUMNS, COMPONENTS, MolecularPressure
 from openmm_sier.observe.reporters import PressureReporter
 from tests.support.restarts import assert_same, everything, simulation_of
-from tests.support.waters import array, cluster_system, context_at, periodic_system, platform, relaxed
+from tests.support.waters import array, cluster_system, context_at, periodic_system, platform
 
 #: Edges of the box of ions, nm, and the rotation that turns a diagonal of it to the x axis.
 EDGES = np.array([1.6, 1.8, 1.7])
@@ -125,29 +125,28 @@ def salt(turn=False, dispersion=True):
     return system, (positions, velocities @ TURN.T if turn else velocities)
 
 
+def still(system, point, name="Reference"):
+    return context_at(system, openmm.VerletIntegrator(0.001), point, name)
+
+
 def test_diagonal_against_the_barostat_of_openmm():
     system, point = salt()
-    found = tensor_of(context_at(system, openmm.VerletIntegrator(0.001), point))
+    found = tensor_of(still(system, point))
     barostat = openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1, 1, 1), 300, True, True, True, 0)
     system.addForce(barostat)
-    theirs = barostat.computeCurrentPressure(context_at(system, openmm.VerletIntegrator(0.001), point))
+    theirs = barostat.computeCurrentPressure(still(system, point))
     # Theirs takes the same differences. Ions are molecules of one atom, whose centre is no matter of definition.
     np.testing.assert_allclose(np.diag(found), np.array(theirs.value_in_unit(unit.bar)) * BAR, rtol=1e-6)
 
 
 def test_shear_is_the_diagonal_of_a_turned_box():
     """The same lattice of periodic images, in a box that is not rectangular."""
-    straight = tensor_of(context_at(*_with(openmm.VerletIntegrator(0.001), salt())))
+    straight = tensor_of(still(*salt()))
     # The Reference platform of OpenMM 8.6 misses pairs where a box is as oblique and as small as this one.
-    turned = tensor_of(context_at(*_with(openmm.VerletIntegrator(0.001), salt(turn=True)), "CPU"))
+    turned = tensor_of(still(*salt(turn=True), "CPU"))
     # The meshes of PME are different ones, and the CPU platform has single precision.
     np.testing.assert_allclose(turned, TURN @ straight @ TURN.T, rtol=0, atol=2e-3 * np.abs(straight).max())
     assert abs(straight[0, 1]) > 0.02 * np.abs(straight).max()
-
-
-def _with(integrator, made):
-    system, point = made
-    return system, integrator, point
 
 
 # --- the ideal gas ---
@@ -190,22 +189,17 @@ def test_ideal_gas_of_rotors(joined):
 # --- the reporter ---
 
 
-@pytest.fixture(scope="module")
-def box():
-    topology, positions, system = periodic_system("tip3p", 64)
-    return topology, system, relaxed(topology, positions, system, steps=50)
+def seeded(integrator):
+    integrator.setRandomNumberSeed(1)
+    return integrator
 
 
 def bath():
-    integrator = SIERLangevinIntegrator(297, 5, 0.002, SIER2)
-    integrator.setRandomNumberSeed(1)
-    return integrator
+    return seeded(SIERLangevinIntegrator(297, 5, 0.002, SIER2))
 
 
 def trials():
-    integrator = SIERHMCIntegrator(297, 0.002, SIER2, stepsPerTrial=4)
-    integrator.setRandomNumberSeed(1)
-    return integrator
+    return seeded(SIERHMCIntegrator(297, 0.002, SIER2, stepsPerTrial=4))
 
 
 @pytest.mark.slow
@@ -255,14 +249,13 @@ def test_refusals(tmp_path, box):
     held.addForce(openmm.CustomExternalForce("x"))
     with pytest.raises(ValueError, match="has a CustomExternalForce"):
         MolecularPressure(context_at(held, SIER2Integrator(0.001), box[2]))
-    frozen = openmm.XmlSerializer.clone(salt()[0])
+    (frozen, point), (summed, _) = salt(), salt()
     frozen.setParticleMass(7, 0)
-    summed, point = salt()
     summed.getForce(0).setNonbondedMethod(openmm.NonbondedForce.Ewald)
     with pytest.raises(ValueError, match="PME in place of Ewald sums"):
-        MolecularPressure(context_at(*_with(openmm.VerletIntegrator(0.001), (summed, point))))
+        MolecularPressure(still(summed, point))
     with pytest.raises(ValueError, match="atom 7 has no mass"):
-        MolecularPressure(context_at(*_with(openmm.VerletIntegrator(0.001), (frozen, salt()[1]))))
+        MolecularPressure(still(frozen, point))
 
 
 def test_parameters_and_force_groups_are_followed():
@@ -270,7 +263,7 @@ def test_parameters_and_force_groups_are_followed():
     force = system.getForce(0)
     force.addGlobalParameter("shift", 0.0)
     force.addParticleParameterOffset("shift", 0, 1.0, 0, 0)
-    context = context_at(system, openmm.VerletIntegrator(0.001), point)
+    context = still(system, point)
     pressure = MolecularPressure(context)
     state = context.getState(positions=True, velocities=True)
     before = pressure.components(state)

@@ -9,15 +9,10 @@ from scipy.spatial.transform import Rotation
 from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter, PressureReporter
 from tests.support.restarts import simulation_of
-from tests.support.waters import cluster_system, periodic_system, relaxed
+from tests.support.seeded import seeded
+from tests.support.waters import cluster_system, periodic_system
 
 h5py = pytest.importorskip("h5py")
-
-
-@pytest.fixture(scope="module")
-def box():
-    topology, positions, system = periodic_system()
-    return topology, system, relaxed(topology, positions, system)
 
 
 def simulation_at(box, integrator):
@@ -27,8 +22,7 @@ def simulation_at(box, integrator):
 
 @pytest.mark.slow
 def test_conservation_report(tmp_path, box):
-    integrator = SIERLangevinIntegrator(297, 5, 0.001, scheme=SIER2)
-    integrator.setRandomNumberSeed(1)
+    integrator = seeded(SIERLangevinIntegrator(297, 5, 0.001, scheme=SIER2), 1)
     simulation = simulation_at(box, integrator)
     path = tmp_path / "log.csv"
     simulation.reporters.append(ConservationReporter(path, 5))
@@ -53,18 +47,8 @@ def test_conservation_report(tmp_path, box):
 
 @pytest.mark.slow
 def test_columns_that_openmm_reports_too_have_its_names(tmp_path, box):
-    theirs = app.StateDataReporter(
-        str(tmp_path / "theirs.csv"),
-        1,
-        step=True,
-        time=True,
-        potentialEnergy=True,
-        kineticEnergy=True,
-        totalEnergy=True,
-        temperature=True,
-        volume=True,
-        density=True,
-    )
+    columns = ["step", "time", "potentialEnergy", "kineticEnergy", "totalEnergy", "temperature", "volume", "density"]
+    theirs = app.StateDataReporter(str(tmp_path / "theirs.csv"), 1, **dict.fromkeys(columns, True))
     simulation = simulation_at(box, SIER2Integrator(0.001))
     simulation.reporters += [theirs, ConservationReporter(tmp_path / "ours.csv", 1)]
     simulation.step(1)
@@ -123,9 +107,7 @@ def test_body_states(tmp_path, box):
 def test_body_states_tell_where_the_atoms_are(tmp_path):
     """Atoms rebuilt from nothing but the file, of a salt solution whose box changes, against those of the Context."""
     topology, positions, system = periodic_system(ions=True)
-    barostat = openmm.MonteCarloBarostat(1000, 297, 1)
-    barostat.setRandomNumberSeed(1)
-    system.addForce(barostat)
+    system.addForce(seeded(openmm.MonteCarloBarostat(1000, 297, 1), 1))
     simulation = simulation_of(topology, system, SIER2Integrator(0.001), "Reference", (positions, 0 * positions))
     path = tmp_path / "bodies.h5"
     simulation.minimizeEnergy(maxIterations=20)

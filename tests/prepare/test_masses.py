@@ -8,12 +8,12 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import RigidBodies, SIER4GIntegrator, prepare_system
+from openmm_sier import RigidBodies, prepare_system
 from openmm_sier.prepare.close_pairs import NAME
 from openmm_sier.prepare.masses import HEAVIEST_IN_CHAINS
 from openmm_sier.system.tables import masses
 from tests.support.peptides import capped_alanine_box
-from tests.support.waters import cluster_system, platform
+from tests.support.waters import cluster_system
 
 
 @pytest.fixture(scope="module")
@@ -169,15 +169,3 @@ def test_masses_that_are_refused(alanine, mass):
     with pytest.raises(ValueError, match="prepare first, then make the bodies"):
         prepare_system(system, RigidBodies.from_system(system), hydrogenMass=4)
     assert openmm.XmlSerializer.serialize(system) == before
-
-
-def test_a_heavy_system_runs():
-    """The bodies have the new masses and moments, and energy is conserved."""
-    _, positions, system = cluster_system(3)
-    prepare_system(system, hydrogenMass=4)
-    integrator = SIER4GIntegrator(0.004)
-    context = openmm.Context(system, integrator, platform())
-    context.setPositions(positions)
-    assert integrator.bodies.masses == pytest.approx(18.01532, rel=1e-5)
-    integrator.step(5)
-    assert context.getStepCount() == 5

@@ -19,13 +19,6 @@ def reversed_momenta(state):
     return replace(state, p=-state.p, L=-state.L)
 
 
-def turned(state, body, rotation_vector):
-    """The state with one body turned in the lab frame."""
-    A = state.A.copy()
-    A[:, :, body] = A[:, :, body] @ Rotation.from_rotvec(rotation_vector).as_matrix().T
-    return replace(state, A=A)
-
-
 # Tangent vectors (dq, dp, dphi, dL) of one body, with dphi the turn in the lab frame: A exp([dphi])^T. The canonical
 # one-form is p.dq + L.dphi. Turns do not commute: d(dphi)(1, 2) = dphi_1 x dphi_2, and so minus its derivative is
 #     dq_1.dp_2 - dp_1.dq_2 + dphi_1.dL_2 - dL_1.dphi_2 - L.(dphi_1 x dphi_2).
@@ -34,7 +27,7 @@ def turned(state, body, rotation_vector):
 UNITS = np.repeat([0.05, 20.0, 0.5, 2.0], 3)
 
 
-def symplectic_form(state, twist=-1.0):
+def symplectic_form(state):
     """Matrix of the form in the tangent coordinates of all bodies, in `UNITS`."""
     n = state.q.shape[1]
     form = np.zeros((12 * n, 12 * n))
@@ -43,7 +36,7 @@ def symplectic_form(state, twist=-1.0):
         block[0:3, 3:6] = block[6:9, 9:12] = np.eye(3)
         block[3:6, 0:3] = block[9:12, 6:9] = -np.eye(3)
         # L.(a x b) = a.(b x L) = -a.[L] b
-        block[6:9, 6:9] = -twist * skew(state.L[:, i])
+        block[6:9, 6:9] = skew(state.L[:, i])
         form[12 * i : 12 * i + 12, 12 * i : 12 * i + 12] = block * np.outer(UNITS, UNITS)
     return form
 
@@ -73,6 +66,6 @@ def jacobian(flow, state, width=2e-3):
     return np.array(columns).T
 
 
-def symplectic_defect(flow, state, twist=-1.0):
+def symplectic_defect(flow, state):
     J = jacobian(flow, state)
-    return np.abs(J.T @ symplectic_form(flow(state), twist) @ J - symplectic_form(state, twist)).max()
+    return np.abs(J.T @ symplectic_form(flow(state)) @ J - symplectic_form(state)).max()

@@ -1,7 +1,6 @@
 """Bonded forces that are expressions limit the step as harmonic bonds do: their curvature is measured."""
 
 import math
-import warnings
 
 import numpy as np
 import openmm
@@ -10,6 +9,7 @@ from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, prepare_system
 from openmm_sier.system.vibrations import Vibrations
+from tests.support.silence import silence
 from tests.support.waters import cluster_system, context_at, platform
 
 #: kJ/mol/nm^2.
@@ -154,8 +154,7 @@ def test_a_step_that_is_too_long_is_refused_when_there_are_positions(engine):
     assert context.getStepCount() == 0
     assert np.array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, x)
     integrator.setStepSize(0.003)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         integrator.step(1)
 
 
@@ -198,8 +197,7 @@ def test_a_force_of_which_nothing_is_known_is_named_once():
     system.addForce(force)
     x = np.array([[0, 0, 0], [0.1, 0, 0]])
     integrator = SIERIntegrator(0.002, SIER4G)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         # No bond of a molecule is too fast for this step.
         context = context_at(system, integrator, (x, 0 * x), steps=1)
     integrator.setStepSize(6 * unit.femtoseconds)

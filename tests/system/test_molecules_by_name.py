@@ -10,6 +10,7 @@ from tests.support.flexible import residual
 from tests.support.flexible_systems import started, total_energy
 from tests.support.peptides import capped_alanine_box, forcefield
 from tests.support.restarts import assert_restart_is_the_same
+from tests.support.seeded import seeded
 from tests.support.solutes import disulfide, ion, spc, system_of, water
 from tests.support.waters import context_at, phase_point
 
@@ -50,9 +51,7 @@ def check(system, positions, h, bodies=None):
     assert 10 < coarse / fine < 25
 
     def langevin():
-        made = SIERLangevinIntegrator(300, 5, h, bodies=bodies, fastForceGroups=groups)
-        made.setRandomNumberSeed(5)
-        return made
+        return seeded(SIERLangevinIntegrator(300, 5, h, bodies=bodies, fastForceGroups=groups), 5)
 
     context = started(system, langevin(), positions, steps=3)
     assert_restart_is_the_same(system, context, langevin(), 4)

@@ -1,7 +1,5 @@
 """Positions that are not quite those of the bodies: molecules that are recognized are mended, others refused."""
 
-import warnings
-
 import numpy as np
 import openmm
 import pytest
@@ -9,6 +7,7 @@ import pytest
 from openmm_sier import RigidBodies, RigidityError, SIER2Integrator
 from openmm_sier.dynamics.species import FIT_FRACTION, FIT_TOLERANCE, Species
 from tests.support.oracles import random_attitudes
+from tests.support.silence import silence
 from tests.support.waters import cluster_system, context_at, phase_point, platform
 
 #: O-H in nm and H-O-H in degrees: water models of OpenMM's force fields, and hydrogens as crystallographers place them.
@@ -71,8 +70,7 @@ def test_a_box_of_another_water_model_is_mended_and_said_once():
     moved = phase_point(context)[0].reshape(6, 3, 3)
     for i, j, length in ((0, 1, 0.09572), (0, 2, 0.09572), (1, 2, 0.15139)):
         assert np.abs(np.linalg.norm(moved[:, i] - moved[:, j], axis=1) - length).max() < 1e-5
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         context.setPositions(positions)
         integrator.step(1)
 
@@ -81,8 +79,7 @@ def test_rounding_is_not_said():
     _, positions, system = cluster_system(6)
     integrator = SIER2Integrator(0.001)
     context = context_at(system, integrator, (np.round(positions, 4), 0 * positions))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         integrator.step(1)
     assert context.getStepCount() == 1
 

@@ -2,7 +2,6 @@
 
 import copy
 import itertools
-import warnings
 
 import numpy as np
 import openmm
@@ -10,22 +9,17 @@ import pytest
 
 from openmm_sier import SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator
 from openmm_sier.system import runaway
-from tests.support.waters import context_at, periodic_system, platform, relaxed
+from tests.support.silence import silence
+from tests.support.waters import context_at, platform
 
 ENGINES = ("exact", "native")
 
 
-@pytest.fixture(scope="module")
-def liquid():
-    topology, positions, system = periodic_system()
-    return system, relaxed(topology, positions, system, steps=50)
-
-
 @pytest.mark.slow
-def test_a_runaway_stops_with_an_error(liquid, monkeypatch):
+def test_a_runaway_stops_with_an_error(box, monkeypatch):
     """With the exact engine: in the native one OpenMM's constraints fail first, and positions are no numbers then."""
     monkeypatch.setattr(runaway, "INTERVAL", 10)
-    system, point = liquid
+    _, system, point = box
     integrator = SIER2Integrator(0.012, engine="exact")
     with pytest.warns(UserWarning, match="is long"):
         # OpenMM's PME on the Reference platform writes past its mesh where positions are not finite.
@@ -37,8 +31,7 @@ def test_a_runaway_stops_with_an_error(liquid, monkeypatch):
     assert context.getStepCount() < 500
     context.setPositions(point[0])
     context.setVelocities(point[1])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         integrator.setStepSize(0.0001)
         integrator.step(10)
 
@@ -90,8 +83,8 @@ def test_hot_starts_and_hot_baths_are_the_users_own(engine):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
-def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(liquid):
-    system, (positions, _) = liquid
+def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(box):
+    _, system, (positions, _) = box
     overlapping = positions.copy()
     overlapping[:3] += positions[3] - positions[0] + 0.02
     integrator = SIER2Integrator(0.001)
@@ -132,8 +125,8 @@ def test_the_watch_looks_after_a_few_steps_and_knows_what_is_no_number(velocity)
         integrator.binding.watch.advance(make, runaway.FIRST_LOOK, context, 0.002)
 
 
-def test_copies_have_a_watch_of_their_own(liquid):
-    system, point = liquid
+def test_copies_have_a_watch_of_their_own(box):
+    _, system, point = box
     integrator = SIER4GIntegrator(0.002)
     original = context_at(system, integrator, point)
     clone = copy.deepcopy(integrator)

@@ -19,6 +19,7 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system.vibrations import Vibrations
+from tests.support.silence import silence
 from tests.support.waters import cluster_system, context_at, phase_point, platform
 
 #: Of O-H in OpenMM's flexible TIP3P, 462750.4 kJ/mol/nm^2.
@@ -64,16 +65,14 @@ def test_flexible_water_is_refused_when_it_is_bound(flexible, make):
 def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
     _, positions, system = flexible
     stable, accurate = limits(SIER4G, PERIOD)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         integrator = SIERIntegrator(0.99 * accurate, SIER4G)
         context = context_at(system, integrator, (positions, 0 * positions), steps=1)
     integrator.setStepSize(1.01 * accurate)
     with pytest.warns(UserWarning, match=r"A step of 3\.\d* fs is long: the bond between") as said:
         integrator.step(1)
     assert said[0].filename == __file__
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         integrator.step(1)
     integrator.setStepSize(1.01 * stable)
     before = phase_point(context)[0]
@@ -94,25 +93,20 @@ def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
     assert vibrations.longest_step(scheme, 0, 0) == math.inf
     slow, fast = vibrations.longest_step(scheme, 1, 0), vibrations.longest_step(scheme, 0, 1)
     assert vibrations.longest_step(scheme, 1, 1) == min(slow, fast)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         vibrations.check(scheme, 0.999 * slow, 1)
         vibrations.check_nested(scheme, SIER4G, 1e-4, 0.999 * fast, 1)
     with pytest.warns(UserWarning, match="is long"):
         vibrations.check(scheme, 1.001 * slow, 1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # SIER2 is unstable there.
-        with pytest.raises((UserWarning, openmm.OpenMMException), match="resonates"):
-            vibrations.check_nested(scheme, SIER4G, 1e-4, 1.001 * fast, 1)
+    # SIER2 is unstable there.
+    with silence(), pytest.raises((UserWarning, openmm.OpenMMException), match="resonates"):
+        vibrations.check_nested(scheme, SIER4G, 1e-4, 1.001 * fast, 1)
 
 
 def test_bonds_inside_bodies_do_not_count(flexible):
     _, positions, system = flexible
     named = SIERIntegrator(0.004, SIER4G, bodies=[[0, 1, 2], [3, 4, 5], [6, 7, 8]])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", "3 bodies like .* share one geometry")
+    with silence("3 bodies like .* share one geometry"):
         context = context_at(system, named, (positions, 0 * positions), steps=1)
     assert context.getStepCount() == 1
     partly = SIERIntegrator(0.006, SIER4G, bodies=[[0, 1, 2], [6, 7, 8]])

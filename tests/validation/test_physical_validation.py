@@ -11,6 +11,7 @@ import pytest
 from openmm_sier import SIER2, SIER4, SIER4G, SIER4P, SIER4V, SIERLangevinIntegrator
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, KICK, Stage
+from tests.support.seeded import seeded
 from tests.support.waters import context_at, droplet, phase_point, relaxed
 
 physical_validation = pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
@@ -58,8 +59,7 @@ def system_data(system):
 def sampled(drop, scheme, step):
     """Frames at constant temperature, as physical_validation takes them."""
     system, point = drop
-    integrator = SIERLangevinIntegrator(TEMPERATURE, FRICTION, step, scheme=scheme)
-    integrator.setRandomNumberSeed(11)
+    integrator = seeded(SIERLangevinIntegrator(TEMPERATURE, FRICTION, step, scheme=scheme), 11)
     context = context_at(system, integrator, point, "CPU")
     every = round(INTERVAL / step)
     integrator.step(10 * every)

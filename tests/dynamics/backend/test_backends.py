@@ -2,8 +2,6 @@
 
 import contextlib
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -11,10 +9,10 @@ import pytest
 from openmm_sier.dynamics import backend, operators, rotation
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError
 from openmm_sier.dynamics.constrained import DisplacedForces
-from openmm_sier.dynamics.constraints.geodesic import SUZUKI
 from openmm_sier.dynamics.schemes import SIER4G
-from tests.support import flexible, molecules
+from tests.support import flexible
 from tests.support.steps import constant_torques, with_a_fast_body
+from tests.support.subprocesses import run_python
 
 #: Sums and products that are contracted to fused operations, or not, differ by rounding of terms of order one; the
 #: formulas have some 300 of them.
@@ -28,19 +26,6 @@ def both(function):
     if backend.active() is backend.NUMPY:
         raise RuntimeError("this test needs Numba: pip install 'openmm-sier[fast]'")
     return plain, function()
-
-
-@pytest.mark.parametrize("kind", molecules.GEOMETRIES)
-def test_rotations_agree(kind):
-    """For steps within the first rule, the second one, and beyond both."""
-    bodies, state = molecules.ensemble(kind, 500)
-    moments = bodies.species[0].moments
-    L = np.random.default_rng(1).normal(size=state.L.shape) * 0.3
-    for h in (-1e-3, 1e-4, 3e-3, 0.02, 1.0):
-        plain, fast = both(lambda h=h: rotation.exact(state.A, L, moments, h)[0])
-        # Long steps turn by thousands of radians, which rounding of |L| h multiplies.
-        turn = 1.0 if not moments.any() else 1 + 3 * abs(h) / moments[moments > 0].min()
-        assert np.abs(plain - fast).max() < ROUNDING * turn
 
 
 def test_bodies_at_rest_and_out_of_range_agree():
@@ -122,23 +107,6 @@ def test_kicks_of_constrained_groups_agree(rng):
     assert np.abs(plain - fast).max() < 100 * ROUNDING * np.abs(plain).max()
 
 
-def test_constraints_agree(rng):
-    """A mixture of pairs, stars, a ring and a cage."""
-    system = flexible.mixture()
-    constraints = system.constraints()
-    q = constraints.satisfied(system.x)
-    p = constraints.project(q, np.sqrt(2.5 * system.masses) * rng.normal(size=q.shape))
-    for function in (
-        lambda: constraints.project(q, p + 1),
-        lambda: constraints.displaced(q, p, 0.01),
-        lambda: np.stack(constraints.drift(q, p, 0.004, SUZUKI)),
-    ):
-        plain, fast = both(function)
-        assert not np.array_equal(plain, fast)
-        # Rounding times the condition of the cage.
-        assert np.abs(plain - fast).max() < 100 * ROUNDING * np.abs(plain).max()
-
-
 STEP_OF_EVERYTHING = """
 import sys
 import numpy as np
@@ -163,8 +131,7 @@ print("numba" in sys.modules)
 @pytest.mark.slow
 def test_no_compiled_code_is_called_where_numpy_is_in_use():
     """A step of a mixture with constraints does not so much as import Numba; without `using` it does."""
-    found = subprocess.run([sys.executable, "-c", STEP_OF_EVERYTHING], capture_output=True, text=True, check=True)
-    assert found.stdout.split() == ["False", "True"]
+    assert run_python(STEP_OF_EVERYTHING).split() == ["False", "True"]
 
 
 def test_wrong_shapes_are_refused(mixture):
@@ -191,5 +158,4 @@ def test_a_backend_is_in_use_until_the_end_or_an_error():
 def test_the_environment_keeps_numba_out(value, name):
     code = "from openmm_sier.dynamics import backend; print(backend.active().name)"
     environment = os.environ | {"OPENMM_SIER_NUMBA": value}
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
-    assert found.stdout.strip() == name
+    assert run_python(code, environment=environment).strip() == name

@@ -50,17 +50,6 @@ def test_projection_is_the_one_of_linear_algebra(mixed, rng):
     assert np.abs(constraints.project(q, found) - found).max() < 1e-13
 
 
-def test_projection_leaves_free_points_and_momenta_alone(mixed, rng):
-    _, constraints, q = mixed
-    p = rng.normal(size=q.shape)
-    found = constraints.project(q, p)
-    free = np.setdiff1d(np.arange(q.shape[1]), constraints.members)
-    assert len(free) == 2
-    assert np.array_equal(found[:, free], p[:, free])
-    assert np.abs((found - p).sum(axis=1)).max() < 1e-13
-    assert np.abs(np.cross(q, found - p, axis=0).sum(axis=1)).max() < 1e-13
-
-
 def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(mixed, rng):
     system, constraints, q = mixed
     force, shift = rng.normal(size=q.shape), 0.02

@@ -3,14 +3,9 @@
 import mpmath
 import numpy as np
 import pytest
-from scipy.special import ellipj, ellipk
+from scipy.special import ellipj
 
 from openmm_sier.dynamics.backend import elliptic
-
-
-def increment(p, q, t, series=elliptic.sn_coefficients):
-    """S, S^2, C and D at the time t."""
-    return elliptic.sn_increment(series(p, q), p, q, t)
 
 
 def test_coefficients_are_the_taylor_series():
@@ -36,7 +31,7 @@ def test_increments_match_scipy(rng):
     t = np.sqrt(elliptic.SERIES_LIMIT / p) * rng.uniform(-1, 1, n)
     sn, cn, dn, _ = ellipj(np.sqrt(p) * t, q / p)
     for larger, smaller, expected in ((p, q, (cn, dn)), (q, p, (dn, cn))):
-        S, S2, C, D = increment(larger, smaller, t)
+        S, S2, C, D = elliptic.sn_increment(elliptic.sn_coefficients(larger, smaller), larger, smaller, t)
         # One rounding of each of the factors and of SciPy's result.
         assert np.abs(S * np.sqrt(p) - sn).max() < 4e-16
         assert np.array_equal(S2, S * S)
@@ -44,24 +39,13 @@ def test_increments_match_scipy(rng):
         assert np.abs(D - expected[1]).max() < 4e-16
 
 
-def test_complete_integral_of_the_first_kind():
-    """At moderate moduli SciPy's ellipk, and the logarithm ln(4/kc) as the complementary modulus vanishes."""
-    kc = np.linspace(0.01, 1, 500)
-    K, _ = elliptic.complete_integrals(kc, np.full(500, 2.0))
-    # ellipk's argument 1 - kc^2 is rounded; its derivative there is 1/(2 kc^2).
-    assert (np.abs(K / ellipk(1 - kc**2) - 1) < 1e-15 + 1e-16 / kc**2).all()
-    small = 10.0 ** -np.arange(9, 155, 5)
-    K, _ = elliptic.complete_integrals(small, np.full(small.size, 2.0))
-    assert np.abs(K / np.log(4 / small) - 1).max() < 1e-15
-
-
 @pytest.mark.parametrize("nu", [1e-4, 0.2, 0.999, 1.0, 1.001, 3.0, 1e4])
-@pytest.mark.parametrize("kc", [1e-30, 1e-6, 0.05, 0.7, 1 - 1e-9, 1.0])
+@pytest.mark.parametrize("kc", [1e-150, 1e-30, 1e-6, 0.05, 0.7, 1 - 1e-9, 1.0])
 def test_mean_turn_in_a_period(kc, nu):
     """1 - (nu - 1)/(2 nu) Q is the complete integral of the third kind over that of the first, by mpmath."""
     K, Q = elliptic.complete_integrals(np.array([kc]), np.array([nu]))
     # mpmath's own algorithm loses as many digits as 1 - m and 1 - nu have zeros.
-    with mpmath.workdps(100):
+    with mpmath.workdps(340):
         m = 1 - mpmath.mpf(kc) ** 2
         expected = mpmath.ellippi(1 - mpmath.mpf(nu), m) / mpmath.ellipk(m)
         assert abs(mpmath.mpf(K[0]) / mpmath.ellipk(m) - 1) < 1e-15

@@ -46,10 +46,10 @@ def test_many_bodies_of_each_family(rng, family):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", FAMILIES)
-def test_bodies_that_share_their_moments(rng, executed_by, family):
+@pytest.mark.parametrize("families", [*([family] for family in FAMILIES), STATES], ids=[*FAMILIES, "all states"])
+def test_bodies_that_share_their_moments(rng, executed_by, families):
     for h in times(rng, 6):
-        A, L, moments, angle = sample(rng, [family], 500, h, alike=True)
+        A, L, moments, angle = sample(rng, families, 500 * len(families), h, alike=True)
         check(A, L, moments[:, 0], angle, h)
 
 
@@ -78,12 +78,6 @@ def test_bodies_of_all_families_in_one_call(rng):
     assert np.abs(alone - new[:, :, :200]).max() < 1e-13
 
 
-def test_all_states_of_one_body_in_one_call(rng, executed_by):
-    for h in times(rng, 4):
-        A, L, moments, angle = sample(rng, STATES, 2_000, h, alike=True)
-        check(A, L, moments[:, 0], angle, h)
-
-
 @pytest.mark.parametrize("most", [10.0, 1e3, 1e6])
 def test_long_steps_match_elliptic_functions(rng, most):
     """Whole periods of the nutation, for 10^5 asymmetric bodies in all, against SciPy's ellipj, R_F and R_J."""
@@ -103,16 +97,6 @@ def test_long_steps_match_elliptic_functions(rng, most):
 
 
 # --- interface --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)])
-def test_principal_axes_may_come_in_any_order(rng, order):
-    A, L, moments = random_attitudes(rng, 100), rng.normal(size=(3, 100)), np.array([0.6, 1.1, 1.7])
-    order = list(order)
-    # An odd permutation of the axes makes a left-handed frame; reversing one mends it.
-    hand = np.array([[[np.linalg.det(np.eye(3)[order])]], [[1.0]], [[1.0]]])
-    expected = rotation.exact(A, L, moments, 2.0)[0][order] * hand
-    assert np.abs(rotation.exact(A[order] * hand, L, moments[order], 2.0)[0] - expected).max() < 1e-14
 
 
 def test_inputs_are_left_alone(rng):
@@ -153,14 +137,11 @@ NOT_FINITE = np.array([[1.0, 1.0], [1.0, np.nan], [1.0, 1.0]])
         (A_2, L_2, (1, 2), 0.1, r"moments must have shape \(3,\) or \(3, n\), got \(2,\)"),
         (A_2, L_2, np.ones((3, 5)), 0.1, "moments are given for 5 bodies, A and L for 2"),
         (A_2, L_2, (1, -2, 3), 0.1, r"moments must be finite and not negative, got -2\.0"),
-        (A_2, L_2, (1, np.nan, 3), 0.1, "moments must be finite and not negative, got nan"),
         (A_2, L_2, [[1, 1], [1, 1], [1, np.inf]], 0.1, "got inf for body 1"),
         (A_2, L_2, (0, 1, 2), 0.1, "one zero moment is linear and its other two must be equal"),
         (A_2, L_2, (0, 0, 2), 0.1, "one zero moment is linear and its other two must be equal"),
         (A_2, L_2, (1, 2, 3), np.nan, "h must be finite, got nan"),
-        (A_2, L_2, (1, 2, 3), -np.inf, "h must be finite, got -inf"),
         (A_2, NOT_FINITE, (1, 2, 3), 0.1, "angular momentum of body 1 is not finite"),
-        (A_2, NOT_FINITE * np.inf, (1, 2, 3), 0.1, "angular momentum of body 0 is not finite"),
     ],
 )
 def test_errors_name_what_is_wrong(A, L, moments, h, message):

@@ -74,7 +74,7 @@ def test_points_and_bodies_at_rest_stay_as_they_are(rng):
     assert np.array_equal(rattle(A, np.zeros((3, 2)), moments, H)[0], A)
 
 
-def test_reversal_and_order(rng):
+def test_reversal(rng):
     moments = np.array([0.0061457, 0.0115511, 0.0176968])
     A = random_attitudes(rng, 200)
     L = np.einsum("abn,an->bn", A, rng.normal(size=(3, 200)) * np.sqrt(2.5 * moments)[:, None])
@@ -83,14 +83,6 @@ def test_reversal_and_order(rng):
     # Rounding of matrices of order 1, and of the iteration.
     assert np.abs(rattle(there, -L, moments, H)[0] - A).max() < 5e-15
     assert orthogonality_error(there).max() < 2e-15
-    errors = []
-    for steps in (25, 50, 100):
-        turned = A
-        for _ in range(steps):
-            turned, _ = rattle(turned, L, moments, 0.1 / steps)
-        errors.append(np.abs(turned - exact(A, L, moments, 0.1)[0]).max())
-    # Higher terms change the slope a little at the longest step.
-    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx(2, abs=0.1)
 
 
 def test_a_step_without_a_solution(rng):
