@@ -27,7 +27,7 @@ from studies.report import SILENT, Report
 from studies.sampling import GridSettings, conserved, over_starts
 
 #: Palindromes of kicks and drifts by what stands before the colon; after it are the fractions up to the middle stage.
-FIRST = {"kick": (KICK, DRIFT), "drift": (DRIFT, KICK)}
+FIRST = {"kick": KICK, "drift": DRIFT}
 
 #: What the errors of a liquid are divided by: OpenMM's Verlet, and its usual simulated time per force evaluation in fs.
 REFERENCE, USUAL = CONSTANT_ENERGY["verlet"].name, 2.0
@@ -53,7 +53,7 @@ def methods_of(names: Sequence[str]) -> list[Method]:
 def palindrome(name: str) -> Method:
     """The palindrome of kicks and drifts that a name such as kick:0.1932,0.5 describes."""
     first, _, fractions = name.partition(":")
-    return of_scheme(alternating(name, *FIRST[first], tuple(float(each) for each in fractions.split(","))))
+    return of_scheme(alternating(name, tuple(float(each) for each in fractions.split(",")), first=FIRST[first]))
 
 
 @dataclass(frozen=True)

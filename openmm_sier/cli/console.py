@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 
 try:
@@ -107,13 +107,7 @@ def _state(done: float, total: float, rate: float, ps: float | None) -> str:
 class ConsoleReport(Report):
     """Reports of the commands."""
 
-    def note(self, message: str) -> None:
-        note(message)
-
-    def progress(
-        self, description: str, total: float = 1.0, ps: float | None = None
-    ) -> AbstractContextManager[Advance]:
-        return progress_bar(description, total, ps)
+    note, progress = staticmethod(note), staticmethod(progress_bar)
 
 
 REPORT = ConsoleReport()

@@ -165,9 +165,7 @@ class Options:
         otherwise="1 with npt, constant volume with hmc",
     )
     steps_per_trial: int = _option(
-        whole(most=10**6),
-        "of the scheme in a trial of hmc, which is then a step of the run",
-        otherwise="10",
+        whole(most=10**6), "of the scheme in a trial of hmc, which is then a step of the run", otherwise="10"
     )
     steps: int = _option(
         whole(most=MOST_STEPS),
@@ -204,9 +202,7 @@ class Options:
     report_every: float = _option(TIME, "between rows of the log", 0.04)
     checkpoint_every: float = _option(TIME, "between checkpoints", 1.0)
     pressure_tensor: Path | None = _option(
-        file("CSV", "output"),
-        "write the molecular pressure tensor there, for viscosity",
-        otherwise="it is not written",
+        file("CSV", "output"), "write the molecular pressure tensor there, for viscosity", otherwise="it is not written"
     )
     # Sums over tensors mistake oscillations of the period of their interval, or a fraction of it, for slow ones; in
     # rigid water such oscillations have a thousandth of the power of the slow ones at 0.02 ps.

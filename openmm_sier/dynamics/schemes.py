@@ -170,19 +170,19 @@ class Scheme:
 
 
 def alternating(
-    name: str, first: str, second: str, half: tuple[float, ...], source: str = "", **usual_steps: float
+    name: str, half: tuple[float, ...], source: str = "", first: str = KICK, **usual_steps: float
 ) -> Scheme:
-    """The palindrome that alternates two operators.
+    """The palindrome of kicks and drifts that alternate.
 
     Args:
         name: of the scheme.
-        first: operator of the outermost stages.
-        second: the other operator.
         half: fractions from the outermost stage to the last one before the middle. The middle stage, which follows,
             makes the fractions of its operator sum to 1.
         source: publication of the scheme.
+        first: operator of the outermost stages.
         usual_steps: `constant_energy_step`, `bath_step` and `heavy_bath_step` of `Scheme`, ps.
     """
+    second = KICK if first == DRIFT else DRIFT
     operators = [(first, second)[i % 2] for i in range(len(half) + 1)]
     wings = [Stage(operator, fraction) for operator, fraction in zip(operators, half, strict=False)]
     middle = 1 - 2 * math.fsum(stage.fraction for stage in wings if stage.operator == operators[-1])
@@ -191,8 +191,6 @@ def alternating(
 
 SIER2 = alternating(
     "SIER2",
-    KICK,
-    DRIFT,
     (0.5,),
     "van Zon and Schofield (2007), Eq. 7 (Verlet)",
     constant_energy_step=0.002,
@@ -205,8 +203,6 @@ _H1, _H2, _H3 = 0.1720865590295143, 0.5915620307551568, -0.1616217622107222
 #: The paper prints h5 = h - 2(h1 + h2); the kicks sum to h with h5 = h - 2(h1 + h3), which `alternating` derives.
 SIER4 = alternating(
     "SIER4",
-    KICK,
-    DRIFT,
     (_H1, _H2, _H3, 0.5 - _H2),
     "van Zon and Schofield (2007), Eq. 8 (EFRL); Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
     constant_energy_step=0.004,
@@ -216,23 +212,17 @@ SIER4 = alternating(
 #: The best scheme per force evaluation in liquid water of those without a gradient, which are symplectic to rounding.
 SIER4V = alternating(
     "SIER4V",
-    KICK,
-    DRIFT,
     (0.08398315262876693, 0.2539785108410595, 0.6822365335719091, -0.03230286765269967, -0.26621968620067603),
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eqs. 63 and 71",
     constant_energy_step=0.0055,
     bath_step=0.0065,
 )
 
+_ENDS = (Stage(KICK, 1 / 6), Stage(DRIFT, 1 / 2))
+
 SIER4G = Scheme(
     "SIER4G",
-    (
-        Stage(KICK, 1 / 6),
-        Stage(DRIFT, 1 / 2),
-        Stage(GRADIENT_KICK, 2 / 3, 1 / 24),
-        Stage(DRIFT, 1 / 2),
-        Stage(KICK, 1 / 6),
-    ),
+    (*_ENDS, Stage(GRADIENT_KICK, 2 / 3, 1 / 24), *reversed(_ENDS)),
     "Chin, Phys. Lett. A 226, 344 (1997), algorithm A",
     constant_energy_step=0.004,
     bath_step=0.006,
@@ -258,8 +248,6 @@ SIER4P = Scheme(
 #: Two stages with the least sum of squares of their two errors of second order: for 3 fs per force evaluation.
 SIER2V2 = alternating(
     "SIER2V2",
-    KICK,
-    DRIFT,
     (0.1931833275037836, 0.5),
     "McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); Omelyan, Mryglod and Folk, Phys. Rev. E 65, 056706 (2002)",
     constant_energy_step=0.006,
@@ -274,10 +262,9 @@ _FIRST = 0.11888010966548
 #: The best scheme without a gradient at 4 fs per force evaluation, where it is as accurate as Verlet at 2 fs.
 SIER2P3 = alternating(
     "SIER2P3",
-    DRIFT,
-    KICK,
     (_FIRST, (0.5 - _FIRST) / (2 - 6 * _FIRST), 0.5 - _FIRST),
     "Blanes, Casas and Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), three stages",
+    DRIFT,
     constant_energy_step=0.012,
     bath_step=0.012,
 )

@@ -1,8 +1,8 @@
 """What an engine does: it moves the bodies of one Context for an ensemble, which decides what happens between flows."""
 
 import weakref
-from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,12 +12,12 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.phase_point import PhasePoint
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
 
@@ -58,20 +58,44 @@ class Clock(NamedTuple):
     steps: int
 
 
-class Engine(PhasePoint):
+class Movers:
+    """What an engine moves.
+
+    Attributes:
+        bodies: by whose numbers the engine knows what moves: rigid and point bodies, or the massive atoms alone.
+    """
+
+    def __init__(self, bodies: RigidBodies, molecules: Callable[[], Sequence[Sequence[int]]]):
+        """
+        Args:
+            bodies: see above.
+            molecules: gives the particle indices of each molecule when they are needed.
+        """
+        self.bodies, self._molecules = bodies, molecules
+
+    @cached_property
+    def centres(self) -> MoleculeCentres:
+        """Centres of mass of the molecules, each of which moves as a whole with the volume."""
+        return MoleculeCentres(self.bodies, self._molecules())
+
+
+class Engine(ABC):
     """Binding of an integrator to a Context.
 
-    Within `following` an engine may keep the phase point to itself; after it the Context has it.
+    An engine gives its phase point as a `BodyState` and takes one. Within `following` it may keep it to itself; after
+    that the Context has it.
 
     Attributes:
         name: "exact" or "native", as users ask for it.
         repeats_noise: whether the noise of baths goes on from a State as it does from a checkpoint.
+        movers: what the phase point is of.
         evaluations: number of force evaluations so far.
         clock: time and step count; ensembles set it where a step of the integrator is not one of the scheme.
     """
 
     name: ClassVar[str]
     repeats_noise: ClassVar[bool]
+    movers: Movers
     evaluations: int
     clock: Clock
 
@@ -144,7 +168,63 @@ class Engine(PhasePoint):
         """After an error: write the last completed step to the Context as far as the engine still has it."""
         self._publish()
 
-    # --- what ensembles need between flows ---
+    # --- the phase point ---
+
+    @property
+    @abstractmethod
+    def point(self) -> BodyState:
+        """The phase point of `movers` at the last completed step, with the heat and the draws counted so far."""
+
+    @abstractmethod
+    def change(self, operation: Callable[[BodyState], BodyState]) -> None:
+        """Replace the phase point by what an operation makes of it; arrays that both share stay as they are."""
+
+    @property
+    def draws(self) -> int:
+        """Number of draws of random numbers so far."""
+        return self.point.draws
+
+    @draws.setter
+    def draws(self, number: int) -> None:
+        self.change(lambda point: replace(point, draws=number))
+
+    @property
+    def mass(self) -> float:
+        """Mass of all that moves, dalton."""
+        return self.movers.bodies.mass
+
+    @property
+    def molecules(self) -> int:
+        """Number of molecules, each of which moves as a whole with the volume."""
+        return self.movers.centres.count
+
+    def kinetic_energy(self) -> float:
+        """Kinetic energy, kJ/mol."""
+        return sum(self.movers.bodies.kinetic_energies(self.point))
+
+    def centre_velocity(self) -> np.ndarray:
+        """Velocity of the centre of mass, (3,), nm/ps."""
+        return self.movers.bodies.centre_velocity(self.point.p)
+
+    def shift_velocities(self, velocity: np.ndarray) -> None:
+        """Add a velocity, (3,), nm/ps, to all that moves, and its energy to the heat."""
+        self.change(lambda point: self.movers.bodies.shifted(point, velocity))
+
+    def scale_velocities(self, factor: float) -> None:
+        """Multiply all velocities by a factor, and add the energy that they gain to the heat."""
+        gained = (factor**2 - 1) * self.kinetic_energy()
+        self.change(lambda point: replace(point, p=factor * point.p, L=factor * point.L, heat=point.heat + gained))
+
+    def scale(self, factor: float) -> None:
+        """Multiply the edges of the box and the centres of mass of all molecules; the clock stays."""
+        self._set_box([factor * edge for edge in self._box()])
+        self.change(lambda point: replace(point, q=point.q + (factor - 1) * self.movers.centres(point.q)))
+
+    def add_heat(self, energy: float) -> None:
+        """Count energy as heat, kJ/mol."""
+        self.change(lambda point: replace(point, heat=point.heat + energy))
+
+    # --- what else ensembles need between flows ---
 
     @abstractmethod
     def potential_energy(self) -> float:
@@ -184,9 +264,6 @@ class Engine(PhasePoint):
 
     def _set_box(self, box: Any) -> None:
         self._context.setPeriodicBoxVectors(*box)
-
-    def _scale_box(self, factor: float) -> None:
-        self._set_box([factor * edge for edge in self._box()])
 
     # --- what users ask ---
 
@@ -253,7 +330,7 @@ class Engine(PhasePoint):
 
     # --- news from outside ---
 
-    def atoms_moved(self) -> None:
+    def atoms_moved(self) -> None:  # noqa: B027 - nothing to do where it is found out
         """Somebody set positions or velocities; an engine may find it out by itself."""
 
     @abstractmethod

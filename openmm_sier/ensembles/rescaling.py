@@ -1,5 +1,8 @@
 """Stochastic velocity rescaling: a heat bath that multiplies all velocities by one factor now and then."""
 
+# A name of an annotation would import numpy.random, which is slow.
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from functools import partial

@@ -17,15 +17,8 @@ from openmm_sier.engines.temperature import Temperatures
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.binding import Binding, unpickled
 from openmm_sier.integrators.settings import Settings, place_of
-from openmm_sier.system.arguments import (
-    Bodies,
-    checked_bodies,
-    checked_scheme,
-    group_mask,
-    groups_of,
-    step_size,
-    whole_number,
-)
+from openmm_sier.system import arguments
+from openmm_sier.system.arguments import Bodies
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
@@ -85,13 +78,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
         ensemble = ensemble or ConstantEnergy()
         given = Settings(
             kind=place_of(type(self)),
-            scheme=ensemble.suited(checked_scheme(scheme)),
-            step=step_size(stepSize),
+            scheme=ensemble.suited(arguments.checked_scheme(scheme)),
+            step=arguments.step_size(stepSize),
             engine=engine,
-            substeps=None if substeps is None else whole_number("substeps", substeps),
-            fast_groups=group_mask("fastForceGroups", fastForceGroups),
+            substeps=None if substeps is None else arguments.whole_number("substeps", substeps),
+            fast_groups=arguments.group_mask("fastForceGroups", fastForceGroups),
             finds_fast_groups=fastForceGroups is None,
-            bodies=checked_bodies(bodies),
+            bodies=arguments.checked_bodies(bodies),
             rotation=rotation,
             ensemble=ensemble,
         )
@@ -114,7 +107,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     @property
     def fastForceGroups(self) -> set[int]:
         """The force groups that act within drifts."""
-        return set(groups_of(self.binding.settings.fast_groups))
+        return set(arguments.groups_of(self.binding.settings.fast_groups))
 
     @property
     def program(self) -> Program:
@@ -161,7 +154,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def setStepSize(self, size: Any) -> None:
         """Set the time by which `step(1)` advances the Context, a time quantity or a number in ps."""
-        self.binding.change(step=step_size(size) / self.binding.ensemble.steps)
+        self.binding.change(step=arguments.step_size(size) / self.binding.ensemble.steps)
 
     def getBodyState(self) -> BodyState:
         """The state of the rigid bodies, brought up to date with the Context.
@@ -193,7 +186,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             openmm.OpenMMException: there is no Context, its System was changed, a force is not finite, or the step is
                 too long for a bond.
         """
-        self.binding.step(whole_number("steps", steps))
+        self.binding.step(arguments.whole_number("steps", steps))
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.

@@ -13,16 +13,11 @@ EULER = Scheme("Euler", ((KICK, 1.0), (DRIFT, 1.0)))
 
 #: Yoshida's triple jump, Phys. Lett. A 150, 262 (1990): fourth order and three force evaluations.
 X1 = 1 / (2 - 2 ** (1 / 3))
-YOSHIDA = alternating("Yoshida", DRIFT, KICK, (X1 / 2, X1, (1 - X1) / 2))
+YOSHIDA = alternating("Yoshida", (X1 / 2, X1, (1 - X1) / 2), first=DRIFT)
 
 #: Fourth order and six force evaluations, positions first: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002).
 _OUTER = (0.0792036964311957, 0.209515106613362, 0.353172906049774, -0.143851773179818, -0.0420650803577195)
-BLANES_MOAN = alternating(
-    "Blanes-Moan",
-    DRIFT,
-    KICK,
-    (*_OUTER, 0.5 - _OUTER[1] - _OUTER[3]),
-)
+BLANES_MOAN = alternating("Blanes-Moan", (*_OUTER, 0.5 - _OUTER[1] - _OUTER[3]), first=DRIFT)
 
 
 def measured_order(scheme):
@@ -53,7 +48,7 @@ def test_order(scheme, order):
 _KICKS = (0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879)
 _DRIFTS = (0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928)
 _WING = [fraction for pair in zip(_KICKS, _DRIFTS, strict=True) for fraction in pair]
-NYSTROEM = alternating("SRKN 11", KICK, DRIFT, (*_WING, 0.5 - sum(_KICKS)))
+NYSTROEM = alternating("SRKN 11", (*_WING, 0.5 - sum(_KICKS)))
 
 
 def test_order_of_a_scheme_for_quadratic_kinetic_energy():
@@ -65,7 +60,7 @@ def test_order_of_a_scheme_for_quadratic_kinetic_energy():
 def altered(scheme, change):
     """The scheme with its first and last stage changed; the middle one makes up for it."""
     half = [stage.fraction for stage in scheme.stages[: len(scheme.stages) // 2]]
-    return alternating("altered", KICK, DRIFT, (half[0] + change, *half[1:]))
+    return alternating("altered", (half[0] + change, *half[1:]))
 
 
 def test_broken_coefficients_lower_the_order():
@@ -98,7 +93,7 @@ def test_three_operators():
         (EULER, 1, False),
         (YOSHIDA, 3, False),
         (BLANES_MOAN, 6, False),
-        (alternating("position Verlet", DRIFT, KICK, (0.5,)), 1, False),
+        (alternating("position Verlet", (0.5,), first=DRIFT), 1, False),
         (Scheme("two kicks in a row", ((KICK, 0.25), (KICK, 0.25), (DRIFT, 1.0), (KICK, 0.5))), 1, True),
         (Scheme("drift", ((DRIFT, 1.0),)), 0, None),
     ],
@@ -161,8 +156,8 @@ def test_schemes_check_themselves(stages, message):
 
 
 def test_alternating_completes_the_middle():
-    scheme = alternating("X", KICK, DRIFT, (0.3, 0.5))
+    scheme = alternating("X", (0.3, 0.5))
     expected = ((KICK, 0.3), (DRIFT, 0.5), (KICK, 0.4), (DRIFT, 0.5), (KICK, 0.3))
     assert scheme.stages == Scheme("", expected).stages
     with pytest.raises(ValueError, match="'drift' must sum to 1"):
-        alternating("X", KICK, DRIFT, (0.3, 0.6))
+        alternating("X", (0.3, 0.6))

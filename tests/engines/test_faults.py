@@ -118,7 +118,9 @@ def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     shared = []
     pool = threads.ThreadPoolExecutor
     monkeypatch.setattr(threads, "ThreadPoolExecutor", lambda team: shared.append(team) or pool(team))
-    with backend.using(backend.NumbaBackend()), threads.use(3, share=1):
+    monkeypatch.setattr(threads, "count", lambda: 3)
+    monkeypatch.setattr(threads, "SHARE", 1)
+    with backend.using(backend.NumbaBackend()):
         test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
     assert set(shared) == {3}
 

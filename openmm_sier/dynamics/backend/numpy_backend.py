@@ -6,18 +6,8 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from openmm_sier.dynamics.backend import long_steps
+from openmm_sier.dynamics.backend import formulas, long_steps
 from openmm_sier.dynamics.backend.elliptic import shortest_series
-from openmm_sier.dynamics.backend.formulas import (
-    LINE,
-    angular_velocity,
-    body_frame,
-    cross,
-    displacing_rotation,
-    rotation_matrix,
-    spin,
-    turned,
-)
 from openmm_sier.dynamics.backend.short_steps import free_rotation
 from openmm_sier.dynamics.backend.sites import Sites
 
@@ -81,7 +71,7 @@ class NumpyBackend:
 
         All arrays are (3, n).
         """
-        torque = tau if at is q else tau + cross(at - q, F)
+        torque = tau if at is q else tau + formulas.cross(at - q, F)
         return p + h * F, L + h * torque
 
     def displace(
@@ -96,8 +86,8 @@ class NumpyBackend:
             inverses: of masses and moments.
         """
         inverse_masses, inverse_moments = inverses
-        rows = displacing_rotation(A[0], A[1], A[2], tau, inverse_moments, shift)
-        return q + (shift * inverse_masses) * F, turned(rows, A)
+        rows = formulas.displacing_rotation(A[0], A[1], A[2], tau, inverse_moments, shift)
+        return q + (shift * inverse_masses) * F, formulas.turned(rows, A)
 
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
         """Write the positions (N, 3) of the atoms of bodies; returns whether all are finite."""
@@ -109,10 +99,10 @@ class NumpyBackend:
     def move(self, sites: Sites, p: ndarray, A: ndarray, L: ndarray, inverses: Inverses, velocities: ndarray) -> None:
         """Write the velocities (N, 3) of the atoms of bodies with momenta and angular momenta, (3, n)."""
         part, (inverse_masses, inverse_moments) = sites.part, inverses
-        omega = angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part])
+        omega = formulas.angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part])
         v = p[:, part] * inverse_masses[part]
         for column, arm in sites.arms(A):
-            velocities[column] = (v + cross(omega, arm)).T
+            velocities[column] = (v + formulas.cross(omega, arm)).T
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
@@ -127,7 +117,7 @@ class NumpyBackend:
                 weighted = np.ascontiguousarray(vectors[column].T)
                 weighted *= weight
                 sums += weighted
-                moments += cross(arm, weighted)
+                moments += formulas.cross(arm, weighted)
         total[:, sites.part], moment[:, sites.part] = sums, moments
         return bool(np.isfinite(sums).all() and np.isfinite(moments).all())
 
@@ -146,11 +136,11 @@ class NumpyBackend:
         starts, group = edges[:-1], np.repeat(np.arange(len(edges) - 1), np.diff(edges))
         x, y, z = (row - (np.add.reduceat(m * row, starts) / np.add.reduceat(m, starts))[group] for row in q[:, part])
         products = m * np.array([x * x, y * y, z * z, x * y, y * z, z * x])
-        torque = np.add.reduceat(cross(at[:, part] - q[:, part], F[:, part]), starts, axis=1)
-        turns, determinant, half = spin(np.add.reduceat(products, starts, axis=1), torque)
-        line = determinant <= LINE * half**3
+        torque = np.add.reduceat(formulas.cross(at[:, part] - q[:, part], F[:, part]), starts, axis=1)
+        turns, determinant, half = formulas.spin(np.add.reduceat(products, starts, axis=1), torque)
+        line = determinant <= formulas.LINE * half**3
         rates = np.where(line, torque / half, np.array(turns) / np.where(line, 1.0, determinant))
-        F[:, part] += m * np.array(cross(rates[:, group], (x, y, z)))
+        F[:, part] += m * np.array(formulas.cross(rates[:, group], (x, y, z)))
 
     def execute(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Call a function of `constraint_solver`."""
@@ -161,7 +151,7 @@ class NumpyBackend:
 def rotated(rates: ndarray, A: ndarray, L: ndarray, h: float, numbers: Sequence[int] | ndarray) -> ndarray:
     """New attitudes, (3, 3, n), of bodies whose numbers are for messages; rates are (3,) or (3, n)."""
     with np.errstate(all="ignore"):
-        body_L = body_frame(A, L)
+        body_L = formulas.body_frame(A, L)
         turn, _, reached = free_rotation(
             body_L, rates, h, shortest_series, long_steps.sine_cosine, long_steps.PHASE_CAP
         )
@@ -173,4 +163,4 @@ def rotated(rates: ndarray, A: ndarray, L: ndarray, h: float, numbers: Sequence[
                 raise ValueError(f"the {name} of body {numbers[far[finite.argmin()]]} is not finite")
         turn = np.stack(turn)
         turn[:, far] = long_steps.turn(body_L[:, far], np.broadcast_to(rates.reshape(3, -1), L.shape)[:, far], h)
-    return turned(rotation_matrix(*turn), A)
+    return formulas.turned(formulas.rotation_matrix(*turn), A)

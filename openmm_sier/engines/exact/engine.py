@@ -21,8 +21,7 @@ from openmm_sier.engines.exact.agreement import Agreement
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
 from openmm_sier.engines.exact.motion import inner_step
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
-from openmm_sier.engines.phase_point import Movers
-from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import Temperatures, temperatures
 from openmm_sier.engines.variables import PART

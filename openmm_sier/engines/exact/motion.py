@@ -3,18 +3,8 @@
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics import operators
+from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.constrained import (
-    constrained_bath,
-    constrained_operators,
-    equal_steps,
-    inner_steps,
-    nested_drift,
-    point_operators,
-    steps_around_bath,
-    steps_with_bath,
-)
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT
@@ -68,7 +58,9 @@ class Motion:
         self.fast = None if self.solute is None else CachedForces(self.solute)
         self._drift = operators.drift(bodies, rotation)
         if len(self._members):
-            self._outer = constrained_operators(bodies, forces, bodies.constraints, rotation, groups=self._groups)
+            self._outer = constrained.constrained_operators(
+                bodies, forces, bodies.constraints, rotation, groups=self._groups
+            )
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
         self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
@@ -77,7 +69,7 @@ class Motion:
     def bath(self, bath: Thermostat) -> Operator:
         """A bath as an operator."""
         operator = bath.operator(self._bodies)
-        return constrained_bath(operator, self._bodies.constraints) if len(self._members) else operator
+        return constrained.constrained_bath(operator, self._bodies.constraints) if len(self._members) else operator
 
     def operators(self, flow: Flow) -> dict[str, Operator]:
         """The operators that execute a flow, by name."""
@@ -110,11 +102,13 @@ class Motion:
         members, constraints = self._members, self._bodies.constraints.restricted(self._members)
         groups = self._groups[members]
         if scheme.bath_divides_drift:
-            moves = steps_around_bath(point_operators(constraints, forces, _ONE_STEP, groups), longest)
+            moves = constrained.steps_around_bath(
+                constrained.point_operators(constraints, forces, _ONE_STEP, groups), longest
+            )
         else:
-            within = point_operators(constraints, forces, groups=groups)
-            moves = {DRIFT: equal_steps(scheme.within_drifts, within, longest)}
-        return {name: nested_drift(self._drift, members, move) for name, move in moves.items()}
+            within = constrained.point_operators(constraints, forces, groups=groups)
+            moves = {DRIFT: constrained.equal_steps(scheme.within_drifts, within, longest)}
+        return {name: constrained.nested_drift(self._drift, members, move) for name, move in moves.items()}
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
@@ -163,6 +157,6 @@ def inner_step(flow: Flow) -> float:
     if flow.substeps is not None:
         return h * scheme.inner_fraction(flow.substeps)
     if scheme.bath_divides_drift:
-        return h / steps_with_bath(h, LONGEST_WITH_BATH)
+        return h / constrained.steps_with_bath(h, LONGEST_WITH_BATH)
     longest = h * scheme.longest_drift
-    return longest / inner_steps(longest, LONGEST_INNER_STEP)
+    return longest / constrained.inner_steps(longest, LONGEST_INNER_STEP)

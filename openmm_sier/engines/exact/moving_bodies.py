@@ -11,8 +11,7 @@ from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.exact.motion import Motion, inner_step
-from openmm_sier.engines.phase_point import Movers
-from openmm_sier.engines.protocol import Flow
+from openmm_sier.engines.protocol import Flow, Movers
 from openmm_sier.engines.step_check import StepCheck
 from openmm_sier.engines.variables import SITES
 from openmm_sier.system import checks

@@ -19,8 +19,7 @@ from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import V0, WORK, Program, longest_inner_step
-from openmm_sier.engines.phase_point import Movers
-from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.step_check import StepCheck
 from openmm_sier.engines.temperature import Temperatures, temperature, temperatures, thermal_energies

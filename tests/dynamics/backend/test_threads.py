@@ -1,6 +1,5 @@
 """Threads that share loops."""
 
-import contextlib
 import multiprocessing
 import threading
 import time
@@ -15,10 +14,10 @@ from tests.support.steps import with_a_fast_body
 
 
 @pytest.fixture
-def three_threads():
+def three_threads(monkeypatch):
     """Loops over nine bodies or more are shared by three threads."""
-    with threads.use(3, share=3):
-        yield
+    monkeypatch.setattr(threads, "count", lambda: 3)
+    monkeypatch.setattr(threads, "SHARE", 3)
 
 
 def test_threads_give_the_same_bits(request, mixture):
@@ -63,16 +62,6 @@ def test_loops_in_a_forked_process(three_threads):
     assert receiver.poll(60)
     assert np.array_equal(receiver.recv(), expected)
     process.join()
-
-
-def test_the_number_of_threads_holds_until_the_end_or_an_error():
-    before = threads.count()
-    with contextlib.suppress(RuntimeError), threads.use(5):
-        with threads.use(1):
-            assert threads.count() == 1
-        assert threads.count() == 5
-        raise RuntimeError
-    assert threads.count() == before
 
 
 @pytest.mark.parametrize(("n", "parts"), [(5, [(0, 5)]), (6, [(0, 3), (3, 6)]), (100, [(0, 33), (33, 66), (66, 100)])])
