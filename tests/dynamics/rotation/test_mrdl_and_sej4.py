@@ -43,7 +43,7 @@ def test_mrdl_is_the_product_of_rotations_about_the_axes(rng, order):
         assert np.abs(new[:, :, i] - expected).max() < 5e-15
 
 
-@pytest.mark.parametrize(("h", "order"), zip([-0.0017, 0.008, 0.4], ORDERS, strict=True))
+@pytest.mark.parametrize(("h", "order"), list(zip([-0.0017, 0.008, 0.4], ORDERS, strict=True)))
 def test_sej4_is_the_magnus_step(rng, h, order):
     """exp(-[Omega]) A with the angular velocities of the integrated Euler equations at the Gauss points."""
     moments = columns(WATER[order], 20)
