@@ -15,10 +15,6 @@ EULER = Scheme("Euler", ((KICK, 1.0), (DRIFT, 1.0)))
 X1 = 1 / (2 - 2 ** (1 / 3))
 YOSHIDA = alternating("Yoshida", (X1 / 2, X1, (1 - X1) / 2), first=DRIFT)
 
-#: Fourth order and six force evaluations, positions first: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002).
-_OUTER = (0.0792036964311957, 0.209515106613362, 0.353172906049774, -0.143851773179818, -0.0420650803577195)
-BLANES_MOAN = alternating("Blanes-Moan", (*_OUTER, 0.5 - _OUTER[1] - _OUTER[3]), first=DRIFT)
-
 
 def measured_order(scheme):
     """Order of the step for two random matrices A and B, which satisfy no relation: exp(h(A + B)) is the exact flow."""
@@ -36,7 +32,7 @@ def measured_order(scheme):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "order"), [(EULER, 1), (SIER2, 2), (SIER4, 4), (YOSHIDA, 4), (BLANES_MOAN, 4)], ids=lambda v: str(v)[:20]
+    ("scheme", "order"), [(EULER, 1), (SIER2, 2), (SIER4, 4), (YOSHIDA, 4)], ids=lambda v: str(v)[:20]
 )
 def test_order(scheme, order):
     assert scheme.order == order
@@ -92,7 +88,6 @@ def test_three_operators():
         (SIER4, 4, True),
         (EULER, 1, False),
         (YOSHIDA, 3, False),
-        (BLANES_MOAN, 6, False),
         (alternating("position Verlet", (0.5,), first=DRIFT), 1, False),
         (Scheme("two kicks in a row", ((KICK, 0.25), (KICK, 0.25), (DRIFT, 1.0), (KICK, 0.5))), 1, True),
         (Scheme("drift", ((DRIFT, 1.0),)), 0, None),
@@ -141,7 +136,6 @@ def test_schemes_are_frozen_values():
         (((KICK, 0.5), (DRIFT, 1.0)), r"scheme X: .*'kick' must sum to 1, they sum to 0\.5"),
         (((KICK, 1.0), (DRIFT, 1.1)), r"'drift' must sum to 1, they sum to 1\.1"),
         (((KICK, float("nan")), (DRIFT, 1.0)), "'kick' must sum to 1, they sum to nan"),
-        (((KICK, float("inf")), (DRIFT, 1.0)), "'kick' must sum to 1, they sum to inf"),
         (
             ((KICK, 0.5, 0.1), (DRIFT, 1.0), (KICK, 0.5, 0.1)),
             "only a 'gradient kick' has a shift, got one for 'kick'",

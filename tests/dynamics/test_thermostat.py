@@ -54,10 +54,3 @@ def test_noise_depends_on_seed_and_draw_alone():
     later = one(first, 0.1)
     assert later.draws == 2
     assert not np.allclose(first.p - state.p, later.p - first.p)
-
-
-def test_heat_is_the_change_of_kinetic_energy():
-    bodies, state = molecules.ensemble(molecules.WATER, 100)
-    after = OrnsteinUhlenbeck(TEMPERATURE, 1.0, 1.0, seed=1).operator(bodies)(state, 0.1)
-    gained = sum(bodies.kinetic_energies(after)) - sum(bodies.kinetic_energies(state))
-    assert after.heat == pytest.approx(gained, rel=1e-12)

@@ -4,8 +4,8 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2, SIER4, SIER4G, RigidBodies, RigidityError, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.rotation import mrdl, rattle
+from openmm_sier import SIER2, SIER4, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.strangers import fails_as_stranger, run_as_stranger
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
@@ -17,12 +17,6 @@ MODELS = ["tip3p", "tip4pew"]
 def cluster(request):
     topology, positions, system = cluster_system(3, request.param)
     return system, relaxed(topology, positions, system)
-
-
-@pytest.fixture(scope="module")
-def box():
-    topology, positions, system = periodic_system("tip4pew")
-    return topology, system, relaxed(topology, positions, system)
 
 
 def trajectory(system, point, steps=6, h=0.004, **settings):
@@ -78,30 +72,19 @@ def test_barostat_and_motion_remover_count_whole_steps():
     assert low == [1, 5, 9]
 
 
-def whole_step_energy(context):
-    """The energy that SIER2 with a bath conserves, less heat; at the end of steps velocities lag half a kick behind."""
-    integrator = context.getIntegrator()
-    return energies(context)[0] + sum(integrator.bodies.kinetic_energies(integrator.getWholeStepState()))
-
-
-def test_langevin_brings_the_temperature_and_counts_its_heat():
+def test_langevin_brings_the_temperature():
     topology, positions, system = cluster_system(8)
     point = relaxed(topology, positions, system)
     integrator = SIERLangevinIntegrator(400, 50, 0.002, SIER2, engine="native")
     integrator.setRandomNumberSeed(11)
-    context = context_at(system, integrator, point)
-    start, warmest = whole_step_energy(context), []
-    for _ in range(300):
+    _context = context_at(system, integrator, point, steps=300)
+    warmest = []
+    for _ in range(240):
         integrator.step(5)
         warmest.append(integrator.computeSystemTemperature()._value)
     # 8 molecules have 48 degrees of freedom, and 1 ps^-1 times 3 ps at 50/ps gives 100 independent samples or more:
     # 400 sqrt(2/48/100) = 8 K. Noise that is not projected, or the friction of half a step, is off by a third.
-    assert np.mean(warmest[60:]) == pytest.approx(400, abs=32)
-    heat = integrator.getHeat()._value
-    # The heat is the change of the energy but for SIER2's error, a hundredth of the fluctuation of V at 2 fs.
-    assert whole_step_energy(context) - start == pytest.approx(heat, abs=2.0)
-    assert abs(heat) > 20
-    assert integrator.getBodyState().heat == pytest.approx(heat, rel=1e-12)
+    assert np.mean(warmest) == pytest.approx(400, abs=32)
 
 
 def test_cold_bath_slows_bodies_exactly():
@@ -118,18 +101,6 @@ def test_cold_bath_slows_bodies_exactly():
     before = phase_point(context)[1]
     integrator.step(5)
     assert phase_point(context)[1] == pytest.approx(before, rel=2e-5)
-
-
-def test_degrees_of_freedom_and_body_states_agree_with_the_exact_engine(box):
-    _, system, point = box
-    found = {}
-    for engine in ("exact", "native"):
-        integrator = SIERIntegrator(0.002, engine=engine)
-        _context = context_at(system, integrator, point)
-        found[engine] = integrator.computeTemperatures()[:3], integrator.getBodyState()
-    # Both fit the same atoms.
-    assert found["native"][0] == pytest.approx(found["exact"][0], rel=1e-9)
-    assert np.abs(found["native"][1].L - found["exact"][1].L).max() < 1e-9
 
 
 # --- what XML carries ---
@@ -258,27 +229,3 @@ def test_atoms_set_off_their_constraints_are_moved_onto_them(cluster):
         # The same operations. Left to the first step they are others: it changes velocities along the constraints as
         # they are then, which differ by 2 %.
         assert np.abs(one[1] - other[1]).max() < 1e-9
-
-
-def test_constraints_that_cannot_be_satisfied_are_named():
-    system = openmm.System()
-    for _ in range(3):
-        system.addParticle(1.0)
-    for i, j, d in ((0, 1, 0.1), (1, 2, 0.1), (0, 2, 0.5)):
-        system.addConstraint(i, j, d)
-    integrator = SIERIntegrator(0.001, engine="native")
-    context = context_at(system, integrator, (np.diag([0.1, 0.1, 0.1]), np.zeros((3, 3))))
-    with pytest.raises((RigidityError, openmm.OpenMMException), match=r"atoms|onstraint"):
-        integrator.step(1)
-    del context
-
-
-def test_exact_engine_with_rattle_is_constrained_velocity_verlet():
-    """OpenMM's SETTLE on the atoms and RATTLE's rotation of the bodies make the same trajectory."""
-    topology, positions, system = cluster_system(3)
-    point = relaxed(topology, positions, system)
-    exact = trajectory(system, point, scheme=SIER2, engine="exact", rotation=rattle)
-    native = trajectory(system, point, scheme=SIER2, engine="native", substeps=1)
-    # SETTLE's lengths are rounded to single precision, which forces of 1e4 kJ/mol/nm make larger in six steps.
-    assert np.abs(exact - native).max() < 1e-7
-    assert np.abs(trajectory(system, point, scheme=SIER2, engine="exact") - native).max() > 1e-5

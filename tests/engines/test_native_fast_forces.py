@@ -1,24 +1,17 @@
-"""Programs with fast forces in the drift, executed by plain CustomIntegrators on Reference."""
+"""Fast forces in the drift, by both engines on Reference, and what can be fast in the native one."""
 
 import numpy as np
 import openmm
 import pytest
 
 from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator
-from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.refusals import refuse_fast_forces as refuse
-from tests.support.ethane import ethane
 from tests.support.flexible import Points, chains
 from tests.support.flexible_systems import FAST, system_of
 from tests.support.waters import context_at, phase_point, water_box
 
-
-def integrator_of(program: native_program.Program, h: float) -> openmm.CustomIntegrator:
-    integrator = openmm.CustomIntegrator(h / len(program.parts))
-    installation.install(program, integrator)
-    integrator.setConstraintTolerance(1e-12)
-    return integrator
+both_engines = pytest.mark.parametrize("engine", ["exact", "native"])
 
 
 def start_of(points: Points, seed=4):
@@ -26,52 +19,45 @@ def start_of(points: Points, seed=4):
     return state, (state.q.T, (state.p / points.masses).T)
 
 
-def end_of(points: Points, program, start, h, steps):
-    integrator = integrator_of(program, h)
-    context = context_at(system_of(points)[0], integrator, start, steps=steps * len(program.parts))
-    return phase_point(context)
+def end_of(system, start, h, steps, engine, scheme=SIER4G, groups=(FAST,)):
+    integrator = SIERIntegrator(h, scheme, engine=engine, fastForceGroups=groups, substeps=1)
+    integrator.setConstraintTolerance(1e-12)
+    return phase_point(context_at(system, integrator, start, steps=steps))[0]
 
 
+@both_engines
 @pytest.mark.parametrize("constrained", [True, False], ids=["C-H constrained", "C-H by springs"])
 @pytest.mark.parametrize(("scheme", "order"), [(SIER4G, 4), (SIER4P, 4), (SIER2, 2)], ids=["SIER4G", "SIER4P", "SIER2"])
-def test_schemes_with_fast_forces_have_their_order(constrained, scheme, order):
+def test_schemes_with_fast_forces_have_their_order(engine, constrained, scheme, order):
     """Against DOP853, which knows nothing of kicks, drifts and groups."""
     points = chains(constrained)
     state, start = start_of(points)
     exact = points.exact_flow(state, 0.016).q.T
-    program = native_program.write(scheme, 1, {FAST})
+    system, _ = system_of(points)
     # The stiffest springs have a period of 10 fs.
     counts = (8, 16) if order == 4 else (32, 64)
-    errors = [np.abs(end_of(points, program, start, 0.016 / n, n)[0] - exact).max() for n in counts]
+    errors = [np.abs(end_of(system, start, 0.016 / n, n, engine, scheme) - exact).max() for n in counts]
     # The next term of the error shifts the slope by up to a fifth. Forces that are in both drift and kick, or in
     # neither, leave an error that does not fall at all.
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
 
 
-def test_fast_forces_may_be_in_several_groups():
+@both_engines
+def test_fast_forces_may_be_in_several_groups(engine):
     points = chains()
     system, _ = system_of(points)
     _, start = start_of(points)
-    whole = native_program.write(SIER4G, 1, {FAST})
-    context = context_at(system, integrator_of(whole, 0.003), start, steps=20)
-    split = openmm.System()
-    for mass in points.masses:
-        split.addParticle(mass)
-    for i in range(system.getNumConstraints()):
-        split.addConstraint(*system.getConstraintParameters(i))
-    for force in system.getForces():
-        copy = openmm.XmlSerializer.clone(force)
-        if force.getForceGroup() == FAST:
-            others = openmm.XmlSerializer.clone(force)
-            others.setForceGroup(7)
-            for i in range(force.getNumBonds()):
-                a, b, length, constant = force.getBondParameters(i)
-                (copy if i % 2 else others).setBondParameters(i, a, b, length, 0 * constant)
-            split.addForce(others)
-        split.addForce(copy)
-    both = context_at(split, integrator_of(native_program.write(SIER4G, 1, [7, FAST]), 0.003), start, steps=20)
+    split = openmm.XmlSerializer.clone(system)
+    springs = split.getForce(0)
+    others = openmm.XmlSerializer.clone(springs)
+    others.setForceGroup(7)
+    for i in range(springs.getNumBonds()):
+        a, b, length, constant = springs.getBondParameters(i)
+        (springs if i % 2 else others).setBondParameters(i, a, b, length, 0 * constant)
+    split.addForce(others)
+    both = end_of(split, start, 0.003, 20, engine, groups=(7, FAST))
     # Sums in another order.
-    assert phase_point(both)[0] == pytest.approx(phase_point(context)[0], abs=1e-9)
+    assert both == pytest.approx(end_of(system, start, 0.003, 20, engine), abs=1e-9)
 
 
 def test_program_prints_its_inner_step_once():
@@ -120,26 +106,7 @@ def test_fast_groups_must_be_integrated():
         refuse(waters("tip3p"), {FAST, 2}, 0b011)
 
 
-def test_both_engines_move_a_constrained_molecule_alike():
-    """Ethane, whose C-H bonds are constrained: bonded forces in inner steps, and for comparison in the kicks."""
-    system, positions = ethane()
-    for force in system.getForces():
-        force.setForceGroup(1)
-    velocities = np.random.default_rng(2).normal(size=(8, 3)) * 0.3
-    ends = {}
-    for engine, fast in (("exact", {1}), ("native", {1}), ("native", None)):
-        integrator = SIERIntegrator(0.004, SIER4G, engine=engine, fastForceGroups=fast)
-        context = context_at(system, integrator, (positions, velocities))
-        context.applyConstraints(1e-10)
-        context.applyVelocityConstraints(1e-10)
-        integrator.step(25)
-        ends[engine, fast is None] = phase_point(context)[0]
-    # Seen: 3e-9 nm, the difference between Yoshida's three steps of RATTLE and Suzuki's five; 1e-5 nm in the kicks.
-    assert np.abs(ends["native", False] - ends["exact", False]).max() < 3e-8
-    assert np.abs(ends["native", True] - ends["exact", False]).max() > 1e-6
-
-
-@pytest.mark.parametrize("engine", ["exact", "native"])
+@both_engines
 def test_bonds_that_constraints_hold_do_not_vibrate(engine):
     """The constrained bond has a period of 9 fs, at which SIER4G bears no step of 6 fs; the other one 300 fs."""
     system, bonds = openmm.System(), openmm.HarmonicBondForce()

@@ -7,36 +7,8 @@ import pytest
 from openmm_sier import SIER4G, Scheme, SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.dynamics.stages import DRIFT, KICK
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.native import program as native_program
 from tests.support.waters import context_at, phase_point
-
-SCHEMES = [*CATALOGUE.values(), *(scheme.with_bath() for scheme in CATALOGUE.values())]
-BATH = OrnsteinUhlenbeck(300.0, 1.0, 1.0)
-NAMES = [*CATALOGUE, *(f"{name} with a bath" for name in CATALOGUE)]
-
-
-def statements(part):
-    return [statement for line in part for statement in line.statements]
-
-
-@pytest.mark.parametrize("scheme", SCHEMES, ids=NAMES)
-def test_native_steps_take_forces_before_they_move_anything(scheme):
-    program = native_program.write(scheme, 3, bath=BATH)
-    for part in program.parts:
-        moved = [s.moves for s in statements(part)]
-        forces = [s.needs_force for s in statements(part)]
-        first_move = moved.index(True) if any(moved) else len(moved)
-        # A statement that moves the atoms may use the force itself.
-        assert not any(forces[first_move + 1 :])
-    # What a CMMotionRemover takes is counted as heat.
-    targets = [statement.target for statement in statements(program.parts[0])]
-    assert targets[:3] == [native_program.V0, native_program.UPDATE, native_program.WORK]
-    within = native_program.write(scheme, 3, updates_context=False, bath=BATH)
-    assert not any(native_program.UPDATE in str(line) for part in within.parts for line in part)
-    # One native step for each force evaluation, and one for what comes before the first of them: a drift, or a kick by
-    # the force that the last step left. Where momenta lag, a step begins with the kick of the force that it computes.
-    assert len(program.parts) == scheme.force_evaluations + (0 if scheme.momentum_lag else 1)
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 3, 4, 5, 7])

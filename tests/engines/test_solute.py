@@ -132,14 +132,11 @@ def test_terms_within_a_rigid_body_are_left_out(positions):
 def test_what_is_refused():
     external = openmm.CustomExternalForce("x")
     external.setName("trap")
-    with pytest.raises(
-        SoluteError, match=r"trap \(CustomExternalForce\) is in the fast force group 3; only HarmonicBondForce"
-    ):
-        solute_system(whole_system([external]), FLEXIBLE, {FAST})
-
-
-def test_a_force_on_a_virtual_site_is_refused():
     bond = openmm.HarmonicBondForce()
     bond.addBond(FLEXIBLE[0], SITE, 0.15, 2e5)
-    with pytest.raises(SoluteError, match="atom 11 is not among those"):
-        solute_system(whole_system([bond]), FLEXIBLE, {FAST})
+    for force, message in (
+        (external, r"trap \(CustomExternalForce\) is in the fast force group 3; only HarmonicBondForce"),
+        (bond, "atom 11 is not among those"),
+    ):
+        with pytest.raises(SoluteError, match=message):
+            solute_system(whole_system([force]), FLEXIBLE, {FAST})

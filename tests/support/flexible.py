@@ -72,7 +72,7 @@ class Points:
         n = len(self.masses)
         return BodyState(q, constraints.project(q, p), np.repeat(np.eye(3)[:, :, None], n, axis=2), np.zeros((3, n)))
 
-    # --- energies and forces ---
+    # --- forces ---
 
     def slow_forces(self, q):
         phase = (self.waves * q).sum(axis=0) + np.arange(q.shape[1])
@@ -91,16 +91,6 @@ class Points:
 
     def forces(self, q):
         return self.slow_forces(q) + self.fast_forces(q)
-
-    def energy(self, state):
-        q = state.q
-        phase = (self.waves * q).sum(axis=0) + np.arange(q.shape[1])
-        V = (self.charges * self.field * np.sin(phase)).sum()
-        square = ((q[:, :, None] - q[:, None]) ** 2).sum(axis=0)
-        V += 0.5 * (self.products / np.sqrt(square + self.SOFTENING**2)).sum()
-        i, j, length, constant = self.springs
-        V += 0.5 * (constant * (np.linalg.norm(q[:, i] - q[:, j], axis=0) - length) ** 2).sum()
-        return V + 0.5 * (state.p**2 / self.masses).sum()
 
     # --- an independent solution ---
 

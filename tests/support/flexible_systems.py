@@ -97,9 +97,3 @@ def started(system, integrator, positions, temperature=300.0, seed=3, name="Refe
 def total_energy(context):
     state = context.getState(energy=True)
     return state.getPotentialEnergy()._value + state.getKineticEnergy()._value
-
-
-def farthest(one, other):
-    """Largest difference of two body states: of positions in pm, and of momenta in 1/100 dalton nm/ps."""
-    moved = [np.abs(getattr(one, name) - getattr(other, name)).max() for name in ("q", "p", "L")]
-    return max(1000 * moved[0], 100 * moved[1], 100 * moved[2])

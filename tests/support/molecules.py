@@ -98,9 +98,6 @@ class SoftCluster:
         pairs = self.products / np.sqrt(square + self.SOFTENING**2) + self.walls * np.exp(-square / (2 * self.WIDTH**2))
         return 0.5 * pairs.sum()
 
-    def energy(self, state):
-        return self.potential_energy(state) + sum(self.bodies.kinetic_energies(state))
-
     def forces(self, q, A):
         x = self.sites(q, A)
         apart = x[:, None] - x[None]

@@ -48,10 +48,6 @@ class Molecule:
         held = tuple(bond for bond in self.bonds if "H" in (self.elements[bond[0]], self.elements[bond[1]]))
         return Molecule(self.elements, self.x, self.bonds, held, self.torsions, self.charges)
 
-    def with_bonds_held(self) -> Molecule:
-        """The same with constraints on all bonds."""
-        return Molecule(self.elements, self.x, self.bonds, self.bonds, self.torsions, self.charges)
-
 
 def water(rigid=True):
     """TIP3P's geometry; flexible it has springs for its bonds and its angle."""

@@ -14,7 +14,7 @@ So nothing is singular before L~ has turned by half a circle within one step, th
 as a quaternion P is rational in u, m, v and the sine and cosine of theta/2: orthogonal to rounding.
 
 All functions take scalars or arrays: NumPy executes them on arrays of bodies, Numba compiles them for one (`exact`).
-tests/dynamics/rotation/test_paper_formulas.py has the paper's own form, which agrees.
+tests/support/oracles.py has the paper's own form, which agrees.
 """
 
 from typing import Any, NamedTuple

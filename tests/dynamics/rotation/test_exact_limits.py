@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.backend.elliptic import LONGEST, SHORT
-from openmm_sier.dynamics.backend.formulas import SMALL_ANGLE, small_sine_cosine
 from tests.support import oracles
 from tests.support.families import FAMILIES, asymmetric, linear, point, sample, spherical
 from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
@@ -40,14 +39,6 @@ def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
     # Rounding of A L turns the body by up to 2e-16 of its fastest angle; some ten operations follow.
     scale = np.maximum(1, k * rates[0])
     assert worst(rotation.exact(A, L, moments, 1.0)[0] - expected, scale) < 2e-15
-
-
-def test_sine_and_cosine_of_small_angles():
-    """The claim at `formulas.SMALL_ANGLE`, in extended precision, where the first term left out is 1.2e-17."""
-    x = np.linspace(-SMALL_ANGLE, SMALL_ANGLE, 1001).astype(np.longdouble)
-    sine, cosine = small_sine_cosine(x)
-    assert np.abs(sine - np.sin(x)).max() < 3e-17
-    assert np.abs(cosine - np.cos(x)).max() < 3e-17
 
 
 # --- ends of the range ------------------------------------------------------------------------------------------------

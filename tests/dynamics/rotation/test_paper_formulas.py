@@ -1,4 +1,4 @@
-"""The paper's formulas as it prints them, with its misprints mended, against the package; and each misprint's failure.
+"""The paper's misprints: what fails as printed and holds as mended. `test_exact` has its formulas beside the package.
 
 Source: van Zon and Schofield (2007).
 """
@@ -7,49 +7,14 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER4, Scheme
-from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.schemes import DRIFT, KICK
-from tests.support import oracles
 from tests.support.oracles import (
     R1,
-    apply,
-    in_paper_frame,
     matmul,
     orthogonality_error,
-    paper_propagator,
-    psi_by_hermite,
-    random_attitudes,
 )
 
 MOMENTS = np.array([0.6, 1.1, 1.7])
-
-
-def states(rng, n):
-    """Attitudes, angular momenta of size 2 and moments in any order."""
-    order = np.argsort(rng.random((3, n)), axis=0)
-    L = rng.normal(size=(3, n))
-    return random_attitudes(rng, n), 2 * L / np.linalg.norm(L, axis=0), MOMENTS[order]
-
-
-def by_the_paper(A, L, moments, h, terms):
-    """A after the time h by Eqs. Pmatrix and psiapprox; L~* comes from the integrated Euler equations."""
-    U, l, I = in_paper_frame(apply(A, L), moments)
-    final = apply(U, oracles.rotation_by_taylor(A, L, moments, h)[1])
-    psi = np.array([psi_by_hermite(l[:, i], final[:, i], I[:, i], h, terms) for i in range(l.shape[1])])
-    return matmul(U.transpose(1, 0, 2), matmul(paper_propagator(l, final, psi), matmul(U, A)))
-
-
-@pytest.mark.slow
-def test_propagator(rng):
-    """P(h) = R1(L~*) R2(psi) R1(L~)^T for every order of the moments and both cases of Iy, either way in time."""
-    A, L, moments = states(rng, 500)
-    for h in (0.1, -0.1):
-        expected = by_the_paper(A, L, moments, h, terms=7)
-        # L_perp in the paper's frame is at least 0.28 |L|, so that R1 loses no more than a digit.
-        assert np.abs(rotation.exact(A, L, moments, h)[0] - expected).max() < 2e-14
-
-
-# --- misprints --------------------------------------------------------------------------------------------------------
 
 
 def test_misprint_in_R1(rng):
