@@ -270,10 +270,3 @@ def test_info_shows_the_bodies_of_a_salt_solution(capsys):
         "CL": ("9", "CL", "point", "3"),
     }
     assert "494 rigid bodies, 18 points (atoms that move by themselves), 1500 particles, 3018 degrees of freedom" in out
-
-
-def test_info_shows_virtual_sites(capsys):
-    assert main.main(["info", str(SYSTEMS / "tip4p-1.pdb"), "--forcefield", "tip5p.xml"]) == 0
-    out = capsys.readouterr().out
-    assert "M1 M2" in out
-    assert "no periodic box" in out

@@ -240,15 +240,6 @@ def test_outputs_destroy_no_topology(capsys):
 # --- other commands ---
 
 
-@EACH
-def test_info_shows_the_bodies(capsys, given):
-    run("info", *given.arguments)
-    out = capsys.readouterr().out
-    # 26 rigid molecules with six each, and four atoms with two constraints.
-    assert "82 particles, 166 degrees of freedom, 2 constraints between" in out
-    assert "box 0.9600 x 0.9600 x 0.9600 nm" in out
-
-
 def test_a_state_alone_has_molecules_by_bonds_and_elements_by_mass(capsys):
     topology = read(STATE).topology
     assert [residue.name for residue in topology.residues()] == ["M1", *26 * ["HOH"]]

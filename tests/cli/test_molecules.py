@@ -50,13 +50,3 @@ def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys)
     assert "resonates with fast forces" in out
     assert "hold the bond by --constraints hbonds" in out
     assert "createSystem" not in out
-
-
-@pytest.mark.slow
-def test_info(box, capsys):
-    """Bonds to hydrogen are constrained unless something else is asked for."""
-    assert main(["info", str(box), *FILES]) == 0
-    out = capsys.readouterr().out
-    assert "20 rigid bodies, 22 points (atoms that move by themselves), 82 particles" in out
-    # Twelve hydrogens of the peptide; three degrees of freedom of its atoms but these, and six of each water.
-    assert f"{22 * 3 - 12 + 20 * 6} degrees of freedom, 12 constraints between points" in out

@@ -49,13 +49,6 @@ def test_another_platform_is_said_in_one_line_and_noted(box, part, capsys):
     assert differences(capsys) == []
 
 
-def test_another_number_of_threads_is_said(box, part, capsys):
-    rewrite_notes(part, lambda notes: notes.update(platform={"Platform": "CPU", "Threads": "999"}))
-    run("run", box, "--restart", part, "--steps", 11)
-    (line,) = differences(capsys)
-    assert line.startswith("part.chk was written on CPU (Threads 999), the run goes on on CPU (Threads ")
-
-
 def test_a_platform_that_is_not_here_must_be_replaced_by_name(box, part, capsys):
     rewrite_notes(part, lambda notes: notes.update(platform={"Platform": "Abacus"}))
     message = complaint(capsys, "run", box, "--restart", part, "--steps", 11)

@@ -11,7 +11,7 @@ from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.options import OPTIONS, Options
 from openmm_sier.cli.tune import run_line
 from openmm_sier.integrators.tuning import Tuning
-from tests.support.commands import complaint, log, run
+from tests.support.commands import log, run
 
 FOUND = Tuning(0.0080234, 4, 0.9, (), (), 100)
 
@@ -48,7 +48,3 @@ def test_line_keeps_what_was_given():
         "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm y.rtf --edges 1.0 1.0 2.0 "
         "--dt 8.023 --no-minimize --start s.chk --steps-per-trial 4"
     )
-
-
-def test_schemes_of_openmm_have_no_trials(capsys, box):
-    assert "OpenMM Verlet has the ensembles" in complaint(capsys, "tune", box, "--scheme", "verlet")

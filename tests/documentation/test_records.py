@@ -84,10 +84,6 @@ def test_no_table_of_a_page_is_typed(page):
     assert not re.search(r"^\s*\|?\s*:?-{2,}:?\s*\|", page.read_text(), re.MULTILINE)
 
 
-def test_pages_are_found():
-    assert {"index", "accuracy", "speed", "whole-runs"} <= {page.stem for page in PAGES}
-
-
 PAGE = """# Page
 
 ```{record} a.json

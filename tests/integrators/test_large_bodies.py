@@ -16,12 +16,12 @@ def langevin(h, bodies, friction=5.0, **options):
     return seeded(SIERLangevinIntegrator(300, friction, h, bodies=bodies, **options), 5)
 
 
-def settled(system, positions, bodies, steps=150, name="Reference"):
+def settled(system, positions, bodies):
     """Positions and velocities near 300 K; this package's minimizer moves bodies as wholes."""
-    context = context_at(system, langevin(0.002, bodies, 20.0), (positions, 0 * positions), name)
+    context = context_at(system, langevin(0.002, bodies, 20.0), (positions, 0 * positions), "CPU")
     openmm.LocalEnergyMinimizer.minimize(context, 10, 200)
     context.setVelocitiesToTemperature(300, 1)
-    context.getIntegrator().step(steps)
+    context.getIntegrator().step(150)
     return phase_point(context)
 
 
@@ -43,7 +43,7 @@ def test_a_large_body_in_water_at_constant_pressure(barostat):
     cutoff = {"nonbondedCutoff": 0.8 * unit.nanometer, "switchDistance": 0.65 * unit.nanometer}
     system, positions, bodies = cage_in_water(**cutoff)
     prepare_system(system, bodies)
-    point = settled(system, positions, bodies, name="CPU")
+    point = settled(system, positions, bodies)
     atoms = range(len(positions) - 60, len(positions))
     options = {"pressure": 1.0, "barostatInterval": 2} if barostat == "pressure=" else {}
     if not options:

@@ -131,22 +131,6 @@ def test_restart_is_exact(tmp_path, cluster, box, way, where, name, make):
         assert 0 < whole.integrator.accepted < whole.integrator.trials
 
 
-def test_restart_needs_the_stored_state(cluster):
-    """Positions and velocities alone lead to another trajectory within rounding: the tests above test something."""
-    _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point, steps=10)
-    bare = context.getState(positions=True, velocities=True)
-    integrator.step(50)
-    other = SIER2Integrator(0.001)
-    fitted = openmm.Context(system, other, platform())
-    fitted.setState(bare)
-    other.step(50)
-    difference = np.abs(phase_point(fitted)[0] - phase_point(context)[0]).max()
-    # Rounding of 1e-16 nm, grown for 0.05 ps.
-    assert 0 < difference < 1e-12
-
-
 @pytest.mark.slow
 def test_positions_from_outside_end_the_past(box):
     """What follows depends on nothing but what the Context holds."""

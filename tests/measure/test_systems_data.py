@@ -11,6 +11,7 @@ from openmm import app, unit
 from openmm_sier import RigidBodies
 from openmm_sier.measure import forcefields
 from tests.support.commands import SYSTEMS, make
+from tests.support.waters import plain_context
 
 KCAL = 4.184  #: kJ
 DEBYE = 0.0208194  #: e nm
@@ -48,9 +49,7 @@ def nonbonded(model):
     geometry = make.water_geometry(field) * unit.nanometer
     topology, positions = forcefields.add_virtual_sites(make.make_topology(1, 0), geometry, field)
     system = forcefields.pme_system(topology, field)
-    platform = openmm.Platform.getPlatformByName("Reference")
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
-    context.setPositions(positions)
+    context = plain_context(system, positions)
     context.computeVirtualSites()
     (force,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
     rows = [force.getParticleParameters(i) for i in range(system.getNumParticles())]

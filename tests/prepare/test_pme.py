@@ -41,6 +41,22 @@ def test_systems_without_a_mesh_are_refused():
         balance_pme(system)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("EwaldErrorTolerance", 0.5), ("EwaldErrorTolerance", math.nan), ("CutoffDistance", -1)],
+)
+def test_values_out_of_range_are_refused_before_anything_is_changed(water, name, value):
+    _, _, system = water
+    other = openmm.NonbondedForce()
+    other.setNonbondedMethod(openmm.NonbondedForce.PME)
+    getattr(other, f"set{name}")(value)
+    system.addForce(other)
+    force_of(system).setPMEParameters(0, 0, 0, 0)
+    with pytest.raises(ValueError, match=f"(ewaldErrorTolerance from 1e-10 to 0.001|cut-off distance), got {value:g}"):
+        balance_pme(system)
+    assert force_of(system).getPMEParameters()[1:] == [0, 0, 0]
+
+
 def two_charges(distance: float, edge: float, tolerance: float):
     """System and positions of unit charges of opposite sign."""
     system = openmm.System()
@@ -72,23 +88,3 @@ def test_the_step_at_the_cutoff_is_smaller(tolerance):
             step[balanced] += side * energy(system, positions)
     # erfc(x) is about exp(-x^2) / (x sqrt(pi)): a share of 200 by the definition, and 22 to 33 % by x.
     assert 235 < step[0] / step[1] < 275
-
-
-@pytest.mark.parametrize("tolerance", [0.5, 0.0, math.nan])
-def test_a_tolerance_out_of_range_is_refused_before_anything_is_changed(water, tolerance):
-    _, _, system = water
-    other = openmm.NonbondedForce()
-    other.setNonbondedMethod(openmm.NonbondedForce.PME)
-    other.setEwaldErrorTolerance(tolerance)
-    system.addForce(other)
-    force_of(system).setPMEParameters(0, 0, 0, 0)
-    with pytest.raises(ValueError, match=f"ewaldErrorTolerance from 1e-10 to 0.001, got {tolerance:g}"):
-        balance_pme(system)
-    assert force_of(system).getPMEParameters()[1:] == [0, 0, 0]
-
-
-def test_a_cutoff_that_is_none_is_refused(water):
-    _, _, system = water
-    force_of(system).setCutoffDistance(-1)
-    with pytest.raises(ValueError, match="positive cut-off distance, got -1 nm"):
-        balance_pme(system)

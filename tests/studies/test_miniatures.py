@@ -38,27 +38,71 @@ DIPEPTIDE = SYSTEMS / "dipeptide.pdb"
 
 
 class Miniature(NamedTuple):
-    """A study made small.
-
-    Attributes:
-        study: its module.
-        lines: command lines, one after the other, in which names of files are filled in.
-        check: of its tables, by name.
-        record: name of its file.
-        figure: whether it draws one of this name.
-        patches: what is changed in its modules.
-        kept: runs that are kept one by one, which are not to be made again.
-    """
+    """A study made small: its module, command lines, the check of its tables, and what is changed in its modules."""
 
     study: ModuleType
     lines: tuple[str, ...]
     check: Callable[[dict[str, pd.DataFrame]], None]
-    record: str
-    figure: bool = False
-    patches: tuple[tuple[object, str, object], ...] = ()
-    kept: str = ""
+    patches: tuple[tuple[object, str, object], ...]
 
 
+#: By the names of their records.
+MINIATURES: dict[str, Miniature] = {}
+
+#: Those that draw a figure of the same name.
+DRAWN = {"acceptance", "bench", "equipartition", "water", "whole-run"}
+
+#: Those whose runs are not kept one by one. Kept runs are not made again.
+MADE_AT_ONCE = {"bench", "dipole", "exactness", "free-rotation", "mesh", "native-program", "speed", "water"}
+
+
+def miniature(record, study, *lines, patches=()):
+    """Makes a check of tables one of a study in miniature.
+
+    Args:
+        record: name of its file.
+        study: its module.
+        lines: command lines, one after the other, in which names of files are filled in.
+        patches: what is changed in its modules.
+    """
+
+    def add(check):
+        MINIATURES[record] = Miniature(study, lines, check, patches)
+        return check
+
+    return add
+
+
+#: 64 molecules in a box of 1.24 nm leave a cut-off of 0.6 nm.
+WATER = water_runs.WaterSettings(
+    molecules=64,
+    cutoffs=liquids.Cutoffs(molecular_on=0.4, molecular_off=0.6),
+    kinds=(liquids.MOLECULAR,),
+    force_steps_fs=(0.5, 1.0, 2.0, 3.0),
+    compared_from_fs=2.0,
+    compared_to_fs=2.0,
+    fine_below_fs=0.0,
+    span=0.2,
+    runs=1,
+    relax=0.2,
+)
+FREE = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2)
+SOLVATED = "{dipeptide} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1 --moving "
+
+
+@miniature(
+    "dipole", paper_command, "dipole --quick", patches=((dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1)),)
+)
+@miniature("free-rotation", paper_command, "free-rotation --quick", patches=((free_rotation, "QUICK", FREE),))
+def any_tables(found):
+    assert found
+
+
+@miniature(
+    "acceptance",
+    acceptance,
+    "{box} --sizes 27 --schemes verlet sier4g --trials 3 --time 0.012 --equilibrate 0.03 --platform CPU",
+)
 def acceptances(found):
     verlet, sier4g = found["rows"].to_dict("records")
     assert [(row["method"], row["step"], row["length"], row["trials"]) for row in (verlet, sier4g)] == [
@@ -71,17 +115,33 @@ def acceptances(found):
     assert 0 < verlet["noise"] < 1e-3
 
 
+@miniature(
+    "bench",
+    accuracy,
+    "{box} --time 0.1 --equilibrate 0.02 --platform Reference",
+    patches=((accuracy, "METHODS", {"verlet": (2.0,), "sier4g": (1.0,)}), (peers, "installed", list)),
+)
 def benchmarks(found):
     assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4G"]
     assert found["points"]["percent"].between(1e-3, 50).all()
 
 
+@miniature(
+    "defaults",
+    defaults,
+    "{box} --tolerance 5e-4 --cutoff 0.4 --switch yes --starts 2 --time 0.12 --equilibrate 0.03 --platform Reference",
+)
 def two_means_and_ranges(found):
     rows = found["rows"]
     assert len(rows) == 8
     assert rows["percent"].between(1e-3, 50).all()
 
 
+@miniature(
+    "equipartition",
+    equipartition,
+    "{box} --dt 1 2 --methods verlet sier2 sier4 --time 0.1 --equilibrate 0.02 --settle 0.02 --platform Reference",
+)
 def temperatures(found):
     rows = found["rows"]
     names = ("OpenMM Verlet", "SIER2", "SIER4")
@@ -99,6 +159,7 @@ def temperatures(found):
     assert predicted[[0, 1, 4, 5]].isna().all()
 
 
+@miniature("exactness", exactness, "--trials 200 --processes 1")
 def known_averages(found):
     rows = found["rows"]
     assert rows.groupby("model", sort=False).size().tolist() == [4, 4, 4, 4]
@@ -107,6 +168,12 @@ def known_averages(found):
     assert (exact["mean"] / exact["exact"]).between(0.7, 1.4).all()
 
 
+@miniature(
+    "mesh",
+    mesh,
+    "{lattice_64} --platform CPU --molecules 64 512 --cutoff 0.55 --tolerances 5e-4 1e-4 --spacing 0.06 0.1 "
+    "--alphas 3 --meshes 3 --rounds 1 --turn 1e-6",
+)
 def meshes(found):
     assert len(found["scan"]) == 3 * len(mesh.sizes(1.24, (0.06, 0.1)))
     # In a repeated box a mesh of the same spacing has the same error: single precision apart.
@@ -122,6 +189,7 @@ def meshes(found):
     assert known["ratio"].notna().all()
 
 
+@miniature("native-program", counts, "--schemes sier2 sier4g")
 def counted(found):
     rows = found["rows"]
     assert list(rows["scheme"]) == ["SIER2", "SIER4G"] * 2
@@ -130,6 +198,12 @@ def counted(found):
     assert rows.loc[0, ["native_steps", "constrain_x", "constrain_v"]].tolist() == [2, 3, 1]
 
 
+@miniature(
+    "schemes",
+    schemes,
+    "{liquid_64} --forcefield tip3p.xml --dt 2 12 --schemes verlet sier2 sier4g --starts 1 --time 0.3 "
+    "--equilibrate 0.2 --platform CPU",
+)
 def schemes_by_step(found):
     rows = found["rows"]
     assert list(zip(rows["method"], rows["step"], strict=True)) == [
@@ -144,6 +218,17 @@ def schemes_by_step(found):
     assert rows["percent"].isna().iloc[-1]
 
 
+@miniature(
+    "speed",
+    speed,
+    "{box} --boxes water-27 peptide --rounds 1 --turn 1e-6 --time 0.02 --equilibrate 0.01 --starts 1 --platform CPU",
+    patches=(
+        (speed, "STEPS", {"verlet": (0.5, 2.0), "sier2": (0.5,), "sier2p3": (1.0,), "sier4g": (1.0,)}),
+        (usual_inputs, "installed", list),
+        # The cut-off that fits the box.
+        (speed_boxes, "INTERACTIONS", Interactions()),
+    ),
+)
 def speeds(found):
     rows = found["speeds"]
     assert rows.groupby("box", sort=False)["atoms"].first().to_dict() == {"water-27": 81, "peptide": 2538}
@@ -158,6 +243,7 @@ def speeds(found):
     assert set(found["points"]["method"]) == {"OpenMM Verlet", "SIER2", "SIER2P3", "SIER4G"}
 
 
+@miniature("whole-run", whole_run, "--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1")
 def whole_runs(found):
     rows = found["rows"].set_index(["method", "step"])
     # Within 1 ps Verlet has some 0.5 % and SIER4G 0.03 % (64 molecules); a fifth is far from both scatters.
@@ -167,6 +253,11 @@ def whole_runs(found):
     assert found["gains"]["gain"].dropna().iloc[0] > 5
 
 
+@miniature(
+    "heat-bath",
+    heat_bath,
+    '{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2, 8 fs" --time 5 --equilibrate 0.2 --friction 20',
+)
 def bath_averages(found):
     rows = found["rows"].set_index("method")
     # Means of 5 ps of 22 atoms, and of 233 molecules, after a sudden start.
@@ -176,12 +267,14 @@ def bath_averages(found):
     assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
 
 
+@miniature("processed", processed, "--starts 1 --steps 2 --time 0.3 --equilibrate 0.1")
 def processed_state(found):
     """Takahashi and Imada's step is of second order, some 0.1 % at 2 fs, and of fourth in the processed state."""
     row = found["rows"].iloc[0]
     assert row["processed"] < row["percent"] / 2
 
 
+@miniature("solvated", solvated, *(SOLVATED + moving for moving in ("all", "solute", "water")))
 def solvated_trials(found):
     rows = found["rows"]
     assert list(rows["trials"]) == [3, 3, 3]
@@ -189,6 +282,9 @@ def solvated_trials(found):
     assert set(zip(rows["solute"], rows["waters"], strict=True)) == {(22, 233)}
 
 
+@miniature(
+    "mixture", mixture, "--method hmc --time 1.8 --settling 0.06", "--method langevin --time 1.8 --settling 0.06"
+)
 def mixtures(found):
     rows = found["rows"]
     # Means of 1.8 ps after a sudden start.
@@ -199,6 +295,7 @@ def mixtures(found):
     assert found["tests"]["mean"].between(0, 30).all()
 
 
+@miniature("water", paper_command, "water --quick", patches=((water_runs, "QUICK", WATER),))
 def errors_of_schemes(found):
     """Between 0.5 and 1 fs the slopes are the orders, but for higher ones and one short run; MRDL lies on SIER2."""
     percent = found["points"].set_index(["method", "force_step_fs"])["percent"]
@@ -206,165 +303,6 @@ def errors_of_schemes(found):
         assert math.log2(percent[name, 1.0] / percent[name, 0.5]) == pytest.approx(order, abs=0.5)
     assert percent["MRDL", 2.0] == pytest.approx(percent["SIER2", 2.0], rel=0.05)
     assert 1.5 < found["crossings"]["force_step_fs"][0] < 2.8
-
-
-#: 64 molecules in a box of 1.24 nm leave a cut-off of 0.6 nm.
-WATER = water_runs.WaterSettings(
-    molecules=64,
-    cutoffs=liquids.Cutoffs(molecular_on=0.4, molecular_off=0.6),
-    kinds=(liquids.MOLECULAR,),
-    force_steps_fs=(0.5, 1.0, 2.0, 3.0),
-    compared_from_fs=2.0,
-    compared_to_fs=2.0,
-    fine_below_fs=0.0,
-    span=0.2,
-    runs=1,
-    relax=0.2,
-)
-FREE = free_rotation.FreeRotationSettings(span=0.2, bodies=10, exact_bodies=2)
-
-MINIATURES = {
-    "acceptance": Miniature(
-        acceptance,
-        ("{box} --sizes 27 --schemes verlet sier4g --trials 3 --time 0.012 --equilibrate 0.03 --platform CPU",),
-        acceptances,
-        "acceptance",
-        figure=True,
-        kept="*.jsonl",
-    ),
-    "bench": Miniature(
-        accuracy,
-        ("{box} --time 0.1 --equilibrate 0.02 --platform Reference",),
-        benchmarks,
-        "bench",
-        figure=True,
-        patches=((accuracy, "METHODS", {"verlet": (2.0,), "sier4g": (1.0,)}), (peers, "installed", list)),
-    ),
-    "defaults": Miniature(
-        defaults,
-        (
-            "{box} --tolerance 5e-4 --cutoff 0.4 --switch yes --starts 2 --time 0.12 --equilibrate 0.03 "
-            "--platform Reference",
-        ),
-        two_means_and_ranges,
-        "defaults",
-        kept="*.jsonl",
-    ),
-    "equipartition": Miniature(
-        equipartition,
-        (
-            "{box} --dt 1 2 --methods verlet sier2 sier4 --time 0.1 --equilibrate 0.02 --settle 0.02 "
-            "--platform Reference",
-        ),
-        temperatures,
-        "equipartition",
-        figure=True,
-        kept="*.jsonl",
-    ),
-    "exactness": Miniature(exactness, ("--trials 200 --processes 1",), known_averages, "exactness"),
-    "heat bath": Miniature(
-        heat_bath,
-        ('{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2, 8 fs" --time 5 --equilibrate 0.2 --friction 20',),
-        bath_averages,
-        "heat-bath",
-        kept="*.jsonl",
-    ),
-    "mesh": Miniature(
-        mesh,
-        (
-            "{lattice_64} --platform CPU --molecules 64 512 --cutoff 0.55 --tolerances 5e-4 1e-4 --spacing 0.06 0.1 "
-            "--alphas 3 --meshes 3 --rounds 1 --turn 1e-6",
-        ),
-        meshes,
-        "mesh",
-    ),
-    "mixture": Miniature(
-        mixture,
-        (
-            "--method hmc --time 1.8 --settling 0.06",
-            "--method langevin --time 1.8 --settling 0.06",
-        ),
-        mixtures,
-        "mixture",
-        kept="*.jsonl",
-    ),
-    "native program": Miniature(counts, ("--schemes sier2 sier4g",), counted, "native-program"),
-    "paper, dipole": Miniature(
-        paper_command,
-        ("dipole --quick",),
-        lambda found: None,
-        "dipole",
-        patches=((dipole, "QUICK", dipole.DipoleSettings(bodies=20, span=0.1)),),
-    ),
-    "paper, free rotation": Miniature(
-        paper_command,
-        ("free-rotation --quick",),
-        lambda found: None,
-        "free-rotation",
-        patches=((free_rotation, "QUICK", FREE),),
-    ),
-    "paper, water": Miniature(
-        paper_command,
-        ("water --quick",),
-        errors_of_schemes,
-        "water",
-        figure=True,
-        patches=((water_runs, "QUICK", WATER),),
-    ),
-    "schemes": Miniature(
-        schemes,
-        (
-            "{liquid_64} --forcefield tip3p.xml --dt 2 12 --schemes verlet sier2 sier4g --starts 1 --time 0.3 "
-            "--equilibrate 0.2 --platform CPU",
-        ),
-        schemes_by_step,
-        "schemes",
-        figure=True,
-        kept="*.jsonl",
-    ),
-    "solvated": Miniature(
-        solvated,
-        (
-            *(
-                f"{{dipeptide}} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1 --moving {moving}"
-                for moving in ("all", "solute", "water")
-            ),
-        ),
-        solvated_trials,
-        "solvated",
-        kept="*.jsonl",
-    ),
-    "speed": Miniature(
-        speed,
-        (
-            "{box} --boxes water-27 peptide --rounds 1 --turn 1e-6 --time 0.02 --equilibrate 0.01 --starts 1 "
-            "--platform CPU",
-        ),
-        speeds,
-        "speed",
-        patches=(
-            (speed, "STEPS", {"verlet": (0.5, 2.0), "sier2": (0.5,), "sier2p3": (1.0,), "sier4g": (1.0,)}),
-            (usual_inputs, "installed", list),
-            # The cut-off that fits the box.
-            (speed_boxes, "INTERACTIONS", Interactions()),
-        ),
-    ),
-    "whole runs": Miniature(
-        whole_run,
-        ("--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1",),
-        whole_runs,
-        "whole-run",
-        figure=True,
-        kept="*.jsonl",
-    ),
-    "processed": Miniature(
-        processed,
-        ("--starts 1 --steps 2 --time 0.3 --equilibrate 0.1",),
-        processed_state,
-        "processed",
-        kept="*.jsonl",
-    ),
-}
 
 
 @pytest.fixture(scope="module")
@@ -399,18 +337,18 @@ def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
     for line in made.lines:
         code, (said, complaint) = execute(line)
         assert code == 0, complaint
-    record = records.read(tmp_path / f"{made.record}.json")
+    record = records.read(tmp_path / f"{name}.json")
     made.check(record.tables)
     assert said.strip()
-    assert json.loads((tmp_path / f"{made.record}.json").read_text())["versions"]["openmm"]
-    if made.figure:
-        assert (tmp_path / f"{made.record}.png").read_bytes().startswith(b"\x89PNG")
-    if not made.kept:
+    assert json.loads((tmp_path / f"{name}.json").read_text())["versions"]["openmm"]
+    if name in DRAWN:
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    if name in MADE_AT_ONCE:
         return
-    runs = {path: path.stat().st_mtime_ns for path in tmp_path.glob(made.kept)}
+    runs = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.jsonl")}
     assert runs
     assert execute(made.lines[0])[0] == 0
     assert {path: path.stat().st_mtime_ns for path in runs} == runs
-    again = records.read(tmp_path / f"{made.record}.json").tables
+    again = records.read(tmp_path / f"{name}.json").tables
     for key, table in record.tables.items():
         pd.testing.assert_frame_equal(again[key], table)

@@ -2,13 +2,11 @@
 
 import functools
 
-import numpy as np
 import pytest
 
 from studies.methods import PAPER
 from studies.paper import dipole, published
-from studies.paper.dipole import DipoleSettings, Field
-from tests.support.oracles import random_attitudes, skew
+from studies.paper.dipole import DipoleSettings
 
 NAMES = [method.name for method in PAPER]
 
@@ -48,21 +46,3 @@ def test_the_field_is_2_7_megavolts_per_metre():
     strong = dipole.find(DipoleSettings(field=270.0, bodies=500, span=1.0, force_steps_fs=(11.0,)))
     found = strong.tables["rows"].set_index("method")["energy"]
     assert found["MRDL"] < published.ENERGY["MRDL", 11.0][0] / 4
-
-
-def test_torque_belongs_to_the_potential(rng):
-    """The torque's component along n is -dV/dangle for a turn about n; central differences err by 1e-10."""
-    field = Field(0.7, np.array([0.6, 0.0, 0.8]))
-    A = random_attitudes(rng, 50)
-    _, torque = field.forces(np.zeros((3, 50)), A)
-    for axis in np.eye(3):
-        angle = 1e-5
-        turned = [field.potential(_turned(A, axis, s * angle)) for s in (-1, 1)]
-        assert np.abs((turned[0] - turned[1]) / (2 * angle) - axis @ torque).max() < 1e-9
-    assert np.abs(dipole.Z @ torque).max() < 1e-15
-
-
-def _turned(A, axis, angle):
-    """Bodies turned in the lab: rows of A turn as vectors."""
-    S = np.eye(3) + np.sin(angle) * skew(axis) + (1 - np.cos(angle)) * skew(axis) @ skew(axis)
-    return np.einsum("xy,ayn->axn", S, A)

@@ -54,12 +54,9 @@ def test_flexible_water_is_refused_when_it_is_bound(flexible, make):
         openmm.Context(system, make(0.006, SIER4G), platform())
     message = str(caught.value)
     stable, accurate = limits(SIER4G, PERIOD)
-    assert "A step of 6 fs is too long" in message
-    assert "atoms 0 and 1" in message
+    assert "A step of 6 fs is too long: the bond between atoms 0 and 1 " in message
     assert f"a period of {1000 * PERIOD:.3g} fs" in message
     assert f"steps of up to {1000 * accurate:.3g} fs, and is unstable from {1000 * stable:.3g} fs on" in message
-    assert "rigidWater=True" in message
-    assert "heavy atoms with hydrogens" in message
 
 
 def test_a_long_step_is_said_once_and_a_short_one_not(flexible):

@@ -27,13 +27,7 @@ INTERVAL = 0.1
 #: seen, and their 40 independent numbers exceed the limit once in 4 * 10^4 machines.
 LIMIT = 5.0
 
-STEPS = {
-    "SIER2": (SIER2, 0.006),
-    "SIER4": (SIER4, 0.004),
-    "SIER4V": (SIER4V, 0.010),
-    "SIER4G": (SIER4G, 0.006),
-    "SIER4P": (SIER4P, 0.006),
-}
+STEPS = {SIER2: 0.006, SIER4: 0.004, SIER4V: 0.010, SIER4G: 0.006, SIER4P: 0.006}
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +83,7 @@ def distances(found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scheme", "step"), STEPS.values(), ids=STEPS.keys())
+@pytest.mark.parametrize(("scheme", "step"), STEPS.items(), ids=[scheme.name for scheme in STEPS])
 def test_kinetic_energies_are_those_of_the_canonical_ensemble(drop, scheme, step):
     found = sampled(drop, scheme, step)
     assert distances(found).max() < LIMIT
