@@ -17,31 +17,8 @@ from openmm_sier.version import __version__
 
 hooks.install()
 
-__all__ = [
-    "SIER2",
-    "SIER2P3",
-    "SIER2V2",
-    "SIER4",
-    "SIER4G",
-    "SIER4P",
-    "SIER4V",
-    "BodyState",
-    "Preparation",
-    "RigidBodies",
-    "RigidityError",
-    "SIER2Integrator",
-    "SIER4GIntegrator",
-    "SIER4Integrator",
-    "SIER4PIntegrator",
-    "SIERHMCIntegrator",
-    "SIERIntegrator",
-    "SIERLangevinIntegrator",
-    "SIERThermostatIntegrator",
-    "Scheme",
-    "Tuning",
-    "__version__",
-    "balance_pme",
-    "make_whole",
-    "prepare_system",
-    "tune",
-]
+__all__ = ["SIER2", "SIER2P3", "SIER2V2", "SIER4", "SIER4G", "SIER4P", "SIER4V", "Scheme"]
+__all__ += ["SIER2Integrator", "SIER4GIntegrator", "SIER4Integrator", "SIER4PIntegrator", "SIERIntegrator"]
+__all__ += ["SIERHMCIntegrator", "SIERLangevinIntegrator", "SIERThermostatIntegrator", "Tuning", "tune"]
+__all__ += ["BodyState", "RigidBodies", "RigidityError", "make_whole"]
+__all__ += ["Preparation", "__version__", "balance_pme", "prepare_system"]

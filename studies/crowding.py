@@ -42,19 +42,15 @@ EVERY, LAG = 10.0, 200.0
 #: nm^3 of a protein for each dalton.
 SPECIFIC_VOLUME = 1.21e-3
 
-COLUMNS = {
-    "fraction": "{fraction:.2f}",
+COLUMNS = records.columns("fraction", "beads") | {
     "edge, nm": "{edge:.1f}",
-    "beads": "{beads}",
     "translation, D/D0": "{translation:.2f} ± {translation_error:.2f}",
     "rotation, D/D0": "{rotation:.2f} ± {rotation_error:.2f}",
     "ms a step": "{milliseconds:.2f}",
 }
 
 
-WATER_COLUMNS = {
-    "protein": "{protein}",
-    "atoms": "{atoms}",
+WATER_COLUMNS = records.columns("protein", "atoms") | {
     "atoms of water": "{beside}",
     "ms a step": "{milliseconds:.0f}",
 }

@@ -82,13 +82,8 @@ def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
 def tables(record: Record) -> list[Table]:
     """Mean and range over the starts, one column for each method, for the report and the documentation."""
     found = record.tables["rows"].groupby([*CELL, "method"])["percent"].agg(["mean", "min", "max"]).reset_index()
-    columns = {
-        "ewaldErrorTolerance": "{tolerance:g}",
-        "cut-off/nm": "{cutoff:g}",
-        "switch": "{switch}",
-        "balanced": "{balanced}",
-        "-": "{mean:.3g} ({min:.2g} to {max:.2g})",
-    }
+    columns = {"ewaldErrorTolerance": "{tolerance:g}", "cut-off/nm": "{cutoff:g}"}
+    columns |= records.columns("switch", "balanced") | {"-": "{mean:.3g} ({min:.2g} to {max:.2g})"}
     title = f"rms(H)/rms(V)/%, {record.settings['dt']:g} fs per force evaluation: mean and range over starts"
     found = found.sort_values("tolerance", ascending=False, kind="stable")
     return [records.table(title, found, columns, across="method")]

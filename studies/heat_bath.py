@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import app, unit
+from openmm import unit
 from scipy.stats import kstwobign
 from tyro.conf import Positional
 
@@ -202,7 +202,7 @@ class Observer:
             if freedom := 3 * np.count_nonzero(part & (self._masses > 0)) - count:
                 self._parts[name] = part, freedom
         self._contexts = {kind: _alone(system, force) for kind, force in BONDED.items()} if solute.any() else {}
-        self._dihedrals = _backbone(box.topology)
+        self._dihedrals = backbone(box.topology)
         self._charges = charges(system)
 
     def __call__(self, context: openmm.Context) -> dict[str, float]:
@@ -229,14 +229,6 @@ class Observer:
             return {name: found[name] for name in self._parts}
         twice = self._masses * (speeds**2).sum(axis=1)
         return {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
-
-
-def _backbone(topology: app.Topology) -> tuple[list[int], ...]:
-    """Phi and psi of the first residue that has both, if there is one."""
-    try:
-        return backbone(topology)
-    except ValueError:
-        return ()
 
 
 def _alone(system: openmm.System, kind: str) -> openmm.Context:

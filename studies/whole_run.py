@@ -158,16 +158,13 @@ def run(task: Task) -> dict[str, Any]:
     if series is None:
         return found | figures | {"walk": math.nan}
     H, V = series.total, series.potential
-    return (
-        found
-        | figures
-        | {
-            "walk": 100 * energy_walk(series.time, H, V),
-            "rms_V": float(np.std(V)),
-            "temperature": float(np.nanmean(series.translation)),
-            "means": np.round([each.mean() for each in np.array_split(H, max(1, round(task.settings.time)))], 4),
-        }
-    )
+    further = {
+        "walk": 100 * energy_walk(series.time, H, V),
+        "rms_V": float(np.std(V)),
+        "temperature": float(np.nanmean(series.translation)),
+        "means": np.round([each.mean() for each in np.array_split(H, max(1, round(task.settings.time)))], 4),
+    }
+    return found | figures | further
 
 
 def points(runs: pd.DataFrame) -> pd.DataFrame:

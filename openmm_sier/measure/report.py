@@ -3,14 +3,11 @@
 Nothing here prints. The command passes in an object that prints with rich; without one, computations are silent.
 """
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol
 
-
-class Advance(Protocol):
-    """Takes the amount done so far, and a new description if that changes."""
-
-    def __call__(self, done: float, description: str | None = None) -> None: ...
+#: Takes the amount done so far, and a new description if that changes.
+Advance = Callable[..., None]
 
 
 class Report:

@@ -158,7 +158,7 @@ def in_frames(directory: Path, skip: float) -> dict[str, pd.DataFrame]:
     """The dipole of the box, of whole molecules, e nm, and the cosine of psi."""
     box = read_box(BOX, None, "hbonds")
     positions = command_runs.read_frames(directory, BOX).xyz[round(skip / EVERY) :].astype(float)
-    psi = backbone(box.topology)[1]
+    _, psi = backbone(box.topology)
     return {
         "dipole": pd.DataFrame(charges(box.system) @ positions, columns=["x", "y", "z"]),
         "psi": pd.DataFrame({"psi": np.cos([dihedral(each, psi) for each in positions])}),

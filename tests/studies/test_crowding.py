@@ -17,7 +17,7 @@ def test_diffusion_of_bodies_that_turn_and_move_evenly():
     attitudes = np.array([[c, -s, 0 * c], [s, c, 0 * c], [0 * c, 0 * c, 1 + 0 * c]])
     centres = np.array([times, 0 * times, 0 * times]).T[:, :, None]
     two = [np.repeat(values, 2, axis=-1) for values in (centres, np.moveaxis(attitudes, 2, 0)[..., None])]
-    found = crowding.diffusion(Followed(*two, 0.0, 0.0))
+    found = crowding.diffusion(Followed(*two, 0.0))
     assert found["translation"] == pytest.approx(1 / (6 * crowding.LAG))
     assert found["rotation"] == pytest.approx(-np.log((1 + 2 * np.cos(angle)) / 3) / (2 * crowding.LAG))
     assert found["translation_error"] == pytest.approx(0, abs=1e-12)
