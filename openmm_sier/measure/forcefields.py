@@ -275,7 +275,7 @@ def describe(box: Box) -> str:
     vectors = box_vectors(box.topology)
     residues, nonbonded = f"{box.topology.getNumResidues()} residues", _described_interactions(box.system)
     if vectors is None:
-        return f"{residues} without a periodic box, {nonbonded}"
+        return f"{residues} without a periodic box, {nonbonded} (--edges gives a box)"
     return f"{residues} in {extent(vectors)}, {nonbonded}"
 
 
