@@ -19,8 +19,6 @@ from openmm_sier.cli.plan import OUTPUTS
 from openmm_sier.measure import starts
 from tests.support.commands import SMALL, complaint, frames, write_lattice
 
-LIMIT = 120
-
 
 @pytest.fixture(scope="module")
 def lattice(tmp_path_factory):
@@ -145,7 +143,7 @@ def run_process(command, **options):
     """Exit code, standard output and standard error of a shell command, in which $RUN is our command."""
     environment = {**os.environ, "RUN": f"{sys.executable} -m openmm_sier.cli"}
     done = subprocess.run(
-        ["sh", "-c", command], env=environment, capture_output=True, text=True, timeout=LIMIT, check=False, **options
+        ["sh", "-c", command], env=environment, capture_output=True, text=True, timeout=120, check=False, **options
     )
     return done.returncode, done.stdout, done.stderr
 

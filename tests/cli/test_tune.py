@@ -42,9 +42,9 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box):
 
 
 def test_line_keeps_what_was_given():
-    words = "tune a/b.crd --topology c.psf --forcefield x.prm y.rtf --edges 1 1 2 --no-minimize --start s.chk"
+    words = "tune a/b.crd --topology c.psf --forcefield x.prm --edges 1 1 2 --dt 6 --no-minimize --start s.chk"
     given = {name: value for name, value in vars(parse(words.split())).items() if name in OPTIONS}
     assert run_line(Options(**given), FOUND) == (
-        "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm y.rtf --edges 1.0 1.0 2.0 "
+        "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm --edges 1.0 1.0 2.0 "
         "--dt 8.023 --no-minimize --start s.chk --steps-per-trial 4"
     )
