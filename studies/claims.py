@@ -101,7 +101,8 @@ IN_A_HEAT_BATH = (
     ),
     Claim(
         "At {step:g} fs the energies of bonds, angles and torsions of a peptide in water, and the whole potential "
-        "energy, are within {off:.1f} standard errors of exact ones.",
+        "energy, are within {off:.1f} standard errors of exact ones; the potential energy is off by "
+        "{potential_share:+.2f} ± {potential_share_error:.2f} %.",
         "heat-bath.json",
         figures.averages_in_a_bath("peptide", "constant volume", 9, "potential", "bonds", "angles", "torsions"),
         {"off": (0, 3), "potential_share": (-0.2, 0.2), "water_off": (-1, 1)},
