@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-import pandas as pd
-
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from studies.records import Record
 from studies.trust import one
 
 #: Of SIER4G at constant energy, and of SIER2 in a bath with heavy hydrogens, fs.
 USUAL, IN_A_BATH = 1e3 * (SIER4G.constant_energy_step or 0), 1e3 * (SIER2.heavy_bath_step or 0)
+
+
+#: The method of SIER2 in a bath in the study of heat baths.
+OWN_BATH = f"SIER2, {IN_A_BATH:g} fs"
 
 
 def gains_of_large_boxes(record: Record) -> Mapping[str, float]:
@@ -83,26 +85,32 @@ def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
     return {"least": water.min(), "most": water.max(), **solute}
 
 
-def averages_in_a_bath(box: str, at: str, step: float, *averaged: str) -> Callable[[Record], Mapping[str, float]]:
-    """Averages of SIER2 beside exact ones: the largest difference in errors, and temperatures."""
+def _beside_exact(record: Record, method: str, key: str, **at: str) -> tuple[float, float]:
+    """How far an average is from that of hybrid Monte Carlo, with its standard error, in per cent."""
+    own, exact = (one(record.tables["rows"], **at, method=each) for each in (method, "SIER4G HMC, 8 fs"))
+    error = math.hypot(own[f"{key}_error"], exact[f"{key}_error"])
+    return 100 * (own[key] - exact[key]) / abs(exact[key]), 100 * error / abs(exact[key])
 
-    def found(record: Record) -> Mapping[str, float]:
-        rows = record.tables["rows"]
-        own = one(rows, box=box, at=at, method=f"SIER2, {step:g} fs")
-        exact = one(rows, box=box, at=at, method="SIER4G HMC, 8 fs")
-        errors = {name: math.hypot(own[f"{name}_error"], exact[f"{name}_error"]) for name in averaged}
-        off = {name: abs(own[name] - exact[name]) / error for name, error in errors.items()}
-        shares = {f"{name}_share": 100 * (own[name] - exact[name]) / abs(exact[name]) for name in averaged}
-        shares |= {f"{name}_share_error": 100 * error / abs(exact[name]) for name, error in errors.items()}
-        hot = {"water_off": own["water"] - record.settings["temperature"]}
-        return {"off": pd.Series(off).max(skipna=False), **shares, **hot, "step": step}
 
+def water_in_a_bath(record: Record) -> Mapping[str, float]:
+    at = {"box": "tip3p-512", "at": "1 bar"}
+    (V, dV), (density, error) = (_beside_exact(record, OWN_BATH, key, **at) for key in ("potential", "density"))
+    return {"potential": V, "potential_error": dV, "density": density, "density_error": error}
+
+
+def peptide_in_a_bath(record: Record) -> Mapping[str, float]:
+    """Of SIER2 and of LangevinMiddle the potential energy, and the largest difference of bonded energies."""
+    at, found = {"box": "peptide", "at": "constant volume"}, dict[str, float]()
+    for name, method in (("own", OWN_BATH), ("middle", "LangevinMiddle, 4 fs")):
+        found[name], found[f"{name}_error"] = _beside_exact(record, method, "potential", **at)
+        bonded = (_beside_exact(record, method, key, **at)[0] for key in ("bonds", "angles", "torsions"))
+        found[f"{name}_bonded"] = max(map(abs, bonded))
     return found
 
 
 def temperatures_in_a_bath(record: Record) -> Mapping[str, float]:
     found: dict[str, float] = {}
-    for name, method in (("own", f"SIER2, {IN_A_BATH:g} fs"), ("middle", "LangevinMiddle, 4 fs")):
+    for name, method in (("own", OWN_BATH), ("middle", "LangevinMiddle, 4 fs")):
         row = one(record.tables["rows"], box="peptide", at="constant volume", method=method)
         found |= {name: row["water"] - record.settings["temperature"], f"{name}_error": row["water_error"]}
     return found

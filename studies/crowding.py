@@ -184,8 +184,8 @@ def cost_in_water(settings: CrowdSettings) -> list[dict[str, Any]]:
         start = time.process_time()
         integrator.step(settings.water_steps)
         spent = 1e3 * (time.process_time() - start) / settings.water_steps
-        atoms = {"atoms": len(protein), "beside": len(positions) - len(protein)}
-        rows.append({"protein": name, **atoms, "milliseconds": spent})
+        beside = len(positions) - len(protein)
+        rows.append({"protein": name, "atoms": len(protein), "beside": beside, "milliseconds": spent})
     return rows
 
 
