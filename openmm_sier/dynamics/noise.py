@@ -1,6 +1,6 @@
 """Random numbers that are a function of a seed and of counters alone, so that a restart draws the same ones."""
 
-# A name of an annotation would import numpy.random, which is slow.
+# Without this, annotations would import numpy.random, which is slow.
 from __future__ import annotations
 
 import numpy as np

@@ -1,6 +1,6 @@
 """Stochastic velocity rescaling: a heat bath that multiplies all velocities by one factor now and then."""
 
-# A name of an annotation would import numpy.random, which is slow.
+# Without this, annotations would import numpy.random, which is slow.
 from __future__ import annotations
 
 import math

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.constraints.graph import within
 from openmm_sier.system import tables
 
 #: Largest number of bonds between atoms of a close pair. Those further apart make no difference.
@@ -59,7 +58,7 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, group: int, period
         How many pairs there are.
     """
     forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
-    close = sorted(within(REACH, system.getNumParticles(), edges))
+    close = _close(edges, system.getNumParticles())
     fast = _pair_force(NAME, "", group, periodic)
     opposite = _pair_force(OPPOSITE, "-", forces[0].getForceGroup() if forces else 0, periodic)
     for force in forces:
@@ -114,3 +113,17 @@ def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[in
     for parameter, index, *scales in map(get, range(count)):
         found[index] += defaults[parameter] * np.array(scales)
     return found
+
+
+def _close(edges: np.ndarray, particles: int) -> list[tuple[int, int]]:
+    """Pairs (smaller, larger) of so many particles that are up to `REACH` edges (b, 2) apart, in ascending order."""
+    # Most systems have no solute, and need not import this.
+    from scipy import sparse
+
+    joined = sparse.coo_array((np.ones(len(edges), dtype=bool), tuple(edges.T)), (particles, particles)).tocsr()
+    step = joined + joined.T + sparse.eye_array(particles, dtype=bool, format="csr")
+    reached = step
+    for _ in range(REACH - 1):
+        reached = reached @ step
+    one, other = sparse.triu(reached, k=1).nonzero()
+    return sorted(zip(one.tolist(), other.tolist(), strict=True))

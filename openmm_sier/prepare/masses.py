@@ -5,6 +5,7 @@ make the hydrogens of water heavier too.
 """
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ HEAVIEST_IN_CHAINS = 3.0
 LIGHTEST_CENTRE = 6.0
 
 #: nm. The longest bonds of hydrogen, to iodine and silicon, have 0.16 and 0.15; what is further away is restrained.
-LONGEST_BOND = 0.17
+LONGEST_TO_HYDROGEN = 0.17
 
 #: Dalton. Hydrogens that would get less are left as they are, as in HD.
 LIGHTEST_HYDROGEN = 1.0
@@ -61,7 +62,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         What was done, in a sentence.
     """
     masses, partners, given = tables.masses(system), _partners(system), Counter[float]()
-    for centre, found in hydrogens(system).items():
+    for centre, found in _hydrogens(masses, partners).items():
         total = masses[centre] + masses[found].sum()
         spared = (total - LIGHTEST_CENTRE) / len(found)
         most = mass if partners[centre].keys() <= set(found) else min(mass, HEAVIEST_IN_CHAINS)
@@ -84,21 +85,25 @@ def hydrogens(system: openmm.System) -> dict[int, list[int]]:
     """Hydrogens of a System, which knows no elements, by the atom that each is bonded to.
 
     A hydrogen is an atom of no more than `HEAVIEST_HYDROGEN`. Of the atoms that bonds and constraints of up to
-    `LONGEST_BOND` join to it the nearest is heavier or has more such neighbours, and all the others are neighbours of
-    that one. So a methyl's carbon, which heavy hydrogens may have made lighter than they are, is none. Where it has no
-    such bond its custom bonds count. Frozen atoms, virtual sites, Drude particles and H2 are left out.
+    `LONGEST_TO_HYDROGEN` join to it, the nearest is heavier or is joined to more atoms than it is, and all the others
+    are joined to that one. So a methyl's carbon, which heavy hydrogens may have made lighter than they are, is none. An
+    atom without such a bond is judged by its custom bonds. Frozen atoms, virtual sites, Drude particles and H2 are left
+    out.
     """
-    masses, partners = tables.masses(system), _partners(system)
+    return _hydrogens(tables.masses(system), _partners(system))
+
+
+def _hydrogens(masses: np.ndarray, partners: Mapping[int, Mapping[int, float]]) -> dict[int, list[int]]:
     found: dict[int, list[int]] = {}
     for atom in sorted(atom for atom in partners if masses[atom] <= HEAVIEST_HYDROGEN):
-        joined = partners[atom]
-        near = [other for other in sorted(joined, key=joined.__getitem__) if 0 < joined[other] <= LONGEST_BOND]
-        near = near or [other for other in joined if not joined[other]]
-        if not near:
+        lengths = partners[atom]
+        near = sorted((i for i in lengths if 0 < lengths[i] <= LONGEST_TO_HYDROGEN), key=lengths.__getitem__)
+        joined = near or [i for i in lengths if not lengths[i]]
+        if not joined:
             continue
-        centre = near[0]
-        is_centre = masses[centre] > masses[atom] or len(partners[centre]) > len(joined)
-        if is_centre and set(near) <= {centre, *partners[centre]}:
+        centre = joined[0]
+        is_centre = masses[centre] > masses[atom] or len(partners[centre]) > len(lengths)
+        if is_centre and set(joined) <= {centre, *partners[centre]}:
             found.setdefault(centre, []).append(atom)
     return found
 
@@ -111,7 +116,7 @@ def _partners(system: openmm.System) -> dict[int, dict[int, float]]:
     found: dict[int, dict[int, float]] = {}
     for first, second in np.sort(links.covalent()).tolist():
         if masses[first] > 0 and masses[second] > 0:
-            found.setdefault(first, {})[second] = found.setdefault(second, {})[first] = lengths.get(
-                (first, second), 0.0
-            )
+            length = lengths.get((first, second), 0.0)
+            found.setdefault(first, {})[second] = length
+            found.setdefault(second, {})[first] = length
     return found

@@ -24,7 +24,7 @@ from openmm_sier.system.notices import notify
 HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 
 #: nm. The longest covalent bonds, those of iodine and of heavy metals.
-LONGEST_BOND = 0.3
+LONGEST_COVALENT = 0.3
 
 #: Forces whose terms join their atoms into a molecule, besides bonds.
 _JOINING = (openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce)
@@ -335,11 +335,11 @@ class Links:
     def covalent(self) -> np.ndarray:
         """Constraints and bonds, (b, 2), without restraints within molecules.
 
-        Such are harmonic bonds longer than `LONGEST_BOND`, as of elastic networks, and terms of CustomBondForces, if
-        shorter bonds join their atoms already. In Systems of OpenMM's readers of GROMACS and CHARMM files a
-        CustomBondForce has the pairs three bonds apart.
+        A harmonic bond longer than `LONGEST_COVALENT`, as of an elastic network, and a term of a CustomBondForce are
+        restraints if shorter bonds join their atoms already. In Systems of OpenMM's readers of GROMACS and CHARMM files
+        a CustomBondForce has the pairs three bonds apart.
         """
-        short = self.lengths <= LONGEST_BOND
+        short = self.lengths <= LONGEST_COVALENT
         sure = np.concatenate([self.constraints.pairs, self.bonds[short]])
         others = np.concatenate([self.bonds[~short], self.custom])
         ends = joined(self.n_particles, sure)[others]

@@ -109,7 +109,7 @@ CONSTRAIN_HEAVY = (
     "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)"
 )
 
-#: Dalton. Atoms below this are hydrogens whose mass was left as it is.
+#: Dalton. Atoms up to this are hydrogens that have not been made heavy.
 LIGHT = 2.0
 
 
@@ -216,7 +216,7 @@ class Vibrations:
         if bond is None or h <= RESONANCE * bond.period:
             return
         # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
-        heavier = f"or {HEAVIER}, " if self._has_below(LIGHT, bond) else ""
+        heavier = f"or {HEAVIER}, " if self._has_atom_up_to(LIGHT, bond) else ""
         message = (
             f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
             f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
@@ -234,7 +234,7 @@ class Vibrations:
         A constant force in kicks every h, beside a spring that is followed exactly, moves the mean length of the bond
         by x/tan(x) of what it should, x = pi h/T with the period T: averages shift, at the right temperature.
         """
-        bond = _fastest([bond for bond in self._bonds if self._has_below(tables.HEAVIEST_HYDROGEN, bond)], groups)
+        bond = _fastest([bond for bond in self._bonds if self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond)], groups)
         if bond is None or (x := math.pi * h / bond.period) <= STIFFENED:
             return
         left = max(0.0, x / math.tan(x)) if x < math.pi / 2 else 0.0
@@ -297,12 +297,12 @@ class Vibrations:
         if h > accurate:
             self._tell_once(f"{what} is long: {described}")
 
-    def _has_below(self, mass: float, bond: Motion) -> bool:
-        """Whether an atom of a bond moves as one of this mass, dalton, or less."""
+    def _has_atom_up_to(self, mass: float, bond: Motion) -> bool:
+        """Whether an end of a bond moves like an atom of this mass, dalton, or less."""
         return bool(self._mobility[list(bond.atoms)].max() * mass >= 1)
 
     def _hold(self, bond: Motion) -> str:
-        return CONSTRAIN if self._has_below(tables.HEAVIEST_HYDROGEN, bond) else CONSTRAIN_HEAVY
+        return CONSTRAIN if self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond) else CONSTRAIN_HEAVY
 
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels

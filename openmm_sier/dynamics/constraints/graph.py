@@ -60,17 +60,3 @@ def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
     matrix = sparse.csc_array((elements, (table.rows, table.columns)), (c, c)) + SHIFT * sparse.eye_array(c)
     factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return (np.abs(factors.U.diagonal()) > PIVOT)[factors.perm_c]
-
-
-def within(reach: int, n: int, pairs: np.ndarray) -> set[tuple[int, int]]:
-    """Pairs (smaller, larger) of n nodes up to `reach` edges apart in the graph with edges (b, 2), these included."""
-    # Most systems have no solute, and need not import this.
-    from scipy import sparse
-
-    joined = sparse.coo_array((np.ones(len(pairs), dtype=bool), tuple(pairs.T)), (n, n)).tocsr()
-    step = joined + joined.T + sparse.eye_array(n, dtype=bool, format="csr")
-    reached = step
-    for _ in range(reach - 1):
-        reached = reached @ step
-    one, other = sparse.triu(reached, k=1).nonzero()
-    return set(zip(one.tolist(), other.tolist(), strict=True))
