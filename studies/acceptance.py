@@ -290,7 +290,7 @@ def figure(record: Record, path: Path) -> None:
         spread.set(ylabel="standard deviation of the energy error (kT)", title="Energy error, and sd ~ √N")
         for axes in (accepted, spread):
             axes.set_xlabel("molecules of water")
-            style.plain_ticks(axes.xaxis, [8**n for n in range(2, 8)])
+            style.plain_ticks(axes.xaxis, [8**n for n in (2, 4, 6)])
         style.shared_legend(made, accepted)
 
 
