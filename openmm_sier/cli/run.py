@@ -55,8 +55,9 @@ def execute(**given: Any) -> None:
 
 def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLocks) -> None:
     if options.restart:
-        if options.restart.is_file():
-            # Before it is read, so that nobody replaces it from here on.
+        if options.restart.parent.is_dir():
+            # Before it is read, so that nobody replaces it from here on. Where the file is missing, a run that has just
+            # removed it says so by its lock.
             locks.hold([options.restart])
         state, notes = checkpoints.read_checkpoint(options.restart)
         plan, checkpoint = continued_plan(options, options.restart, notes["plan"]), options.restart
