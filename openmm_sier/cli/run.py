@@ -102,7 +102,7 @@ def _length(plan: Plan, steps: int) -> str:
 def _report(plan: Plan, cost: list[tuple[str, str]]) -> None:
     log = read_log(plan.report)
     warning = runaway.fluctuation_warning(plan, log)
-    rows = summary.rows(log, plan.moves_volume)
+    rows = summary.rows(log, plan.ensemble, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
     table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost)
 

@@ -6,7 +6,6 @@ fluctuation of the conserved energy H, the total energy less the heat that a hea
 added.
 """
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -16,7 +15,7 @@ from openmm_sier.cli.plan import Plan
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.temperature import DegreesOfFreedom
-from openmm_sier.measure.observables import blocks, energy_error_within_1_ps
+from openmm_sier.measure.observables import energy_error_within_1_ps
 from openmm_sier.measure.statistics import rms
 from openmm_sier.system.runaway import RunawayError, hottest
 
@@ -82,25 +81,17 @@ def likely_cause(plan: Plan) -> str:
 def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None:
     """A warning where the energy fluctuates more than it does with the scheme's usual step; None where it does not.
 
-    Hybrid Monte Carlo draws none: too long a step costs acceptance there, not exactness. Nor does SIER2 in a bath.
-
-    Only what H does within 1 ps counts, so that neither a drift does nor the random walk that a heat bath causes.
+    Only constant energy draws one, and only what H does within 1 ps counts, so that a drift does not.
 
     Args:
         plan: of the run.
         log: its columns, see `openmm_sier.observe.conservation.COLUMNS`.
     """
     t, H, V = (log[name] for name in ("Time (ps)", ENERGY, "Potential Energy (kJ/mole)"))
-    # Kicks of a long step beside a bath change H at no cost to averages.
-    if plan.ensemble in ("nvt", "npt") and plan.method.scheme and plan.method.scheme.with_bath().bath_divides_drift:
-        return None
     # Where the potential energy hardly changes, the ratio shows only rounding to single precision.
-    if plan.ensemble == "hmc" or np.isnan(H).any() or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
+    if plan.ensemble != "nve" or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
         return None
     bound = LARGEST_FLUCTUATION[2 if plan.method.order == 2 else 4]
-    if plan.ensemble != "nve":
-        # The random walk goes further in the longer blocks of sparse rows.
-        bound *= math.sqrt(max(1.0, (t[-1] - t[0]) / len(blocks(t, t))))
     found = energy_error_within_1_ps(t, H, V)
     if found <= bound:
         return None

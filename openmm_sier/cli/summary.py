@@ -8,6 +8,9 @@ from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.report import duration
 from openmm_sier.measure.statistics import Estimate, mean_and_error, rms, slope_and_error
 
+#: Columns of the log.
+CONSERVED, POTENTIAL = "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"
+
 
 def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:
     """Names and values of the wall time of a run, without the time for its files.
@@ -27,17 +30,19 @@ def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[t
     ]
 
 
-def rows(log: dict[str, np.ndarray], moves_volume: bool) -> list[tuple[str, str]]:
+def rows(log: dict[str, np.ndarray], ensemble: str, moves_volume: bool) -> list[tuple[str, str]]:
     """Names and values for the table at the end.
 
     H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added. Its
-    rms and that of V are about their means over the whole run.
+    rms and that of V are about their means over the whole run. In a bath its drift is the heat of the steps, and rms(H)
+    tells nothing.
 
     Args:
         log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
+        ensemble: of the run.
         moves_volume: whether the pressure was constant.
     """
-    found = _energy_rows(log)
+    found = _conservation_rows(log) if ensemble == "nve" else _bath_rows(log, ensemble)
     for name, kind in (("T_trans", "Translational"), ("T_rot", "Rotational"), ("T of flexible molecules", "Flexible")):
         values = log[f"{kind} Temperature (K)"]
         if kind != "Flexible" or not np.isnan(values).all():
@@ -56,15 +61,22 @@ def rows(log: dict[str, np.ndarray], moves_volume: bool) -> list[tuple[str, str]
     return found
 
 
-def _energy_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    time, H, V = (log[name] for name in ("Time (ps)", "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"))
-    if np.isnan(H).any():
-        return [("conserved energy H", "not known: OpenMM does not count the heat of its baths")]
+def _conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    time, H, V = (log[name] for name in ("Time (ps)", CONSERVED, POTENTIAL))
     return [
         ("drift of the conserved energy H", _value(slope_and_error(time, H), "kJ/mol/ps")),
         ("fluctuation rms(H)", _value(rms(H) if len(H) > 2 else math.nan, "kJ/mol")),
         ("rms(H)/rms(V)", _value(100 * energy_error(H, V), "%")),
     ]
+
+
+def _bath_rows(log: dict[str, np.ndarray], ensemble: str) -> list[tuple[str, str]]:
+    found = [("potential energy V", _value(mean_and_error(log[POTENTIAL]), "kJ/mol"))]
+    # Energy errors of trials have rows of their own. OpenMM does not count the heat of its baths.
+    if ensemble != "hmc" and not np.isnan(log[CONSERVED]).any():
+        drift = slope_and_error(log["Time (ps)"], log[CONSERVED])
+        found.append(("heat of the steps, which the bath takes up", _value(drift, "kJ/mol/ps")))
+    return found
 
 
 def _value(found: Estimate | float, unit: str) -> str:
