@@ -4,7 +4,7 @@ import math
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
-from openmm_sier.engines.native.program import V0, WORK, Program, longest_inner_step
+from openmm_sier.engines.native.program import V0, WORK, Program, usual_substeps
 from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.step_check import StepCheck
@@ -27,6 +27,7 @@ from openmm_sier.engines.variables import DRAWS, HEAT, Record
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
+from openmm_sier.system.vibrations import Vibrations
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, a larger energy error than that of the schemes.
@@ -84,7 +85,7 @@ class NativeEngine(Engine):
             self._found: Any = known_or_planned(system, bodies)
         except RigidityError as error:
             self._found = error
-        self._check_step = StepCheck(system, points, self.inner_step)
+        self._check_step = StepCheck(system, points, partial(_inner_step, program))
         self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
         self._environment: Any = None
@@ -293,9 +294,8 @@ class NativeEngine(Engine):
 
     # --- what users ask ---
 
-    @staticmethod
-    def inner_step(flow: Flow) -> float:
-        return flow.step * longest_inner_step(flow.scheme, flow.substeps)
+    def inner_step(self, flow: Flow) -> float:
+        return _inner_step(self._program, flow)
 
     @property
     def momentum_lag(self) -> float:
@@ -336,3 +336,24 @@ class NativeEngine(Engine):
         if not isinstance(self._found, RigidityError):
             return super().degrees_of_freedom()
         return self.movers.bodies.dof - len(self._constraints.pairs) - (3 if self.conserves_momentum() else 0)
+
+
+def enough_substeps(system: openmm.System, flow: Flow, groups: int) -> int | None:
+    """Number of substeps where a flow leaves it open and bonds do not bear the usual inner steps; None elsewhere.
+
+    One more than usual is enough at any step whose kicks do not resonate with the bonds.
+
+    Args:
+        system: openmm.System.
+        flow: what will be followed.
+        groups: the integration force groups, a bit mask.
+    """
+    if flow.substeps is not None or not (fast := groups & flow.fast_groups):
+        return None
+    borne = Vibrations(system, refusals.points(system)).longest_inner_step(flow.scheme.within_drifts, fast)
+    usual = usual_substeps(flow.scheme, nested=True)
+    return usual + 1 if flow.step * flow.scheme.inner_fraction(usual) > borne else None
+
+
+def _inner_step(program: Program, flow: Flow, borne: float = math.inf) -> float:
+    return flow.step * flow.scheme.inner_fraction(program.substeps)
