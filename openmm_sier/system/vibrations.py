@@ -277,7 +277,7 @@ class Vibrations:
         Its kicks do not resonate with those. Infinite where no bond vibrates. Both groups are bit masks.
         """
         slow, within = _fastest(self._bonds + self._librations, groups), _fastest(self._bonds, fast)
-        accurate = _limits(scheme, slow.period)[1] if slow else math.inf
+        accurate = accurate_step(scheme, slow.period) if slow else math.inf
         return min(accurate, RESONANCE * within.period if within else math.inf)
 
     def longest_inner_step(self, inner: Scheme, groups: int) -> float:
@@ -286,7 +286,7 @@ class Vibrations:
         Expressions do not count: how stiff they are depends on where atoms are, and a restart must find the same.
         """
         bond = _fastest(self._harmonic, groups)
-        return _limits(inner, bond.period)[1] if bond else math.inf
+        return accurate_step(inner, bond.period) if bond else math.inf
 
     def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
         """Judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
@@ -300,7 +300,7 @@ class Vibrations:
             self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
         unknown = [force for force in self._unknown if groups >> force.getForceGroup() & 1]
         names = [f"{force.getName()} ({type(force).__name__})" for force in unknown]
-        if names and h > _limits(scheme, FASTEST_BOND)[1]:
+        if names and h > accurate_step(scheme, FASTEST_BOND):
             self._tell_once(
                 f"{what} of {_fs(h)} cannot be judged: of {', '.join(names)} no stiffness is known. If the energy "
                 "changes with half the step, or the temperature is too high, the step is too long for it"
@@ -334,6 +334,11 @@ class Vibrations:
         if words not in self._told:
             self._told.add(words)
             notify(message)
+
+
+def accurate_step(scheme: Scheme, period: float) -> float:
+    """The step up to which a scheme has the energies of a motion right within a tenth; both times in ps."""
+    return _limits(scheme, period)[1]
 
 
 def _limits(scheme: Scheme, period: float) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from openmm_sier.engines.variables import DRAWS, HEAT, Record
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
-from openmm_sier.system.vibrations import Vibrations
+from openmm_sier.system.vibrations import FASTEST_BOND, Vibrations, accurate_step
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, a larger energy error than that of the schemes.
@@ -341,18 +341,21 @@ class NativeEngine(Engine):
 def enough_substeps(system: openmm.System, flow: Flow, groups: int) -> int | None:
     """Number of substeps where a flow leaves it open and bonds do not bear the usual inner steps; None elsewhere.
 
-    One more than usual is enough at any step whose kicks do not resonate with the bonds.
+    At steps whose kicks do not resonate with the bonds one more than usual is enough, and beside a bath the usual ones
+    are.
 
     Args:
         system: openmm.System.
         flow: what will be followed.
         groups: the integration force groups, a bit mask.
     """
-    if flow.substeps is not None or not (fast := groups & flow.fast_groups):
+    scheme, fast, usual = flow.scheme, groups & flow.fast_groups, usual_substeps(flow.scheme, nested=True)
+    inner, longest = scheme.within_drifts, flow.step * scheme.inner_fraction(usual)
+    # A System is read only where some bond could be too fast, since that takes a second for 20000 atoms.
+    may_be_long = fast and not scheme.bath_divides_drift and longest > accurate_step(inner, FASTEST_BOND)
+    if flow.substeps is not None or not may_be_long:
         return None
-    borne = Vibrations(system, refusals.points(system)).longest_inner_step(flow.scheme.within_drifts, fast)
-    usual = usual_substeps(flow.scheme, nested=True)
-    return usual + 1 if flow.step * flow.scheme.inner_fraction(usual) > borne else None
+    return usual + 1 if longest > Vibrations(system, refusals.points(system)).longest_inner_step(inner, fast) else None
 
 
 def _inner_step(program: Program, flow: Flow, borne: float = math.inf) -> float:
