@@ -18,7 +18,7 @@ from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.choice import engine_for
 from openmm_sier.engines.native import installation, program
-from openmm_sier.engines.native.engine import TOLERANCE, enough_substeps
+from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.protocol import Engine, Flow
 from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_VARIABLES, Record
@@ -144,13 +144,10 @@ class Binding:
         installation.refuse_additions(self._integrator, self.program)
         given = self.settings
         groups = find_fast_groups(system, given.bodies, says=True) if given.finds_fast_groups else given.fast_groups
-        acting, flow = self._integrator.getIntegrationForceGroups(), replace(given, fast_groups=groups).flow()
-        substeps = enough_substeps(system, flow, acting)
-        if (groups, substeps) != (given.fast_groups, given.native_substeps):
-            self.settings = replace(given, fast_groups=groups, native_substeps=substeps)
-            self.program = _written(self.settings)
+        if groups != given.fast_groups:
+            self.program = _written(replace(given, fast_groups=groups))
             installation.rewrite(self._integrator, self.program)
-            self.change()
+            self.change(fast_groups=groups)
         if given.scheme.without_bath().order >= 4:
             tell_of_pme(system, given.scheme.name)
         self.record.clear()
@@ -271,10 +268,9 @@ class Binding:
 def _written(given: settings.Settings) -> program.Program:
     groups, flow = groups_of(given.fast_groups), given.flow()
     try:
-        substeps = given.substeps or given.native_substeps
-        return program.write(given.scheme, substeps, groups, flow.updates_context, flow.bath)
+        return program.write(given.scheme, given.substeps, groups, flow.updates_context, flow.bath)
     except ValueError as error:
-        return program.Program(given.scheme.name, (), refusal=str(error))
+        return program.Program(given.scheme.name, (), str(error))
 
 
 # --- integrators from what OpenMM serialized ---

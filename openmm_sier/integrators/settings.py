@@ -34,7 +34,7 @@ from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, ste
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: The version of what is stored, and the name of the function that stores it.
-LAYOUT, NAME = 5, "sier settings"
+LAYOUT, NAME = 4, "sier settings"
 
 #: Bytes of text in each value: a double holds whole numbers of six bytes exactly.
 WIDTH = 6
@@ -54,8 +54,6 @@ class Settings:
     Attributes:
         kind: module and name of its class.
         step: of the scheme, ps.
-        native_substeps: those of the native engine where `substeps` is None and the bonds of a System need more than
-            usual.
         fast_groups: bit mask of the force groups that act within drifts.
         finds_fast_groups: whether those of a prepared System are found in it.
         bodies: as users give them.
@@ -66,7 +64,6 @@ class Settings:
     step: float
     engine: str = "auto"
     substeps: int | None = None
-    native_substeps: int | None = None
     fast_groups: int = 0
     finds_fast_groups: bool = True
     bodies: Bodies = None
@@ -80,9 +77,8 @@ class Settings:
         engines = "auto", *ENGINES
         if self.engine not in engines:
             raise ValueError(f"engine must be one of {', '.join(engines)}, got {self.engine!r}")
-        for name in ("substeps", "native_substeps"):
-            if (number := getattr(self, name)) is not None and number < 1:
-                raise ValueError(f"{name} must be at least 1, got {number}")
+        if self.substeps is not None and self.substeps < 1:
+            raise ValueError(f"substeps must be at least 1, got {self.substeps}")
         group_mask("fast_groups", self.fast_groups)
         checked_bodies(self.bodies)
 

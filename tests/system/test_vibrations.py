@@ -200,28 +200,26 @@ def test_flexible_water_that_is_prepared_is_refused_where_kicks_destroy_it(engin
     openmm.Context(system, SIERLangevinIntegrator(300, 1, 0.007, engine=engine), platform())
 
 
-@pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize(
     ("make", "h", "inner"), [(partial(SIERLangevinIntegrator, 300, 1), 3, 1), (SIER2Integrator, 4, 2)]
 )
 @pytest.mark.filterwarnings("error:An inner step")
-def test_inner_steps_are_as_many_as_the_fastest_bond_needs(flexible, engine, make, h, inner):
+def test_inner_steps_are_as_many_as_the_fastest_bond_needs(flexible, make, h, inner):
     """Leapfrog steps of 3 fs would be refused, and SIER4G's of 4 fs warned of. A copy has them too."""
     _, positions, system = flexible
     system = openmm.XmlSerializer.clone(system)
     prepare_system(system)
-    first = make(h / 1000, engine=engine)
+    first = make(h / 1000)
     # An integrator lives as long as its Context.
     contexts = [context_at(system, first, (positions, 0 * positions), steps=1)]
     contexts.append(context_at(system, again := copy.copy(first), (positions, 0 * positions), steps=1))
     for each in (first, again):
         assert each.binding.engine.inner_step(each.binding.settings.flow()) == pytest.approx(inner / 1000)
         assert each.substeps is None
-    if engine == "exact":
-        shorter = make(0.001, engine=engine)
-        contexts.append(context_at(system, shorter, (positions, 0 * positions)))
-        shorter.setStepSize(h / 1000)
-        shorter.step(1)
+    shorter = make(0.001)
+    contexts.append(context_at(system, shorter, (positions, 0 * positions)))
+    shorter.setStepSize(h / 1000)
+    shorter.step(1)
 
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)

@@ -4,7 +4,7 @@ import math
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
-from openmm_sier.engines.native.program import V0, WORK, Program, usual_substeps
+from openmm_sier.engines.native.program import V0, WORK, Program, longest_inner_step
 from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.step_check import StepCheck
@@ -27,7 +27,6 @@ from openmm_sier.engines.variables import DRAWS, HEAT, Record
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
-from openmm_sier.system.vibrations import FASTEST_BOND, Vibrations, accurate_step
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, a larger energy error than that of the schemes.
@@ -85,7 +84,7 @@ class NativeEngine(Engine):
             self._found: Any = known_or_planned(system, bodies)
         except RigidityError as error:
             self._found = error
-        self._check_step = StepCheck(system, points, partial(_inner_step, program))
+        self._check_step = StepCheck(system, points, _inner_step)
         self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
         self._environment: Any = None
@@ -295,7 +294,7 @@ class NativeEngine(Engine):
     # --- what users ask ---
 
     def inner_step(self, flow: Flow) -> float:
-        return _inner_step(self._program, flow)
+        return _inner_step(flow)
 
     @property
     def momentum_lag(self) -> float:
@@ -338,25 +337,6 @@ class NativeEngine(Engine):
         return self.movers.bodies.dof - len(self._constraints.pairs) - (3 if self.conserves_momentum() else 0)
 
 
-def enough_substeps(system: openmm.System, flow: Flow, groups: int) -> int | None:
-    """Number of substeps where a flow leaves it open and bonds do not bear the usual inner steps; None elsewhere.
-
-    At steps whose kicks do not resonate with the bonds one more than usual is enough, and beside a bath the usual ones
-    are.
-
-    Args:
-        system: openmm.System.
-        flow: what will be followed.
-        groups: the integration force groups, a bit mask.
-    """
-    scheme, fast, usual = flow.scheme, groups & flow.fast_groups, usual_substeps(flow.scheme, nested=True)
-    inner, longest = scheme.within_drifts, flow.step * scheme.inner_fraction(usual)
-    # A System is read only where some bond could be too fast, since that takes a second for 20000 atoms.
-    may_be_long = fast and not scheme.bath_divides_drift and longest > accurate_step(inner, FASTEST_BOND)
-    if flow.substeps is not None or not may_be_long:
-        return None
-    return usual + 1 if longest > Vibrations(system, refusals.points(system)).longest_inner_step(inner, fast) else None
-
-
-def _inner_step(program: Program, flow: Flow, borne: float = math.inf) -> float:
-    return flow.step * flow.scheme.inner_fraction(program.substeps)
+def _inner_step(flow: Flow, borne: float = math.inf) -> float:
+    """Length of the inner steps of a flow, ps. Programs are written before bonds are known: `borne` does nothing."""
+    return flow.step * longest_inner_step(flow.scheme, flow.substeps)

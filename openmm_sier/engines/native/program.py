@@ -132,13 +132,11 @@ class Program:
     Attributes:
         name: of the scheme.
         parts: the lines of each native step.
-        substeps: into which a drift is divided.
         refusal: why there are none, for a scheme that cannot be written out.
     """
 
     name: str
     parts: tuple[tuple[Line, ...], ...]
-    substeps: int = 1
     refusal: str = ""
 
     def __str__(self) -> str:
@@ -164,6 +162,11 @@ def usual_substeps(scheme: Scheme, nested: bool) -> int:
     if nested:
         return 2 if is_long else 1
     return 5 if is_long else 3
+
+
+def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
+    """The longest inner step of a program with fast forces, in units of h; None means `usual_substeps`."""
+    return scheme.inner_fraction(substeps or usual_substeps(scheme, nested=True))
 
 
 def write(
@@ -212,7 +215,7 @@ def write(
     parts = _divided(lines)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
-    return Program(scheme.name, parts, number)
+    return Program(scheme.name, parts)
 
 
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
