@@ -44,6 +44,13 @@ class Command:
     epilog: str = ""
 
 
+#: What to do in place of what earlier versions had, by words of argparse's message about it.
+REMOVED = {
+    "choice: 'ensemble'": "a loop of the shell over seeds",
+    "choice: 'properties'": "MDTraj or, for means of a log, mean_and_error of openmm_sier.measure.statistics",
+    "arguments: --bodies": "BodyStateReporter in a script",
+}
+
 COMMANDS = {
     "run": Command(
         "simulate molecules",
@@ -78,7 +85,8 @@ class Parser(argparse.ArgumentParser):
     """Reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(MISUSED, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        instead = "".join(f". Take {other} instead" for words, other in REMOVED.items() if words in message)
+        self.exit(MISUSED, f"{self.prog}: {message}{instead} (see {self.prog} --help)\n")
 
 
 def build_parser() -> argparse.ArgumentParser:

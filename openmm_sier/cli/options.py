@@ -15,6 +15,8 @@ from typing import Any, Literal
 from openmm_sier.cli.methods import ENSEMBLES, HEAVY, METHODS, Method
 from openmm_sier.cli.values import SWITCH, TIME, Kind, choice, file, number, several, step, whole, word
 from openmm_sier.measure.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
+from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
+from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: The default scheme of each ensemble, by the name that `--scheme` takes.
 RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier4g"}
@@ -140,7 +142,7 @@ class Options:
         number("", 1e-10, 1e-3), "error tolerance of the sums of PME, which are balanced", EWALD_TOLERANCE
     )
     hydrogen_mass: float | None = _option(
-        number("dalton", 1, 4),
+        number("dalton", LIGHTEST_HYDROGEN, HEAVIEST_HYDROGEN),
         "mass of hydrogens, in water too, taken from the atoms that they are bonded to; it slows motion, not averages",
         otherwise="that of the force field",
     )

@@ -280,9 +280,8 @@ class Engine(ABC):
         """See `Scheme.momentum_lag`."""
         return self._flow.scheme.momentum_lag
 
-    @staticmethod
     @abstractmethod
-    def inner_step(flow: Flow) -> float:
+    def inner_step(self, flow: Flow) -> float:
         """The longest step of a flow within drifts, ps."""
 
     def at_whole_step(self, state: BodyState) -> BodyState:

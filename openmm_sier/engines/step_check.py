@@ -12,15 +12,21 @@ from openmm_sier.system.vibrations import Vibrations
 class StepCheck:
     """Refuses steps that are too long for bonds and librations, and speaks of those at which the energy walks."""
 
-    def __init__(self, system: openmm.System, bodies: RigidBodies, inner_step: Callable[[Flow], float]):
+    def __init__(self, system: openmm.System, bodies: RigidBodies, inner_step: Callable[[Flow, float], float]):
         """
         Args:
             system: openmm.System.
             bodies: what moves in it.
-            inner_step: the longest step of a flow within drifts, ps.
+            inner_step: the longest step of a flow within drifts, ps, and up to which step bonds bear it where the flow
+                leaves the number of substeps open.
         """
         self._vibrations, self._inner_step = Vibrations(system, bodies), inner_step
         self._checked: tuple = ()
+
+    def inner_step(self, flow: Flow, groups: int) -> float:
+        """The longest step of a flow within drifts, ps; `groups` are the integration force groups, a bit mask."""
+        borne = self._vibrations.longest_inner_step(flow.scheme.within_drifts, groups & flow.fast_groups)
+        return self._inner_step(flow, borne)
 
     def __call__(self, flow: Flow, groups: int, context: openmm.Context | None = None) -> None:
         """Check a flow, once, by forces of integration force groups, a bit mask.
@@ -40,7 +46,8 @@ class StepCheck:
             return
         slow, fast = groups & ~flow.fast_groups, groups & flow.fast_groups
         self._vibrations.check(flow.scheme, flow.step, slow)
-        self._vibrations.check_nested(flow.scheme, flow.scheme.within_drifts, self._inner_step(flow), flow.step, fast)
+        inner_step = self.inner_step(flow, groups)
+        self._vibrations.check_nested(flow.scheme, flow.scheme.within_drifts, inner_step, flow.step, fast)
         if flow.constant_energy:
             self._vibrations.tell_of_walk(flow.scheme, flow.step, slow)
         self._checked = checked

@@ -61,7 +61,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
                 inner steps of SIER4G. None then means, with the exact engine, the least number for which they are no
                 longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts. With SIER2 and a bath
                 they are leapfrog steps, of which one has the bath in its middle and counts on both sides: n substeps
-                are 2n - 1 in a step. None then means at most 3.5 fs, or 2 with the native engine.
+                are 2n - 1 in a step. None then means at most 3.5 fs, or 2 with the native engine. The exact
+                engine takes more where an unconstrained harmonic bond is too fast for these.
             fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
                 of molecules that are not rigid. None: those of a System that `prepare_system` prepared, which are found
                 when the Context is created, and none in other Systems. The exact engine computes them in a separate

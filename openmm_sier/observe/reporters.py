@@ -7,6 +7,7 @@ import openmm
 from openmm import app
 
 from openmm_sier.observe import body_states, conservation, pressure
+from openmm_sier.system.arguments import whole_number
 
 
 class _Reporter:
@@ -15,9 +16,7 @@ class _Reporter:
     INCLUDE: tuple[str, ...] = ()
 
     def __init__(self, reportInterval: int):
-        if reportInterval < 1:
-            raise ValueError(f"reportInterval must be at least 1, got {reportInterval}")
-        self._interval = reportInterval
+        self._interval = whole_number("reportInterval", reportInterval, least=1)
 
     def describeNextReport(self, simulation: app.Simulation) -> dict:
         """Steps to the next report, for OpenMM's Simulation."""
@@ -39,7 +38,7 @@ class _TableReporter(_Reporter):
             append: continue an existing file; its header is not written again.
 
         Raises:
-            ValueError: the interval is not positive, or the file to be continued has other columns.
+            ValueError: the interval is no whole number from 1 on, or the file to be continued has other columns.
         """
         super().__init__(reportInterval)
         self._path = Path(file)
@@ -142,7 +141,8 @@ class BodyStateReporter(_Reporter):
                 in those of `openmm-sier run`.
 
         Raises:
-            ValueError: the interval is not positive; at the first report, the file to be continued is of other bodies.
+            ValueError: the interval is no whole number from 1 on; at the first report, the file to be continued is of
+                other bodies.
             ModuleNotFoundError: h5py is missing.
         """
         super().__init__(reportInterval)

@@ -30,7 +30,7 @@ LIGHTEST_CENTRE = 6.0
 #: nm. The longest bonds of hydrogen, to iodine and silicon, have 0.16 and 0.15; what is further away is restrained.
 LONGEST_TO_HYDROGEN = 0.17
 
-#: Dalton. Hydrogens that would get less are left as they are, as in HD.
+#: Dalton. The least that may be asked for; hydrogens that would get less are left as they are, as in HD.
 LIGHTEST_HYDROGEN = 1.0
 
 
@@ -38,12 +38,14 @@ def checked_mass(mass: Any) -> float:
     """A mass of hydrogens in dalton, from a quantity or a number.
 
     Raises:
-        ValueError: it is not above 0 and up to `HEAVIEST_HYDROGEN`.
+        ValueError: it is not from `LIGHTEST_HYDROGEN` to `HEAVIEST_HYDROGEN`.
         TypeError: it is no mass.
     """
     found = quantity_to_float("hydrogenMass", mass, unit.dalton, "dalton")
-    if not 0 < found <= HEAVIEST_HYDROGEN:
-        raise ValueError(f"hydrogenMass must be above 0 and up to {HEAVIEST_HYDROGEN:g} dalton, got {found:g}")
+    if not LIGHTEST_HYDROGEN <= found <= HEAVIEST_HYDROGEN:
+        raise ValueError(
+            f"hydrogenMass must be from {LIGHTEST_HYDROGEN:g} to {HEAVIEST_HYDROGEN:g} dalton, got {found:g}"
+        )
     return found
 
 

@@ -56,7 +56,7 @@ def test_the_declaration_agrees_with_what_it_is_about():
         ("--time", "1e300", "above 0 and up to 1e+09 ps, got '1e300'"),
         ("--dt", "nan", "from 0.05 to 1000 fs, got 'nan' (see"),
         ("--dt", "0.006", "from 0.05 to 1000 fs, got '0.006' fs. It is in fs, not in ps: did you mean 6?"),
-        ("--hydrogen-mass", "12", "from 1 to 4 dalton, got '12'"),
+        ("--hydrogen-mass", "12", "from 1 to 4.5 dalton, got '12'"),
         ("--steps", "1e3", "from 1 to 1000000000000000, got '1e3'"),
         ("--out", "/", "the name of a file, got '/'"),
     ],

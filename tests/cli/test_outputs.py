@@ -118,6 +118,7 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
         (["--out", "none/a.dcd"], "there is no directory none"),
         (["--report", "full.csv"], "full.csv exists"),
         (["--report", "x.dcd", "--out", "y.dcd"], "x.dcd is to be a table: name a file that ends in .csv"),
+        (["--report", "x.XTC", "--out", "y.XTC"], "x.XTC is to be a table: name a file that ends in .csv"),
         (["--platform", "Abacus"], 'no registered Platform called "Abacus"'),
     ):
         message = complaint(capsys, "run", box, *options)
@@ -128,10 +129,10 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
 
 @pytest.mark.slow
 def test_files_that_are_missing_at_a_restart(box, capsys):
-    assert main.main(["run", str(box), *SMALL, "--steps", "10"]) == 0
+    assert main.main(["run", str(box), *SMALL, "--steps", "10", "--out", "box.DCD"]) == 0
     capsys.readouterr()
     again = ["run", box, "--platform", "Reference", "--steps", "20", "--restart", "box.chk"]
-    for name in ("box.dcd", "box.csv"):
+    for name in ("box.DCD", "box.csv"):
         content = Path(name).read_bytes()
         Path(name).unlink()
         assert f"{name}, which the run of this checkpoint writes, is missing: put it back" in complaint(capsys, *again)

@@ -184,7 +184,9 @@ def test_other_integrators_are_refused(tmp_path, box, make):
         simulation.step(1)
 
 
-@pytest.mark.parametrize("make", [ConservationReporter, BodyStateReporter])
-def test_impossible_intervals(tmp_path, make):
-    with pytest.raises(ValueError, match="reportInterval"):
-        make(tmp_path / "file", 0)
+@pytest.mark.parametrize("interval", [0, 2.5, float("nan"), "10"])
+@pytest.mark.parametrize("make", [ConservationReporter, PressureReporter, BodyStateReporter])
+def test_impossible_intervals(tmp_path, make, interval):
+    with pytest.raises(ValueError, match=f"reportInterval must be .*, got {interval!r}$"):
+        make(tmp_path / "file", interval)
+    assert not any(tmp_path.iterdir())

@@ -158,7 +158,7 @@ def test_frozen_atoms_stay_frozen_and_systems_without_hydrogens_as_they_are():
     assert masses(system).tolist() == [12, 0, 10, 3, 0, 1, 1, 1, 40]
 
 
-@pytest.mark.parametrize("mass", [0, -1, 5, float("nan"), "4", True, 4 * unit.kelvin])
+@pytest.mark.parametrize("mass", [0, -1, 0.5, 5, float("nan"), "4", True, 4 * unit.kelvin])
 def test_masses_that_are_refused(alanine, mass):
     topology, forcefield = alanine
     system = forcefield.createSystem(topology, constraints=app.HBonds)

@@ -1,7 +1,9 @@
 """Bonds that nothing holds: steps that they do not bear are refused, and those that they hardly bear said."""
 
+import copy
 import math
 import warnings
+from functools import partial
 
 import numpy as np
 import openmm
@@ -191,6 +193,33 @@ def test_flexible_water_that_is_prepared_is_refused_where_kicks_destroy_it(engin
         with pytest.raises(openmm.OpenMMException, match=r"resonates with fast forces: .*No number of inner steps"):
             openmm.Context(system, SIERIntegrator(h, SIER4G, engine=engine, substeps=8), platform())
     openmm.Context(system, SIERIntegrator(0.004, SIER4G, engine=engine, substeps=8), platform())
+    # With a bath at 9 fs, 0.58 periods, bonds are shorter than in vacuum, and energies an eighth too high.
+    prepare_system(system, hydrogenMass=4)
+    with pytest.raises(openmm.OpenMMException, match=r"resonates with fast forces: .*No number of inner steps"):
+        openmm.Context(system, SIERLangevinIntegrator(300, 1, 0.009, engine=engine), platform())
+    openmm.Context(system, SIERLangevinIntegrator(300, 1, 0.007, engine=engine), platform())
+
+
+@pytest.mark.parametrize(
+    ("make", "h", "inner"), [(partial(SIERLangevinIntegrator, 300, 1), 3, 1), (SIER2Integrator, 4, 2)]
+)
+@pytest.mark.filterwarnings("error:An inner step")
+def test_inner_steps_are_as_many_as_the_fastest_bond_needs(flexible, make, h, inner):
+    """Leapfrog steps of 3 fs would be refused, and SIER4G's of 4 fs warned of. A copy has them too."""
+    _, positions, system = flexible
+    system = openmm.XmlSerializer.clone(system)
+    prepare_system(system)
+    first = make(h / 1000)
+    # An integrator lives as long as its Context.
+    contexts = [context_at(system, first, (positions, 0 * positions), steps=1)]
+    contexts.append(context_at(system, again := copy.copy(first), (positions, 0 * positions), steps=1))
+    for each in (first, again):
+        assert each.binding.engine.inner_step(each.binding.settings.flow()) == pytest.approx(inner / 1000)
+        assert each.substeps is None
+    shorter = make(0.001)
+    contexts.append(context_at(system, shorter, (positions, 0 * positions)))
+    shorter.setStepSize(h / 1000)
+    shorter.step(1)
 
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)

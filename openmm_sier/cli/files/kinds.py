@@ -37,7 +37,7 @@ def open_trajectory(path: Path, simulated: Simulated, context: openmm.Context, n
     plan, box = simulated.plan, simulated.box
     is_wrapped = box.system.usesPeriodicBoundaryConditions() and not plan.unwrapped
     topology, interval = _subset(box.topology, box.listed), plan.interval(plan.every)
-    file = FORMATS[path.suffix](path, topology, plan.step_time, interval, noted)
+    file = FORMATS[path.suffix.lower()](path, topology, plan.step_time, interval, noted)
 
     def write(values: Mapping[str, float]) -> None:
         state = context.getState(positions=True, enforcePeriodicBox=is_wrapped)

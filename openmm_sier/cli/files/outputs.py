@@ -37,9 +37,10 @@ class Outputs:
         self._intervals = {name: plan.interval(getattr(plan, KINDS[name].every)) for name in self._grown}
         self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
         for name, path in self._grown.items():
-            if name == "trajectory" and path.suffix not in FORMATS:
+            is_trajectory = path.suffix.lower() in FORMATS
+            if name == "trajectory" and not is_trajectory:
                 raise records.RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
-            if name != "trajectory" and path.suffix in FORMATS:
+            if name != "trajectory" and is_trajectory:
                 raise records.RecordError(f"{path} is to be a table: name a file that ends in .csv")
 
     def __str__(self) -> str:

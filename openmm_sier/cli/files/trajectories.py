@@ -90,5 +90,5 @@ def _is_frame(path: Path, atoms: int) -> bool:
         return False
 
 
-#: Formats by the endings of names.
+#: Formats by the endings of names, in small letters; those of names may be of any case.
 FORMATS: dict[str, type[Trajectory]] = {".dcd": DCDTrajectory, ".xtc": XTCTrajectory}

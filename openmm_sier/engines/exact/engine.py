@@ -19,7 +19,6 @@ from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.exact.agreement import Agreement
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
-from openmm_sier.engines.exact.motion import inner_step
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
 from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
@@ -96,7 +95,8 @@ class ExactEngine(Engine):
 
     def follow(self, steps: int) -> None:
         flow = self._flow
-        step = operators.stepper(flow.scheme, self._moving.motion.operators(flow), flow.step)
+        moves = self._moving.motion.operators(flow, self.inner_step(flow))
+        step = operators.stepper(flow.scheme, moves, flow.step)
         if steps:
             self._moving.forget_past()
         for _ in range(steps):
@@ -211,7 +211,8 @@ class ExactEngine(Engine):
 
     # --- what users ask ---
 
-    inner_step = staticmethod(inner_step)
+    def inner_step(self, flow: Flow) -> float:
+        return self._moving.check_step.inner_step(flow, self._integrator.getIntegrationForceGroups())
 
     def state(self) -> BodyState:
         self._state, self.clock = self._agreement.adopt(Snapshot(self._context), self._state, self._flow)

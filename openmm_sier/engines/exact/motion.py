@@ -71,13 +71,12 @@ class Motion:
         operator = bath.operator(self._bodies)
         return constrained.constrained_bath(operator, self._bodies.constraints) if len(self._members) else operator
 
-    def operators(self, flow: Flow) -> dict[str, Operator]:
-        """The operators that execute a flow, by name."""
+    def operators(self, flow: Flow, longest: float) -> dict[str, Operator]:
+        """The operators that execute a flow, by name, with inner steps of up to `longest`, ps."""
         if self._made[0] != flow:
             found = dict(self._outer)
             if flow.bath is not None:
                 found[BATH] = self._remembered(self.bath(flow.bath))
-            longest = inner_step(flow)
             if self.fast is not None and longest:
                 found |= self._nested_drifts(self.fast, flow.scheme, longest)
             self._made = flow, found
@@ -148,15 +147,16 @@ def _flexible_points(bodies: RigidBodies) -> np.ndarray:
     return groups
 
 
-def inner_step(flow: Flow) -> float:
+def inner_step(flow: Flow, borne: float) -> float:
     """Length of the inner steps in the longest drift of a flow, ps.
 
-    Without `Flow.substeps` there are as many as `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` ask for.
+    Without `Flow.substeps` there are as many as `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` ask for, or more where the
+    bonds bear only shorter steps, up to `borne`.
     """
     scheme, h = flow.scheme, flow.step
     if flow.substeps is not None:
         return h * scheme.inner_fraction(flow.substeps)
     if scheme.bath_divides_drift:
-        return h / constrained.steps_with_bath(h, LONGEST_WITH_BATH)
+        return h / constrained.steps_with_bath(h, min(LONGEST_WITH_BATH, borne))
     longest = h * scheme.longest_drift
-    return longest / constrained.inner_steps(longest, LONGEST_INNER_STEP)
+    return longest / constrained.inner_steps(longest, min(LONGEST_INNER_STEP, borne))
