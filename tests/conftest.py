@@ -9,7 +9,7 @@ import pytest
 os.environ.setdefault("OPENMM_CPU_THREADS", "1")
 
 from openmm_sier.dynamics import backend
-from tests.support.waters import cluster_system, periodic_system, relaxed
+from tests.support.waters import cluster_system, periodic_system, settled
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -37,11 +37,6 @@ def seeded_libraries():
 def rng():
     """Random numbers that are the same in every run."""
     return np.random.default_rng(20070518)
-
-
-def settled(topology, positions, system):
-    """Topology, System, and positions and velocities (N, 3) near 297 K; tests change no System but copies of it."""
-    return topology, system, relaxed(topology, positions, system)
 
 
 @pytest.fixture(scope="session")

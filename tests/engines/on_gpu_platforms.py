@@ -17,7 +17,10 @@ from openmm_sier.measure.starts import make_context
 from tests.support import opencl
 from tests.support.commands import log, run, write_lattice
 from tests.support.ethane import ethane
-from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
+from tests.support.restarts import full_state
+from tests.support.seeded import seeded
+from tests.support.systems import assembled
+from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
 
 
 @pytest.fixture(scope="module", params=opencl.gpu_platforms())
@@ -28,8 +31,7 @@ def gpu(request):
 @pytest.fixture(scope="module")
 def cluster():
     """Three molecules with virtual sites."""
-    topology, positions, system = cluster_system(3, "tip4pew")
-    return system, relaxed(topology, positions, system)
+    return settled(*cluster_system(3, "tip4pew"))[1:]
 
 
 def gpu_context(gpu, precision, system, integrator, point):
@@ -87,18 +89,12 @@ def test_fourth_order_in_double_precision(in_precision, cluster):
 
 
 def test_constant_pressure_and_both_ways_between_the_engines(gpu):
-    topology, positions, system = periodic_system("tip4pew")
-    point = relaxed(topology, positions, system)
-    barostat = openmm.MonteCarloBarostat(500 * unit.bar, 300 * unit.kelvin, 2)
-    barostat.setRandomNumberSeed(1)
-    system.addForce(barostat)
-    integrators = on_cpu, on_gpu, again = [SIERLangevinIntegrator(300, 5, 0.004, SIER4G) for _ in range(3)]
-    for integrator in integrators:
-        integrator.setRandomNumberSeed(1)
+    _, system, point = settled(*periodic_system("tip4pew"))
+    system.addForce(seeded(openmm.MonteCarloBarostat(500 * unit.bar, 300 * unit.kelvin, 2), 1))
+    on_cpu, on_gpu, again = (seeded(SIERLangevinIntegrator(300, 5, 0.004, SIER4G), 1) for _ in range(3))
     first = context_at(system, on_cpu, point, "CPU", steps=3)
-    everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
     context = gpu_context(gpu, "mixed", system, on_gpu, point)
-    context.setState(first.getState(**everything))
+    context.setState(full_state(first))
     assert (on_cpu.engine, on_gpu.engine) == ("exact", "native")
     # Mixed precision keeps positions as two numbers of single precision, 2^-48 of 2 nm, and velocities in double.
     assert np.abs(phase_point(context)[0] - phase_point(first)[0]).max() < 1e-13
@@ -112,7 +108,7 @@ def test_constant_pressure_and_both_ways_between_the_engines(gpu):
     # What barostats do to the energy is not counted: some kT per accepted move, of which there are up to four.
     assert sum(energies(context)) - total == pytest.approx(on_gpu.getHeat()._value - heat, abs=60)
     last = context_at(system, again, point, "CPU")
-    last.setState(context.getState(**everything))
+    last.setState(full_state(context))
     assert np.abs(phase_point(last)[0] - phase_point(context)[0]).max() == 0
     assert last.getState().getPeriodicBoxVolume() == context.getState().getPeriodicBoxVolume()
     again.step(2)
@@ -160,8 +156,7 @@ def test_command_runs_and_restarts(gpu, tmp_path, monkeypatch, capsys):
 
 def test_mixed_precision_is_a_property_of_one_context(gpu):
     """Others keep the default of the platform."""
-    chosen, system = platform(gpu), openmm.System()
-    system.addParticle(1.0)
+    chosen, system = platform(gpu), assembled([1.0])
     usual = chosen.getPropertyDefaultValue("Precision")
     context = make_context(system, openmm.VerletIntegrator(0.001), gpu)
     assert chosen.getPropertyValue(context, "Precision") == "mixed"

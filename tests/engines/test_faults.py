@@ -21,19 +21,18 @@ from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
 from tests.support.faults import Fault, lines_run
 from tests.support.restarts import assert_same, everything
-from tests.support.waters import cluster_system, context_at, force_of, periodic_system, phase_point, platform, relaxed
+from tests.support.seeded import seeded
+from tests.support.systems import field, with_forces
+from tests.support.waters import cluster_system, context_at, force_of, periodic_system, phase_point, platform, settled
 
 
 @pytest.fixture(scope="module")
 def cluster():
-    topology, positions, system = cluster_system(3, "tip4pew")
-    return topology, system, relaxed(topology, positions, system)
+    return settled(*cluster_system(3, "tip4pew"))
 
 
 def langevin(scheme=SIER2, **options):
-    integrator = SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=scheme, **options)
-    integrator.setRandomNumberSeed(3)
-    return integrator
+    return seeded(SIERLangevinIntegrator(297.0, 5.0, 0.001, scheme=scheme, **options))
 
 
 # --- a fault at every line --------------------------------------------------------------------------------------
@@ -94,7 +93,7 @@ def box():
     topology, positions, system = periodic_system(molecules=27)
     force_of(system).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     force_of(system).setCutoffDistance(0.4)
-    return topology, system, relaxed(topology, positions, system)
+    return settled(topology, positions, system)
 
 
 @pytest.mark.slow
@@ -102,9 +101,7 @@ def test_a_fault_at_any_line_at_constant_pressure(box):
     """The box is that of the completed step too, though each step changes it, or tries to."""
 
     def make():
-        integrator = langevin(pressure=1e3, barostatInterval=1)
-        integrator.setRandomNumberSeed(1)
-        return integrator
+        return seeded(langevin(pressure=1e3, barostatInterval=1), 1)
 
     trajectory = Trajectory(box[1], make, box[2])
     # Of the first three moves some are accepted and some are not.
@@ -128,13 +125,10 @@ def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
 @pytest.mark.slow
 def test_a_fault_at_any_line_with_a_barostat(box):
     """With a fixed particle of no body, which barostats move too."""
-    system = openmm.XmlSerializer.clone(box[1])
+    system = with_forces(box[1], seeded(openmm.MonteCarloBarostat(1.0, 297.0, 1), 5))
     force_of(system).addParticle(0.0, 0.3, 0.0)
     system.addParticle(0.0)
     point = [np.vstack([values, [0.3, 0.2, 0.1]]) for values in box[2]]
-    barostat = openmm.MonteCarloBarostat(1.0, 297.0, 1)
-    barostat.setRandomNumberSeed(5)
-    system.addForce(barostat)
     integrator = langevin()
     context = context_at(system, integrator, point, "CPU", steps=1)
     total = lines_run(lambda: integrator.step(1))
@@ -161,21 +155,11 @@ def test_a_fault_at_any_line_with_a_barostat(box):
 # --- numbers that are none --------------------------------------------------------------------------------------
 
 
-def with_external(system, expression, parameter, value):
-    system = openmm.XmlSerializer.clone(system)
-    force = openmm.CustomExternalForce(expression)
-    force.addGlobalParameter(parameter, value)
-    for i in range(system.getNumParticles()):
-        if not system.isVirtualSite(i):
-            force.addParticle(i)
-    system.addForce(force)
-    return system
-
-
 @pytest.mark.parametrize("name", ["Reference", "CPU"])
 def test_force_that_is_not_finite(cluster, name):
     topology, system, point = cluster
-    system = with_external(system, "k*x", "k", 1.0)
+    # Every fourth particle is a virtual site.
+    system = with_forces(system, field("k*x", [i for i in range(12) if i % 4 != 3], k=1.0))
 
     def make():
         return langevin(SIER4, bodies=RigidBodies.from_system(system, topology))

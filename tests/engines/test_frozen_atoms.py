@@ -10,7 +10,15 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.observe.stock import shift_velocities
 from tests.support.peptides import capped_alanine, capped_alanine_box, forcefield
-from tests.support.waters import array, cluster_system, context_at, energies, periodic_system, phase_point, relaxed
+from tests.support.waters import (
+    array,
+    cluster_system,
+    context_at,
+    energies,
+    periodic_system,
+    phase_point,
+    settled,
+)
 
 ENGINES = ("exact", "native")
 
@@ -45,8 +53,9 @@ CASES = {
 
 @pytest.fixture(scope="module", params=CASES)
 def frozen(request):
-    topology, positions, system, atoms = CASES[request.param]()
-    return system, relaxed(topology, positions, system, steps=100), atoms
+    *made, atoms = CASES[request.param]()
+    _, system, point = settled(*made, steps=100)
+    return system, point, atoms
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -86,8 +95,8 @@ def test_frozen_atoms_hold_no_heat(frozen, engine):
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_baths_trials_and_minimizer_leave_them(engine):
-    topology, positions, system, atoms = frozen_water("tip3p")
-    point = relaxed(topology, positions, system, steps=100)
+    *water, atoms = frozen_water("tip3p")
+    _, system, point = settled(*water, steps=100)
     for integrator in (
         SIERLangevinIntegrator(300, 5, 0.004, engine=engine),
         SIERHMCIntegrator(300, 0.004, stepsPerTrial=5, engine=engine),
@@ -107,7 +116,7 @@ def test_fast_forces_ignore_terms_between_frozen_atoms():
     single, _ = capped_alanine(0)
     system = forcefield().createSystem(both.topology, constraints=app.HBonds, removeCMMotion=False)
     atoms = freeze(system, range(single.getNumParticles()))
-    point = relaxed(both.topology, array(both.positions), system, steps=100)
+    _, _, point = settled(both.topology, array(both.positions), system, steps=100)
     prepared = prepare_system(system)
     assert prepared.fastForceGroups
     ends = []
@@ -142,8 +151,7 @@ def test_named_bodies_may_be_frozen_as_wholes():
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_barostats_that_move_frozen_atoms_are_spoken_of(engine):
-    topology, positions, system = periodic_system()
-    positions, velocities = relaxed(topology, positions, system, steps=50)
+    _, system, (positions, velocities) = settled(*periodic_system(), steps=50)
     atoms = freeze(system, range(3))
     with pytest.raises(openmm.OpenMMException, match="particle 0 belongs to no body"):
         context_at(system, SIERLangevinIntegrator(300, 1, 0.002, pressure=1), (positions, 0 * positions))

@@ -29,6 +29,7 @@ from openmm_sier.dynamics.schemes import BATH
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.faults import Fault, lines_run
 from tests.support.molecules import GEOMETRIES
+from tests.support.restarts import full_state
 from tests.support.waters import phase_point, platform
 
 TEMPERATURE, FRICTION, SEED = 300.0, 3.0, 17
@@ -70,10 +71,9 @@ class World:
             self.clusters.append(atoms)
         for one, other in pairwise(self.clusters):
             springs.addBond(one[0], other[-1])
-        for force in (trap, repulsion, springs):
+        removers = [openmm.CMMotionRemover(sweep)] if sweep else []
+        for force in (trap, repulsion, springs, *removers):
             self.system.addForce(force)
-        if sweep:
-            self.system.addForce(openmm.CMMotionRemover(sweep))
         self.sweep = sweep
         self.named = self.clusters if named else None
         self.positions = np.concatenate(parts)
@@ -240,9 +240,7 @@ class Calls(RuleBasedStateMachine):
         if way == "checkpoint":
             blob = self.context.createCheckpoint()
         else:
-            blob = openmm.XmlSerializer.clone(
-                self.context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
-            )
+            blob = openmm.XmlSerializer.clone(full_state(self.context))
         self.saved.append((way, blob, self.replay.save()))
 
     @precondition(lambda self: self.saved)

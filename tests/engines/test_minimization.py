@@ -10,6 +10,7 @@ from openmm import app, unit
 from openmm_sier import RigidBodies, RigidityError, SIER2Integrator
 from openmm_sier.engines.exact.minimization import constraints_hold
 from tests.support import methanols
+from tests.support.systems import field, with_forces
 from tests.support.waters import cluster_system, context_at, energies, phase_point, platform
 
 N = 27
@@ -110,13 +111,9 @@ def test_one_constraint_too_few_does_not_hold():
 
 def test_a_force_that_is_not_finite_leaves_the_bodies(gas, rigid):
     system, _, positions = gas
-    system = openmm.XmlSerializer.clone(system)
     # Downhill to a wall, behind which the potential is not defined: bodies take some iterations to come there.
-    wall = openmm.CustomExternalForce("-50*x + 1e-9*sqrt(wall - x)")
-    wall.addGlobalParameter("wall", 1e3)
-    for i in range(system.getNumParticles()):
-        wall.addParticle(i)
-    system.addForce(wall)
+    wall = field("-50*x + 1e-9*sqrt(wall - x)", range(system.getNumParticles()), wall=1e3)
+    system = with_forces(system, wall)
     integrator = SIER2Integrator(0.001, bodies=rigid)
     context = context_at(system, integrator, (positions, 0 * positions), steps=2)
     before = phase_point(context)

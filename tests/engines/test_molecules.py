@@ -26,6 +26,8 @@ from tests.support.methanols import GEOMETRY, positions_of
 from tests.support.methanols import system_of as methanols_of
 from tests.support.peptides import capped_alanine
 from tests.support.restarts import assert_restart_is_the_same, assert_same, everything
+from tests.support.seeded import seeded
+from tests.support.systems import assembled
 from tests.support.waters import context_at, phase_point, platform
 
 X_H = ((0, 1), (0, 2), (0, 3), (4, 5))
@@ -74,9 +76,7 @@ def test_runs_conserves_and_restarts(case, bath):
     def integrator():
         if not bath:
             return SIER4GIntegrator(h, fastForceGroups={FAST})
-        langevin = SIERLangevinIntegrator(300, 10, h, SIER4G, fastForceGroups={FAST})
-        langevin.setRandomNumberSeed(5)
-        return langevin
+        return seeded(SIERLangevinIntegrator(300, 10, h, SIER4G, fastForceGroups={FAST}))
 
     one = integrator()
     context = started(system, one, positions, steps=0)
@@ -148,9 +148,7 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
 def test_forces_that_cannot_be_fast_are_refused():
     system, _ = system_of(chains(), waters=1)
     system.getForce(2).setForceGroup(FAST)
-    with pytest.raises(
-        SoluteError, match=r"CustomNonbondedForce .* Put it into another group than 1 with setForceGroup"
-    ):
+    with pytest.raises(SoluteError, match=r"CustomNonbondedForce .* another group than 1 with setForceGroup"):
         openmm.Context(system, SIER4GIntegrator(0.002, fastForceGroups={FAST}), platform())
 
 
@@ -213,11 +211,8 @@ def test_positions_far_off_the_constraints_are_refused():
 
 def test_atoms_in_a_row_are_refused():
     """Both ways out, carbon as a virtual site and a named body, are in `test_body_kinds`."""
-    system = openmm.System()
-    for mass in (15.999, 12.011, 15.999):
-        system.addParticle(mass)
-    for i, j in ((0, 1), (1, 2), (0, 2)):
-        system.addConstraint(i, j, 0.116 * (j - i))
+    held = ((0, 1, 0.116), (1, 2, 0.116), (0, 2, 0.232))
+    system = assembled((15.999, 12.011, 15.999), constraints=held)
     with pytest.raises(RigidityError, match=r"atoms 0, 1, 2.*virtual sites.*name the atoms in `bodies`"):
         openmm.Context(system, SIER4GIntegrator(0.002), platform())
 
@@ -255,9 +250,7 @@ def test_constant_pressure(own):
     pressure = {"pressure": 50.0, "barostatInterval": 2} if own else {}
 
     def integrator():
-        made = SIERLangevinIntegrator(300, 5, 0.002, fastForceGroups={FAST}, **pressure)
-        made.setRandomNumberSeed(2)
-        return made
+        return seeded(SIERLangevinIntegrator(300, 5, 0.002, fastForceGroups={FAST}, **pressure))
 
     one = integrator()
     context = started(system, one, positions + 1.0, steps=30)

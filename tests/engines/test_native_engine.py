@@ -7,16 +7,18 @@ import pytest
 from openmm_sier import SIER2, SIER4, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import CATALOGUE
+from tests.support.restarts import full_state
+from tests.support.seeded import seeded
 from tests.support.strangers import fails_as_stranger, run_as_stranger
-from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
+from tests.support.systems import assembled, with_forces
+from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, settled
 
 MODELS = ["tip3p", "tip4pew"]
 
 
 @pytest.fixture(scope="module", params=MODELS)
 def cluster(request):
-    topology, positions, system = cluster_system(3, request.param)
-    return system, relaxed(topology, positions, system)
+    return settled(*cluster_system(3, request.param))[1:]
 
 
 def trajectory(system, point, steps=6, h=0.004, **settings):
@@ -43,14 +45,11 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
 
 @pytest.mark.slow
 def test_barostat_and_motion_remover_count_whole_steps():
-    topology, positions, system = periodic_system()
-    point = relaxed(topology, positions, system)
+    _, system, point = settled(*periodic_system())
     for force in system.getForces():
         if isinstance(force, openmm.CMMotionRemover):
             force.setFrequency(4)
-    barostat = openmm.MonteCarloBarostat(1000.0, 297.0, 3)
-    barostat.setRandomNumberSeed(1)
-    system.addForce(barostat)
+    system.addForce(seeded(openmm.MonteCarloBarostat(1000.0, 297.0, 3), 1))
     context = context_at(system, integrator := SIERIntegrator(0.001, SIER2, engine="native"), point)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
@@ -73,10 +72,8 @@ def test_barostat_and_motion_remover_count_whole_steps():
 
 
 def test_langevin_brings_the_temperature():
-    topology, positions, system = cluster_system(8)
-    point = relaxed(topology, positions, system)
-    integrator = SIERLangevinIntegrator(400, 50, 0.002, SIER2, engine="native")
-    integrator.setRandomNumberSeed(11)
+    _, system, point = settled(*cluster_system(8))
+    integrator = seeded(SIERLangevinIntegrator(400, 50, 0.002, SIER2, engine="native"), 11)
     _context = context_at(system, integrator, point, steps=300)
     warmest = []
     for _ in range(240):
@@ -136,11 +133,8 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
 )
 def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings, remedy, tmp_path):
     _, _, waters = cluster_system(1)
-    system = openmm.System()
-    for mass in (16.0, 1.0, 1.0, 30.0, 40.0):
-        system.addParticle(mass)
-    for i in range(waters.getNumConstraints()):
-        system.addConstraint(*waters.getConstraintParameters(i))
+    held = [waters.getConstraintParameters(i) for i in range(waters.getNumConstraints())]
+    system = assembled((16.0, 1.0, 1.0, 30.0, 40.0), constraints=held)
     langevin = "rotationalFriction" in settings
     arguments = (300, 1, 0.002) if langevin else (0.002,)
     integrator = (SIERLangevinIntegrator if langevin else SIERIntegrator)(*arguments, **settings, engine="native")
@@ -162,8 +156,7 @@ def test_named_bodies_that_constraints_hold_are_taken(cluster):
 
 def test_andersen_thermostat_is_refused(cluster):
     system, point = cluster
-    system = openmm.XmlSerializer.clone(system)
-    system.addForce(openmm.AndersenThermostat(300, 1))
+    system = with_forces(system, openmm.AndersenThermostat(300, 1))
     with pytest.raises(openmm.OpenMMException, match=r"AndersenThermostat.*SIERLangevinIntegrator"):
         context_at(system, SIERIntegrator(0.002, engine="native"), point)
 
@@ -177,17 +170,15 @@ def test_runs_go_on_with_the_other_engine(cluster, first, by):
     system, point = cluster
     second = {"exact": "native", "native": "exact"}[first]
     one, other = (
-        SIERLangevinIntegrator(300, 10, 0.002, SIER4, engine=engine, substeps=5) for engine in (first, second)
+        seeded(SIERLangevinIntegrator(300, 10, 0.002, SIER4, engine=engine, substeps=5)) for engine in (first, second)
     )
-    for integrator in (one, other):
-        integrator.setRandomNumberSeed(1)
     context, later = context_at(system, one, point), context_at(system, other, point)
     one.step(7)
     heat = one.getHeat()._value
     if by == "checkpoint":
         later.loadCheckpoint(context.createCheckpoint())
     else:
-        later.setState(context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True))
+        later.setState(full_state(context))
     for before, after in zip(phase_point(context), phase_point(later), strict=True):
         assert (before == after).all()
     assert later.getStepCount() == 7

@@ -9,6 +9,7 @@ from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.refusals import refuse_fast_forces as refuse
 from tests.support.flexible import Points, chains
 from tests.support.flexible_systems import FAST, system_of
+from tests.support.systems import assembled
 from tests.support.waters import context_at, phase_point, water_box
 
 both_engines = pytest.mark.parametrize("engine", ["exact", "native"])
@@ -109,13 +110,10 @@ def test_fast_groups_must_be_integrated():
 @both_engines
 def test_bonds_that_constraints_hold_do_not_vibrate(engine):
     """The constrained bond has a period of 9 fs, at which SIER4G bears no step of 6 fs; the other one 300 fs."""
-    system, bonds = openmm.System(), openmm.HarmonicBondForce()
-    for mass in (12.0, 1.0, 12.0):
-        system.addParticle(mass)
-    system.addConstraint(0, 1, 0.109)
+    bonds = openmm.HarmonicBondForce()
     bonds.addBond(1, 0, 0.109, 4.5e5)
     bonds.addBond(0, 2, 0.153, 2.6e3)
-    system.addForce(bonds)
+    system = assembled((12.0, 1.0, 12.0), bonds, constraints=[(0, 1, 0.109)])
     positions = np.array([[0.109, 0, 0], [0, 0, 0], [0.262, 0, 0]])
     integrator = SIERIntegrator(0.006, SIER4G, engine=engine)
     context_at(system, integrator, (positions, np.zeros((3, 3))))

@@ -8,6 +8,7 @@ from openmm_sier import SIER4G, Scheme, SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.engines.native import program as native_program
+from tests.support.systems import assembled, field
 from tests.support.waters import context_at, phase_point
 
 
@@ -40,8 +41,7 @@ def test_scheme_that_cannot_be_written_out_is_left_to_the_exact_engine():
     integrator = SIERIntegrator(0.002, other)
     with pytest.raises(ValueError, match="'spin'"):
         _ = integrator.program
-    system = openmm.System()
-    system.addParticle(1.0)
+    system = assembled([1.0])
     with pytest.raises(openmm.OpenMMException, match=r"does not know this scheme.*take another scheme"):
         openmm.Context(system, SIERIntegrator(0.002, other, engine="native"))
     many = Scheme("many", ((KICK, 0.5), *[(DRIFT, 0.05), (KICK, 0.0)] * 20, (KICK, 0.5)))
@@ -55,15 +55,11 @@ def particles():
 
     The coupling is no bond: of a molecule the exact engine conserves the angular momentum in gradient kicks.
     """
-    system, rng = openmm.System(), np.random.default_rng(5)
+    rng = np.random.default_rng(5)
     pairs = openmm.CustomNonbondedForce("20*(r-0.3)^2 + 50*(r-0.3)^3")
-    well = openmm.CustomExternalForce("30*(x^2+y^2+z^4)")
-    for i in range(5):
-        system.addParticle(1.0 + i)
+    for _ in range(5):
         pairs.addParticle([])
-        well.addParticle(i, [])
-    system.addForce(pairs)
-    system.addForce(well)
+    system = assembled([1.0, 2.0, 3.0, 4.0, 5.0], pairs, field("30*(x^2+y^2+z^4)", range(5)))
     return system, (rng.normal(size=(5, 3)) * 0.2, rng.normal(size=(5, 3)))
 
 

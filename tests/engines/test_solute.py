@@ -5,6 +5,7 @@ import openmm
 import pytest
 
 from openmm_sier.engines.exact.solute import SoluteError, SoluteForces, solute_system
+from tests.support.systems import assembled
 from tests.support.waters import plain_context
 
 #: Particles: a water 0-2 in front, eight flexible atoms in a shuffled order, a virtual site, an ion.
@@ -44,17 +45,13 @@ def bonded_forces():
 
 
 def whole_system(forces):
-    system = openmm.System()
-    for mass in [15.999, 1.008, 1.008, *8 * [12.011], 0.0, 22.99]:
-        system.addParticle(mass)
-    system.setVirtualSite(SITE, openmm.TwoParticleAverageSite(FLEXIBLE[0], FLEXIBLE[1], 0.5, 0.5))
-    slow = openmm.HarmonicBondForce()
-    slow.addBond(ION, FLEXIBLE[0], 0.1, 500)
-    system.addForce(slow)
-    system.addForce(openmm.CMMotionRemover())
     for force in forces:
         force.setForceGroup(FAST)
-        system.addForce(force)
+    slow = openmm.HarmonicBondForce()
+    slow.addBond(ION, FLEXIBLE[0], 0.1, 500)
+    masses = [15.999, 1.008, 1.008, *8 * [12.011], 0.0, 22.99]
+    system = assembled(masses, slow, openmm.CMMotionRemover(), *forces)
+    system.setVirtualSite(SITE, openmm.TwoParticleAverageSite(FLEXIBLE[0], FLEXIBLE[1], 0.5, 0.5))
     return system
 
 
@@ -117,15 +114,11 @@ def test_terms_within_a_rigid_body_are_left_out(positions):
     solute = solute_of(system, rigid)
     expected = forces_in(plain_context(system, positions))[FLEXIBLE].T
     assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
-    with pytest.raises(
-        SoluteError, match="angle of HarmonicAngleForce acts on the atoms 1, 0, 2; atom 1 is not among those"
-    ):
+    with pytest.raises(SoluteError, match="angle of HarmonicAngleForce acts on the atoms 1, 0, 2; atom 1 is not among"):
         solute_system(system, FLEXIBLE, {FAST})
     joined = openmm.HarmonicBondForce()
     joined.addBond(0, FLEXIBLE[0], 0.3, 100)
-    with pytest.raises(
-        SoluteError, match="bond of HarmonicBondForce acts on the atoms 0, 9; atom 0 is not among those"
-    ):
+    with pytest.raises(SoluteError, match="bond of HarmonicBondForce acts on the atoms 0, 9; atom 0 is not among"):
         solute_system(whole_system([joined]), FLEXIBLE, {FAST}, rigid)
 
 

@@ -10,8 +10,10 @@ import pytest
 from openmm_sier import SIER2, BodyState, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.temperature import degrees_of_freedom, temperatures
+from tests.support.flexible_systems import started
 from tests.support.molecules import GEOMETRIES, ION, ensemble, scattered
-from tests.support.waters import periodic_system, platform
+from tests.support.systems import assembled, field, with_forces
+from tests.support.waters import context_at, periodic_system, phase_point
 
 N = 59
 
@@ -30,8 +32,7 @@ def langevin(friction=1.0):
 
 
 def external(group=0):
-    force = openmm.CustomExternalForce("x")
-    force.addParticle(0)
+    force = field("x", [0])
     force.setForceGroup(group)
     return force
 
@@ -69,21 +70,15 @@ def atomic_kinetic_energy(context):
     """From the velocities of the atoms, kJ/mol: all of it, and that of the centre of mass."""
     system = context.getSystem()
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
-    v = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+    _, v = phase_point(context)
     return 0.5 * float(masses @ (v**2).sum(axis=1)), 0.5 * float(((masses @ v) ** 2).sum()) / masses.sum()
 
 
 def moving_context(box, integrator, forces=(), drift=(0.5, -0.3, 0.2)):
     """A Context whose centre of mass moves at 0.6 nm/ps, with a fifth of the kinetic energy."""
     _, positions, system = box
-    system = openmm.XmlSerializer.clone(system)
-    for force in forces:
-        system.addForce(openmm.XmlSerializer.clone(force))
-    context = openmm.Context(system, integrator, platform())
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(300, 1)
-    velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value
-    context.setVelocities(velocities + np.array(drift))
+    context = started(with_forces(system, *forces), integrator, positions, seed=1)
+    context.setVelocities(phase_point(context)[1] + np.array(drift))
     return context
 
 
@@ -102,34 +97,29 @@ def test_degrees_of_freedom_by_what_is_conserved(box, case):
     assert integrator.computeSystemTemperature()._value == pytest.approx(expected, rel=1e-5)
 
 
-def test_force_groups_that_do_not_move_the_bodies_do_not_count(box):
-    integrator = nve()
-    context = moving_context(box, integrator, [external(group=5)])
+@pytest.mark.parametrize(
+    ("make", "forces", "change"),
+    [
+        (nve, [external(group=5)], lambda integrator: integrator.setIntegrationForceGroups({0})),
+        (langevin, [], lambda integrator: integrator.setFriction(0)),
+    ],
+    ids=["force groups that do not move the bodies", "friction"],
+)
+def test_what_takes_up_momentum_counts_until_it_is_changed(box, make, forces, change):
+    integrator = make()
+    _context = moving_context(box, integrator, forces)
     assert not integrator.conservesMomentum
-    integrator.setIntegrationForceGroups({0})
+    change(integrator)
     assert integrator.conservesMomentum
-    del context
-
-
-def test_friction_counts_when_it_is_set(box):
-    integrator = langevin()
-    context = moving_context(box, integrator)
-    assert not integrator.conservesMomentum
-    integrator.setFriction(0)
-    assert integrator.conservesMomentum
-    del context
 
 
 @pytest.mark.parametrize("fixed", [False, True])
 def test_fixed_particles_take_up_momentum_and_virtual_sites_do_not(fixed):
-    system = openmm.System()
-    for mass in (1.0, 1.0, 0.0):
-        system.addParticle(mass)
+    system = assembled((1.0, 1.0, 0.0))
     if not fixed:
         system.setVirtualSite(2, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
     integrator = nve()
-    context = openmm.Context(system, integrator, platform())
-    context.setPositions(np.eye(3))
+    _context = context_at(system, integrator, (np.eye(3), np.zeros((3, 3))))
     assert integrator.conservesMomentum == (not fixed)
 
 

@@ -9,7 +9,7 @@ import pytest
 import openmm_sier
 from openmm_sier import SIERLangevinIntegrator
 from tests.support.seeded import seeded
-from tests.support.waters import cluster_system, context_at, phase_point, relaxed
+from tests.support.waters import cluster_system, context_at, phase_point
 
 PACKAGE = Path(openmm_sier.__file__).parent
 OWN = ("self", "cls", "super()")
@@ -65,9 +65,7 @@ def test_an_integrator_whose_context_was_refused_says_so():
     integrator = SIERLangevinIntegrator(300, 5, 5)
     with pytest.raises(openmm.OpenMMException, match="femtoseconds"):
         openmm.Context(system, integrator)
-    with pytest.raises(
-        openmm.OpenMMException, match="belonged to a Context that no longer exists, or that was refused"
-    ):
+    with pytest.raises(openmm.OpenMMException, match="a Context that no longer exists, or that was refused"):
         openmm.Context(system, integrator)
 
 
@@ -80,10 +78,9 @@ def test_computations_of_others_are_refused():
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
-def test_an_integrator_that_is_offered_to_a_second_context_stays_that_of_the_first(engine):
+def test_an_integrator_that_is_offered_to_a_second_context_stays_that_of_the_first(cluster, engine):
     """The native engine's heat was lost then."""
-    topology, positions, system = cluster_system(4)
-    point = relaxed(topology, positions, system)
+    _, system, point = cluster
     ends = []
     for is_offered in (False, True):
         integrator = seeded(SIERLangevinIntegrator(300, 5, 0.002, engine=engine))

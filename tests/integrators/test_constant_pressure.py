@@ -12,17 +12,15 @@ from openmm_sier.dynamics.constants import BAR
 from openmm_sier.ensembles import VelocityRescaling
 from tests.support.restarts import assert_same, everything
 from tests.support.seeded import seeded
+from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, platform
 
 TEMPERATURE, PRESSURE = 300.0, 100 * BAR
 
 
 def integrator(pressure=1e3, interval=4, seed=3, **options):
-    made = SIERLangevinIntegrator(
-        297.0, 2.0, 0.001, scheme=SIER2, pressure=pressure, barostatInterval=interval, **options
-    )
-    made.setRandomNumberSeed(seed)
-    return made
+    moves = {"pressure": pressure, "barostatInterval": interval}
+    return seeded(SIERLangevinIntegrator(297.0, 2.0, 0.001, scheme=SIER2, **moves, **options), seed)
 
 
 def rescaled(engine):
@@ -33,17 +31,16 @@ def rescaled(engine):
 
 def nitrogen(n=60, edge=1.65):
     """Rigid dumbbells with Lennard-Jones sites, on a lattice: System and positions."""
-    system, force = openmm.System(), openmm.NonbondedForce()
+    force = openmm.NonbondedForce()
     force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     force.setCutoffDistance(0.7)
     force.setUseDispersionCorrection(False)
-    for i in range(n):
-        for _ in range(2):
-            system.addParticle(14.0067)
+    pairs = [(2 * i, 2 * i + 1) for i in range(n)]
+    for pair in pairs:
+        for _ in pair:
             force.addParticle(0, 0.331, 0.308)
-        system.addConstraint(2 * i, 2 * i + 1, 0.11)
-        force.addException(2 * i, 2 * i + 1, 0, 0.3, 0)
-    system.addForce(force)
+        force.addException(*pair, 0, 0.3, 0)
+    system = assembled(2 * n * [14.0067], force, constraints=((*pair, 0.11) for pair in pairs))
     system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
     lattice = np.argwhere(np.ones((4, 4, 4)))[:n] * (edge / 4)
     return system, (lattice[:, None] + np.array([[0, 0, 0], [0.11, 0, 0]])).reshape(-1, 3)
@@ -58,14 +55,10 @@ def test_volume_is_that_of_openmms_barostat():
     system, positions = nitrogen()
     ours = SIERLangevinIntegrator(150, 20, 0.004, scheme=SIER2, pressure=800, barostatInterval=2)
     theirs = openmm.LangevinMiddleIntegrator(150, 20, 0.004)
-    with_theirs = openmm.XmlSerializer.clone(system)
-    barostat = openmm.MonteCarloBarostat(800, 150, 2)
-    with_theirs.addForce(barostat)
+    with_theirs = with_forces(system, seeded(openmm.MonteCarloBarostat(800, 150, 2), 1))
     means = []
     for made, its_system in ((ours, system), (theirs, with_theirs)):
-        made.setRandomNumberSeed(1)
-        barostat.setRandomNumberSeed(1)
-        context = context_at(its_system, made, (positions, 0 * positions))
+        context = context_at(its_system, seeded(made, 1), (positions, 0 * positions))
         context.setVelocitiesToTemperature(150, 1)
         made.step(1000)
         found = []
@@ -128,8 +121,7 @@ def test_a_pressure_is_set_where_there_is_one():
 
 
 def test_a_barostat_of_the_system_is_refused(box):
-    system = openmm.XmlSerializer.clone(box[1])
-    system.addForce(openmm.MonteCarloBarostat(1.0, 297.0))
+    system = with_forces(box[1], openmm.MonteCarloBarostat(1.0, 297.0))
     with pytest.raises(openmm.OpenMMException, match="so does a MonteCarloBarostat of the System"):
         openmm.Context(system, integrator(), platform())
 

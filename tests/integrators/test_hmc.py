@@ -14,7 +14,8 @@ from openmm_sier.ensembles import metropolis
 from tests.support.methanols import positions_of, system_of
 from tests.support.samplers import KT, counted, sampler
 from tests.support.strangers import fails_as_stranger
-from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, relaxed
+from tests.support.systems import assembled, field
+from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
 
 #: Settings of either engine. Two equal substeps are short enough for SETTLE at the steps of these tests.
 ENGINES = pytest.mark.parametrize("engine", [{}, {"engine": "native", "substeps": 2}], ids=["exact", "native"])
@@ -26,8 +27,7 @@ CROOKED = Scheme("Euler", (("kick", 1.0), ("drift", 1.0)))
 
 @pytest.fixture(scope="module")
 def cluster():
-    topology, positions, system = cluster_system(4)
-    return system, relaxed(topology, positions, system)
+    return settled(*cluster_system(4))[1:]
 
 
 def conserved(context):
@@ -103,8 +103,7 @@ def test_the_other_engine_goes_on_from_a_sample(cluster, first, second):
 @pytest.mark.slow
 @ENGINES
 def test_constant_pressure_moves_the_volume_between_trials(engine):
-    topology, positions, system = periodic_system()
-    point = relaxed(topology, positions, system, steps=100)
+    _, system, point = settled(*periodic_system(), steps=100)
     integrator = sampler(0.003, 2, pressure=1000 * unit.bar, barostatInterval=2, frictionCoeff=30, **engine)
     context = context_at(system, integrator, point, "CPU")
 
@@ -137,13 +136,8 @@ def test_wells_are_sampled_exactly(engine, at_rest):
 
     The motion of the centre of mass is removed after a trial; positions are sampled as without that.
     """
-    system, k = openmm.System(), 1000.0
-    wells = openmm.CustomExternalForce("500*(x^2+y^2+z^2)")
-    for _ in range(4):
-        wells.addParticle(system.addParticle(10.0))
-    system.addForce(wells)
-    if at_rest:
-        system.addForce(openmm.CMMotionRemover())
+    k, removers = 1000.0, [openmm.CMMotionRemover()] if at_rest else []
+    system = assembled(4 * [10.0], field("500*(x^2+y^2+z^2)", range(4)), *removers)
     integrator = sampler(0.13, 3, frictionCoeff=3.0, **engine)
     context = context_at(system, integrator, (np.zeros((4, 3)), np.zeros((4, 3))), steps=20)
     integrator.resetStatistics()
@@ -171,23 +165,21 @@ def test_dipoles_in_a_field_at_constant_pressure():
     """Langevin function and its derivative for the orientation, and the volume of an ideal gas."""
     n, x = 12, 10.0
     sites = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [-0.02, 0.09, 0.0]])
-    system, nothing = openmm.System(), openmm.NonbondedForce()
+    nothing = openmm.NonbondedForce()
     nothing.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     nothing.setCutoffDistance(0.1)
-    bonds, field = openmm.HarmonicBondForce(), openmm.CustomExternalForce("pull*z")
-    field.addPerParticleParameter("pull")
-    for _ in range(n):
-        atoms = [system.addParticle(mass) for mass in (16.0, 1.0, 2.0)]
+    for _ in range(3 * n):
+        nothing.addParticle(0, 1, 0)
+    bonds, pull, held = openmm.HarmonicBondForce(), openmm.CustomExternalForce("pull*z"), []
+    pull.addPerParticleParameter("pull")
+    for first in range(0, 3 * n, 3):
         for a, b in ((0, 1), (1, 2), (0, 2)):
-            system.addConstraint(atoms[a], atoms[b], np.linalg.norm(sites[a] - sites[b]))
-        bonds.addBond(atoms[0], atoms[1], 0.1, 0.0)
-        bonds.addBond(atoms[0], atoms[2], 0.1, 0.0)
-        for atom, sign in zip(atoms[:2], (1, -1), strict=True):
-            field.addParticle(atom, [sign * x * KT / 0.1])
-        for _atom in atoms:
-            nothing.addParticle(0, 1, 0)
-    for force in (nothing, bonds, field):
-        system.addForce(force)
+            held.append((first + a, first + b, np.linalg.norm(sites[a] - sites[b])))
+        bonds.addBond(first, first + 1, 0.1, 0.0)
+        bonds.addBond(first, first + 2, 0.1, 0.0)
+        pull.addParticle(first, [x * KT / 0.1])
+        pull.addParticle(first + 1, [-x * KT / 0.1])
+    system = assembled(n * (16.0, 1.0, 2.0), nothing, bonds, pull, constraints=held)
     system.setDefaultPeriodicBoxVectors(*((n + 1) ** (1 / 3) * np.eye(3)))
     # One kT for each nm^3, which gives the volume a gamma distribution of n + 1 degrees.
     pressure = KT * unit.kilojoule_per_mole / unit.nanometer**3 / unit.AVOGADRO_CONSTANT_NA
@@ -211,20 +203,20 @@ def test_dipoles_in_a_field_at_constant_pressure():
 @pytest.mark.parametrize("change", ["positions", "parameter", "force", "groups", "box"])
 def test_a_change_between_trials_changes_the_energy_of_the_sample(change, engine):
     _, positions, system = periodic_system(removeCMMotion=False)
-    field = openmm.CustomExternalForce("field*(y-2)*strength")
-    field.addGlobalParameter("field", 100.0)
-    field.addPerParticleParameter("strength")
-    field.addParticle(0, [1.0])
-    field.setForceGroup(1)
-    system.addForce(field)
+    pull = openmm.CustomExternalForce("field*(y-2)*strength")
+    pull.addGlobalParameter("field", 100.0)
+    pull.addPerParticleParameter("strength")
+    pull.addParticle(0, [1.0])
+    pull.setForceGroup(1)
+    system.addForce(pull)
     integrator = sampler(0.00005, **engine)
     context = context_at(system, integrator, (positions, np.zeros_like(positions)), steps=1)
-    field.setParticleParameters(0, 0, [0.5])
+    pull.setParticleParameters(0, 0, [0.5])
     wider = (1.01 * vector for vector in context.getState().getPeriodicBoxVectors())
     changes = {
         "positions": lambda: context.setPositions(phase_point(context)[0] + 0.25),
         "parameter": lambda: context.setParameter("field", 50.0),
-        "force": lambda: field.updateParametersInContext(context),
+        "force": lambda: pull.updateParametersInContext(context),
         "groups": lambda: integrator.setIntegrationForceGroups({0}),
         "box": lambda: context.setPeriodicBoxVectors(*wider),
     }
@@ -237,11 +229,7 @@ def test_a_change_between_trials_changes_the_energy_of_the_sample(change, engine
 @ENGINES
 def test_forces_that_are_not_finite_reject_a_trial(engine):
     """A particle in a well that ends at x = 0.3 nm: what leaves it is rejected, and the run goes on."""
-    system = openmm.System()
-    system.addParticle(1.0)
-    well = openmm.CustomExternalForce("sqrt(0.09-x^2)-0.3")
-    well.addParticle(0)
-    system.addForce(well)
+    system = assembled([1.0], field("sqrt(0.09-x^2)-0.3", [0]))
     integrator = sampler(0.02, 3, seed=6, **engine)
     context = context_at(system, integrator, (np.zeros((1, 3)), np.zeros((1, 3))))
     places, failed = [], 0

@@ -16,6 +16,8 @@ from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
 from openmm_sier.measure.statistics import mean_and_error
 from studies.hmc.samples import backbone, dihedral
 from systems import peptide
+from tests.support.seeded import seeded
+from tests.support.waters import context_at
 
 TEMPERATURE, FRICTION = 300.0, 5.0
 
@@ -42,9 +44,7 @@ def dipeptide():
 def sampled(dipeptide, integrator, every):
     """Means and errors (4, 2) of the cosines and sines of both angles about their centres."""
     system, positions, angles = dipeptide
-    integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions(positions)
+    context = context_at(system, seeded(integrator, 1), (positions, 0 * positions))
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
     context.setVelocitiesToTemperature(TEMPERATURE, 1)
     integrator.step(20 * every)

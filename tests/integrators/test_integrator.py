@@ -7,19 +7,20 @@ from openmm import app, unit
 
 from openmm_sier import SIER2P3, SIER2Integrator, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from tests.support.seeded import seeded
-from tests.support.waters import context_at, energies, periodic_system, phase_point, platform
+from tests.support.systems import with_forces
+from tests.support.waters import context_at, energies, force_of, periodic_system, phase_point, platform
 
 
 def test_forces_changed_without_a_trace_can_be_declared(cluster):
     _, system, point = cluster
-    system = openmm.XmlSerializer.clone(system)
     pull = openmm.CustomExternalForce("k*x")
     pull.addPerParticleParameter("k")
     pull.addParticle(0, [0.0])
-    system.addForce(pull)
+    system = with_forces(system, pull)
     integrator = SIER2Integrator(0.001)
     context = context_at(system, integrator, point, steps=1)
     before = integrator.getBodyState().p.sum(axis=1)[0]
+    pull = force_of(system, openmm.CustomExternalForce)
     pull.setParticleParameters(0, 0, [1000.0])
     pull.updateParametersInContext(context)
     integrator.forcesChanged()
@@ -41,12 +42,10 @@ def test_clock_runs_for_forces_that_read_it(cluster):
     """A Force that may depend on time, inside a CustomCVForce too, sees the same in one call of step and in many."""
     times = []
     for counts in ((4,), (1, 1, 1, 1)):
-        system = openmm.XmlSerializer.clone(cluster[1])
         colvar = openmm.CustomCVForce("0*pull")
         colvar.addCollectiveVariable("pull", openmm.PythonForce(clock_reader))
-        system.addForce(colvar)
         integrator = SIER2Integrator(0.001)
-        _context = context_at(system, integrator, cluster[2])
+        _context = context_at(with_forces(cluster[1], colvar), integrator, cluster[2])
         SEEN.clear()
         for count in counts:
             integrator.step(count)
@@ -58,8 +57,7 @@ def test_clock_runs_for_forces_that_read_it(cluster):
 
 def test_andersen_thermostat_acts(box):
     _, system, point = box
-    system = openmm.XmlSerializer.clone(system)
-    system.addForce(seeded(openmm.AndersenThermostat(297.0, 1000.0), 4))
+    system = with_forces(system, seeded(openmm.AndersenThermostat(297.0, 1000.0), 4))
     integrator = SIER2Integrator(0.001)
     _context = context_at(system, integrator, (point[0], 0 * point[1]), "CPU", steps=10)
     assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
@@ -153,15 +151,13 @@ def test_barostats_need_no_velocities(box, barostat):
     With the general way, which writes everything before and reads everything after each of OpenMM's steps.
     """
     _, system, point = box
-    system = openmm.XmlSerializer.clone(system)
+    system = with_forces(system, seeded(barostat, 7))
     # A CMMotionRemover's work is rounded differently in the two ways.
     system.removeForce([force.getName() for force in system.getForces()].index("CMMotionRemover"))
-    system.addForce(seeded(openmm.XmlSerializer.clone(barostat), 7))
     ends, volumes = [], []
     for alone in (True, False):
-        integrator = SIER2Integrator(0.001)
         # On Reference all random numbers come from one generator, which the integrator's seed starts.
-        integrator.setRandomNumberSeed(7)
+        integrator = seeded(SIER2Integrator(0.001), 7)
         context = context_at(system, integrator, point)
         volumes.append(context.getState().getPeriodicBoxVolume()._value)
         integrator.step(0)

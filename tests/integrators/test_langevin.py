@@ -23,6 +23,7 @@ from openmm_sier.ensembles import Langevin
 from tests.support.flexible import chains
 from tests.support.flexible_systems import FAST, system_of
 from tests.support.seeded import seeded
+from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
 TEMPERATURE = 297.0
@@ -170,14 +171,12 @@ def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
 
 def fast_bonds(count, masses, stiffness, slow):
     """System and positions of bonds of 0.1 nm in the fast group, on each of which a slow force acts too."""
-    system, fast = openmm.System(), openmm.HarmonicBondForce()
+    fast = openmm.HarmonicBondForce()
     fast.setForceGroup(FAST)
-    for _ in range(count):
-        pair = [system.addParticle(mass) for mass in masses]
-        fast.addBond(*pair, 0.1, stiffness)
-        slow.addBond(*pair)
-    system.addForce(fast)
-    system.addForce(slow)
+    for i in range(0, 2 * count, 2):
+        fast.addBond(i, i + 1, 0.1, stiffness)
+        slow.addBond(i, i + 1)
+    system = assembled(count * masses, fast, slow)
     positions = np.repeat(np.random.default_rng(3).uniform(0, 10, (count, 3)), 2, axis=0)
     positions[1::2, 0] += 0.1
     return system, positions
@@ -242,7 +241,7 @@ def test_slow_forces_stretch_a_fast_bond_by_too_little(engine):
 @pytest.mark.parametrize("force", [openmm.MonteCarloBarostat(1, 350, 25), openmm.AndersenThermostat(350, 1)])
 def test_a_force_at_another_temperature_is_spoken_of(force):
     _, positions, system = periodic_system()
-    system.addForce(openmm.XmlSerializer.clone(force))
+    system = with_forces(system, force)
     name = type(force).__name__
     with pytest.warns(UserWarning, match=f"The {name} has 350 K and the heat bath of the integrator 300 K"):
         context_at(system, SIERLangevinIntegrator(300, 1, 0.002, SIER2), (positions, 0 * positions))

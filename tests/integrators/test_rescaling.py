@@ -11,6 +11,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.ensembles import VelocityRescaling
 from tests.support.restarts import assert_same, everything
 from tests.support.seeded import seeded
+from tests.support.systems import assembled
 from tests.support.waters import context_at, energies, phase_point
 
 TEMPERATURE = 297.0
@@ -27,11 +28,8 @@ def integrator(h=0.002, rate=5.0, every=4, scheme=SIER2, seed=7, engine="auto", 
 
 def rotors(frozen=False):
     """A water molecule without forces, a chain of three atoms with two constraints, and perhaps a frozen atom."""
-    system = openmm.System()
-    for mass in (16.0, 1.0, 1.0, 12.0, 14.0, 12.0):
-        system.addParticle(mass)
-    for i, j, length in ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.16), (3, 4, 0.15), (4, 5, 0.15)):
-        system.addConstraint(i, j, length)
+    held = ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.16), (3, 4, 0.15), (4, 5, 0.15))
+    system = assembled((16.0, 1.0, 1.0, 12.0, 14.0, 12.0), constraints=held)
     water = np.array([[0.0, 0.0, 0.0], [0.08, 0.06, 0.0], [-0.08, 0.06, 0.0]])
     chain = np.array([[0.15, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.15, 0.0]])
     positions = np.concatenate([water, chain + 2])

@@ -33,10 +33,12 @@ from tests.support.restarts import (
     assert_same,
     clock_and_box,
     everything,
+    full_state,
     simulation_of,
 )
 from tests.support.seeded import seeded
-from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, relaxed
+from tests.support.systems import with_forces
+from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, platform, settled
 
 
 def langevin(scheme, **options):
@@ -91,8 +93,7 @@ MATRIX = [
 
 @pytest.fixture(scope="module")
 def cluster():
-    topology, positions, system = cluster_system(6, "tip4pew")
-    return topology, system, relaxed(topology, positions, system)
+    return settled(*cluster_system(6, "tip4pew"))
 
 
 @pytest.mark.slow
@@ -152,9 +153,7 @@ def test_positions_from_outside_end_the_past(box):
 
 
 def with_barostat(system, frequency):
-    system = openmm.XmlSerializer.clone(system)
-    system.addForce(seeded(openmm.MonteCarloBarostat(1.0, 297.0, frequency), 5))
-    return system
+    return with_forces(system, seeded(openmm.MonteCarloBarostat(1.0, 297.0, frequency), 5))
 
 
 @pytest.mark.slow
@@ -240,10 +239,6 @@ def test_reinitialization_without_its_state_starts_anew(cluster):
     assert_same(everything(context), end)
 
 
-def full_state(context):
-    return context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
-
-
 def test_noise_after_a_state_is_of_its_own(cluster):
     """Of replicas that share a Context, and of Contexts with other seeds; a seed of 0 is another one each time.
 
@@ -320,13 +315,12 @@ def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point
     """On the CPU platform with one thread, where the rounding of forces depends on when the neighbour list was made."""
     topology, positions, system = periodic_system()
     prepare_system(system)
-    point = relaxed(topology, positions, system, steps=100)
+    topology, system, point = settled(topology, positions, system, steps=100)
 
     def run(look, write):
         simulation = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU", point)
         simulation.step(8)
-        wanted = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
-        state = simulation.context.getState(**wanted) if look else None
+        state = full_state(simulation.context) if look else None
         xml = openmm.XmlSerializer.serialize(state) if write else None
         simulation.step(8)
         return everything(simulation.context), xml

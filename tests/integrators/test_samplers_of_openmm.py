@@ -3,13 +3,13 @@
 import random
 
 import numpy as np
-import openmm
 import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIERHMCIntegrator, SIERLangevinIntegrator
+from tests.support.restarts import simulation_of
 from tests.support.seeded import seeded
-from tests.support.waters import platform
+from tests.support.systems import assembled, field
 
 N, SPRING = 10, 1000.0
 TEMPERATURES = (300.0, 450.0)
@@ -24,17 +24,13 @@ MAKERS = {
 def simulation(request):
     """Particles in harmonic wells, whose mean energy is 3 N kT/2."""
     kind, engine = request.param
-    system, wells = openmm.System(), openmm.CustomExternalForce(f"{0.5 * SPRING}*(x^2+y^2+z^2)")
+    system = assembled(N * [10.0], field(f"{0.5 * SPRING}*(x^2+y^2+z^2)", range(N)))
     topology = app.Topology()
     residue = topology.addResidue("X", topology.addChain())
-    for i in range(N):
-        system.addParticle(10.0)
-        wells.addParticle(i)
+    for _ in range(N):
         topology.addAtom("X", None, residue)
-    system.addForce(wells)
     integrator = seeded(MAKERS[kind](engine), 5)
-    made = app.Simulation(topology, system, integrator, platform())
-    made.context.setPositions(np.zeros((N, 3)))
+    made = simulation_of(topology, system, integrator, point=np.zeros((2, N, 3)))
     made.context.setVelocitiesToTemperature(300, 1)
     return made
 

@@ -32,17 +32,12 @@ from openmm_sier import (
 from openmm_sier.dynamics import rotation
 from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.integrators import settings
+from tests.support.restarts import full_state
 from tests.support.seeded import seeded
-from tests.support.waters import array, cluster_system, context_at, platform, relaxed
+from tests.support.systems import assembled
+from tests.support.waters import array, cluster_system, context_at, platform
 
 serialize, deserialize = openmm.XmlSerializer.serialize, openmm.XmlSerializer.deserialize
-
-
-@pytest.fixture(scope="module")
-def cluster():
-    """Topology, System, and positions and velocities of a few waters."""
-    topology, positions, system = cluster_system(3)
-    return topology, system, relaxed(topology, positions, system)
 
 
 def langevin(temperature=300.0, friction=1.0, **settings):
@@ -74,7 +69,7 @@ DISTINCT = {
     "bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[0, 1, 2]]),
     "other bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[3, 4, 5]]),
     "more bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=[[0, 1, 2], [3, 4, 5]]),
-    "settled bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=RigidBodies.from_system(cluster_system(3)[2])),
+    "settled bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=RigidBodies.from_system(cluster_system()[2])),
     "Langevin": langevin,
     "temperature": lambda: langevin(310),
     "friction": lambda: langevin(friction=2),
@@ -132,7 +127,7 @@ def test_settings_that_are_changed_are_in_xml():
 
 @pytest.mark.parametrize("name", [name for name in DISTINCT if "pressure" not in name and name != "interval"])
 def test_copies_of_a_bound_integrator_serialize_like_it(cluster, name):
-    """Three molecules without a box, which have no pressure."""
+    """Molecules without a box, which have no pressure."""
     integrator = DISTINCT[name]()
     _context = context_at(cluster[1], integrator, cluster[2], steps=1)
     for way in (copy.copy, copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))):
@@ -155,9 +150,8 @@ def test_a_run_from_xml_files_is_the_run(tmp_path, cluster):
     topology, system, point = cluster
     integrator = SIERIntegrator(0.004, SIER4G)
     context = context_at(system, integrator, point, steps=3)
-    state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
     files = [str(tmp_path / f"{name}.xml") for name in ("system", "integrator", "state")]
-    for file, item in zip(files, (system, integrator, state), strict=True):
+    for file, item in zip(files, (system, integrator, full_state(context)), strict=True):
         with open(file, "w") as out:
             out.write(serialize(item))
     simulation = app.Simulation(topology, files[0], files[1], platform(), state=files[2])
@@ -185,18 +179,12 @@ def test_copy_of_a_bound_integrator_in_another_system(cluster, n):
     """OpenMM does not check that per-atom variables fit the System, and would read beyond their end."""
     integrator = SIER2Integrator(0.001)
     _context = context_at(cluster[1], integrator, cluster[2], steps=1)
-    system = openmm.System()
-    for _ in range(n):
-        system.addParticle(1.0)
-    other = copy.deepcopy(integrator)
-    context = openmm.Context(system, other, platform())
-    context.setPositions(np.arange(3.0 * n).reshape(n, 3))
-    context.setVelocities(np.ones((n, 3)))
-    other.step(2)
+    other, positions = copy.deepcopy(integrator), np.arange(3.0 * n).reshape(n, 3)
+    context = context_at(assembled(n * [1.0]), other, (positions, np.ones((n, 3))), steps=2)
     assert len(other.getPerDofVariableByName("sier_state0")) == n
     found = array(context.getState(positions=True).getPositions(asNumpy=True))
     # Two steps at constant velocity, to rounding.
-    assert found == pytest.approx(np.arange(3.0 * n).reshape(n, 3) + 0.002, abs=1e-14)
+    assert found == pytest.approx(positions + 0.002, abs=1e-14)
 
 
 def test_copies_of_a_bound_integrator_have_their_own_noise(cluster):
@@ -323,9 +311,7 @@ def test_damaged_settings_are_refused():
     plain = openmm.CustomIntegrator(0.001)
     for text in ("", "{", "[]", "null", '{"layout": 1}', "\u00e9" * 20):
         settings.store_text(plain, text)
-        with pytest.raises(
-            openmm.OpenMMException, match=r"stored in this SIER integrator|stored SIER integrator|another"
-        ):
+        with pytest.raises(openmm.OpenMMException, match=r"stored (in this )?SIER integrator|another"):
             deserialize(serialize(plain))
     for values in ([-1.0, 0.0], [1e300, 1.0], [math.nan, 2.0], [0.5, 0.5]):
         plain.getTabulatedFunction(0).setFunctionParameters(values)

@@ -13,6 +13,7 @@ from openmm_sier.integrators import tuning
 from openmm_sier.integrators.tuning import LengthFound
 from tests.support.seeded import seeded
 from tests.support.silence import silence
+from tests.support.systems import assembled
 from tests.support.waters import context_at, platform
 
 TEMPERATURE = 300.0
@@ -20,12 +21,11 @@ TEMPERATURE = 300.0
 
 def wells(h=0.004, n=10, scheme=SIER2, seed=3, particles=20):
     """A Context of particles in wells of several frequencies, 30 to 60 per ps."""
-    system, well = openmm.System(), openmm.CustomExternalForce("0.5*k*(x^2+y^2+z^2)")
+    well = openmm.CustomExternalForce("0.5*k*(x^2+y^2+z^2)")
     well.addPerParticleParameter("k")
     for i in range(particles):
-        system.addParticle(1.0)
         well.addParticle(i, [1000.0 * (1 + 3 * i / particles)])
-    system.addForce(well)
+    system = assembled(particles * [1.0], well)
     integrator = seeded(SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n), seed)
     return context_at(system, integrator, np.zeros((2, particles, 3)))
 
@@ -89,14 +89,12 @@ def test_a_length_that_does_not_reverse_is_left_out(monkeypatch):
 
 def bonded(mass, strength, **options):
     """A Context of two atoms with a bond in force group 1."""
-    system, bond = openmm.System(), openmm.HarmonicBondForce()
+    bond = openmm.HarmonicBondForce()
     bond.setForceGroup(1)
-    for _ in range(2):
-        system.addParticle(mass)
     bond.addBond(0, 1, 0.1, strength)
-    system.addForce(bond)
     integrator = seeded(SIERHMCIntegrator(TEMPERATURE, 0.004, stepsPerTrial=3, **options), 5)
-    return context_at(system, integrator, (np.array([[0.0, 0, 0], [0.1, 0, 0]]), np.zeros((2, 3))))
+    point = np.array([[0.0, 0, 0], [0.1, 0, 0]]), np.zeros((2, 3))
+    return context_at(assembled(2 * [mass], bond), integrator, point)
 
 
 def test_steps_stay_below_what_a_bond_bears():
@@ -160,9 +158,7 @@ def test_arguments_that_make_no_sense(options, message):
 
 
 def test_other_integrators_are_refused():
-    system = openmm.System()
-    system.addParticle(1.0)
-    context = openmm.Context(system, SIERIntegrator(0.001), platform())
+    context = openmm.Context(assembled([1.0]), SIERIntegrator(0.001), platform())
     with pytest.raises(TypeError, match="with a SIERHMCIntegrator, got a SIERIntegrator"):
         tune(context)
     with pytest.raises(ValueError, match="step must be above zero"):

@@ -17,6 +17,7 @@ from tests.support.reports import Told
 from tests.support.seeded import seeded
 from tests.support.silence import silence
 from tests.support.solutes import spc, system_of
+from tests.support.systems import assembled, field, with_forces
 from tests.support.tethers import falling_water, tethered_water
 from tests.support.waters import energies, phase_point, platform
 
@@ -71,8 +72,7 @@ def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
 @pytest.mark.slow
 def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered):
     monkeypatch.setattr(starts, "LONGEST", 4.0)
-    system = openmm.XmlSerializer.clone(tethered[0])
-    system.addForce(seeded(openmm.AndersenThermostat(2 * TEMPERATURE, 50), 1))
+    system = with_forces(tethered[0], seeded(openmm.AndersenThermostat(2 * TEMPERATURE, 50), 1))
     with pytest.warns(EquilibrationWarning, match="a temperature is out of bounds"):
         found = equilibrate(context_of(system, tethered[1]), TEMPERATURE)
     assert not found.settled
@@ -185,14 +185,10 @@ def test_threads_are_no_more_than_the_cores_of_the_process(monkeypatch):
 
 def test_the_force_that_calls_for_a_minimization_does_not_grow_with_a_molecule():
     """On molecules of 100 atoms, in one field for all: 100 times the force on an atom, over the root of 100."""
-    system = openmm.System()
-    bonds, field = openmm.HarmonicBondForce(), openmm.CustomExternalForce("-7*x")
+    bonds = openmm.HarmonicBondForce()
     for i in range(200):
-        system.addParticle(12.0)
-        field.addParticle(i)
         if i % 100:
             bonds.addBond(i - 1, i, 0.15, 0.0)
-    system.addForce(bonds)
-    system.addForce(field)
+    system = assembled(200 * [12.0], bonds, field("-7*x", range(200)))
     line = np.arange(200)[:, None] * [0.15, 0.0, 0.0]
     assert starts._strongest_force(context_of(system, line)) == pytest.approx(70.0)

@@ -12,8 +12,11 @@ from openmm_sier import SIER2, SIER2Integrator, SIERHMCIntegrator, SIERIntegrato
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.observe.pressure import COLUMNS, COMPONENTS, MolecularPressure
 from openmm_sier.observe.reporters import PressureReporter
+from tests.support.flexible_systems import started
 from tests.support.restarts import assert_same, everything, simulation_of
-from tests.support.waters import array, cluster_system, context_at, periodic_system, platform
+from tests.support.seeded import seeded
+from tests.support.systems import assembled, with_forces
+from tests.support.waters import array, cluster_system, context_at, periodic_system
 
 #: Edges of the box of ions, nm, and the rotation that turns a diagonal of it to the x axis.
 EDGES = np.array([1.6, 1.8, 1.7])
@@ -27,12 +30,6 @@ def tensor_of(context):
     for (i, j), value in zip(COMPONENTS, found, strict=True):
         tensor[i, j] = tensor[j, i] = value
     return tensor
-
-
-def periodic_box(edges):
-    system = openmm.System()
-    system.setDefaultPeriodicBoxVectors(*np.asarray(edges, dtype=float))
-    return system
 
 
 # --- pairs ---
@@ -110,7 +107,7 @@ def salt(turn=False, dispersion=True):
         box = np.array([box[0] + box[1], -box[0], box[2]]) @ TURN.T
         box[0, 1] = 0
         positions = positions @ TURN.T
-    system, force = periodic_box(box), openmm.NonbondedForce()
+    force = openmm.NonbondedForce()
     force.setNonbondedMethod(force.PME)
     force.setCutoffDistance(0.5)
     force.setPMEParameters(6.6, 48, 40, 40)
@@ -118,9 +115,9 @@ def salt(turn=False, dispersion=True):
     force.setSwitchingDistance(0.4)
     force.setUseDispersionCorrection(dispersion)
     for place in grid:
-        system.addParticle(30.0)
         force.addParticle((-1.0) ** place.sum(), 0.25, 0.5)
-    system.addForce(force)
+    system = assembled(len(grid) * [30.0], force)
+    system.setDefaultPeriodicBoxVectors(*box)
     velocities = np.random.default_rng(3).normal(size=grid.shape)
     return system, (positions, velocities @ TURN.T if turn else velocities)
 
@@ -155,29 +152,24 @@ def test_shear_is_the_diagonal_of_a_turned_box():
 def gas(joined, n=20):
     """A System of bent rotors without interactions, their bodies, and positions; joined by constraints or not."""
     shape = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.12, 0.0]])
-    system, force = periodic_box(2 * np.eye(3)), openmm.NonbondedForce()
+    force, rng = openmm.NonbondedForce(), np.random.default_rng(5)
     force.setNonbondedMethod(force.CutoffPeriodic)
     force.setCutoffDistance(0.5)
-    bodies, rng, positions = [], np.random.default_rng(5), []
-    for _ in range(n):
-        bodies.append([system.addParticle(mass) for mass in (16.0, 2.0, 1.0)])
-        positions.append(shape + rng.uniform(-3, 3, 3))
-        for _ in shape:
-            force.addParticle(0, 1, 0)
-        for i, j in pairwise((0, 1, 2, 0)) if joined else ():
-            system.addConstraint(bodies[-1][i], bodies[-1][j], float(np.linalg.norm(shape[i] - shape[j])))
-    system.addForce(force)
-    return system, bodies, np.concatenate(positions)
+    for _ in range(3 * n):
+        force.addParticle(0, 1, 0)
+    bodies = np.arange(3 * n).reshape(n, 3).tolist()
+    sides = [(i, j, np.linalg.norm(shape[i] - shape[j])) for i, j in pairwise((0, 1, 2, 0))]
+    held = [(atoms[i], atoms[j], length) for atoms in bodies for i, j, length in sides]
+    system = assembled(n * (16.0, 2.0, 1.0), force, constraints=held if joined else ())
+    system.setDefaultPeriodicBoxVectors(*(2 * np.eye(3)))
+    return system, bodies, (shape + rng.uniform(-3, 3, (n, 1, 3))).reshape(-1, 3)
 
 
 @pytest.mark.parametrize("joined", [True, False])
 def test_ideal_gas_of_rotors(joined):
     system, bodies, positions = gas(joined)
     integrator = SIERIntegrator(0.002, SIER2, None if joined else bodies)
-    context = openmm.Context(system, integrator, platform())
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(300, 1)
-    integrator.step(3)
+    context = started(system, integrator, positions, seed=1, steps=3)
     motion = integrator.getBodyState()
     expected = motion.p @ motion.p.T / 19.0 / 8.0
     np.testing.assert_allclose(tensor_of(context), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
@@ -189,17 +181,12 @@ def test_ideal_gas_of_rotors(joined):
 # --- the reporter ---
 
 
-def seeded(integrator):
-    integrator.setRandomNumberSeed(1)
-    return integrator
-
-
 def bath():
-    return seeded(SIERLangevinIntegrator(297, 5, 0.002, SIER2))
+    return seeded(SIERLangevinIntegrator(297, 5, 0.002, SIER2), 1)
 
 
 def trials():
-    return seeded(SIERHMCIntegrator(297, 0.002, SIER2, stepsPerTrial=4))
+    return seeded(SIERHMCIntegrator(297, 0.002, SIER2, stepsPerTrial=4), 1)
 
 
 @pytest.mark.slow
@@ -245,8 +232,7 @@ def test_refusals(tmp_path, box):
     simulation.reporters.append(PressureReporter(tmp_path / "p.csv", 1))
     with pytest.raises(ValueError, match="needs a System with periodic boundary conditions"):
         simulation.step(1)
-    held = openmm.XmlSerializer.clone(box[1])
-    held.addForce(openmm.CustomExternalForce("x"))
+    held = with_forces(box[1], openmm.CustomExternalForce("x"))
     with pytest.raises(ValueError, match="has a CustomExternalForce"):
         MolecularPressure(context_at(held, SIER2Integrator(0.001), box[2]))
     (frozen, point), (summed, _) = salt(), salt()

@@ -7,15 +7,14 @@ from openmm import unit
 
 from openmm_sier import RigidBodies
 from openmm_sier.observe import conservation, stock
-from tests.support.waters import context_at, periodic_system, relaxed
+from tests.support.waters import context_at, periodic_system, settled
 
 NVE, NVT = (), (297.0,)
 
 
 @pytest.fixture(scope="module")
 def box():
-    topology, positions, system = periodic_system(removeCMMotion=False)
-    return system, relaxed(topology, positions, system)
+    return settled(*periodic_system(removeCMMotion=False))[1:]
 
 
 def simulated(box, name, around=NVE):

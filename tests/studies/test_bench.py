@@ -12,15 +12,15 @@ from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.measure import forcefields
 from studies.bench import peers
 from tests.support.commands import SYSTEMS
+from tests.support.flexible_systems import started
+from tests.support.waters import plain_context
 
 
 @pytest.fixture(scope="module")
 def liquid():
     """512 molecules of TIP3P with velocities: the System, a State, and what peers are told."""
     found = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
-    context = openmm.Context(found.system, SIER2Integrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions(found.positions)
-    context.setVelocitiesToTemperature(297, 1)
+    context = started(found.system, SIER2Integrator(0.001), found.positions, 297, seed=1)
     state = context.getState(positions=True, velocities=True)
     return found.system, state, peers.liquid_of(found.system, state)
 
@@ -40,9 +40,8 @@ def test_what_gromacs_gets_has_the_same_energy(liquid, tmp_path):
             force.setPMEParameters(told.alpha, *told.mesh)
     energies = []
     for one, positions in ((system, state.getPositions()), (again, gro.getPositions())):
-        context = openmm.Context(one, openmm.VerletIntegrator(1e-3), openmm.Platform.getPlatformByName("Reference"))
+        context = plain_context(one, positions)
         context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-        context.setPositions(positions)
         energies.append(context.getState(energy=True).getPotentialEnergy()._value)
     # Coordinates with nine decimals, 1e-9 nm, against forces of up to 1e3 kJ/mol/nm on 1536 atoms.
     assert energies[1] == pytest.approx(energies[0], abs=1e-3)

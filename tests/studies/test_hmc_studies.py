@@ -10,6 +10,7 @@ from studies.hmc import solutes
 from studies.hmc.curvature import Curvature
 from studies.hmc.samples import dihedral
 from tests.support.commands import SYSTEMS
+from tests.support.systems import assembled
 from tests.support.waters import plain_context
 
 DIPEPTIDE = SYSTEMS / "dipeptide.pdb"
@@ -36,16 +37,15 @@ def test_a_dihedral():
 
 def test_curvatures_of_known_potentials():
     """Wells for the points, and a field v.w on arms w of rigid water, whose Laplacian on rotations is -2 v.w."""
-    system, force = openmm.System(), openmm.CustomExternalForce("0.5*k*(x^2 + y^2 + z^2)")
+    force = openmm.CustomExternalForce("0.5*k*(x^2 + y^2 + z^2)")
     force.addPerParticleParameter("k")
     arms = np.array([[0.0, 0, 0], [0.1, 0, 0], [-0.025, 0.0968, 0]])
     springs = np.array([100.0, 300.0, 50.0, 200.0])
     masses = np.array([16.0, 1.0, 1.0, 12.0])
-    for mass, spring in zip(masses, springs, strict=True):
-        force.addParticle(system.addParticle(mass), [spring])
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        system.addConstraint(i, j, np.linalg.norm(arms[i] - arms[j]))
-    system.addForce(force)
+    for i, spring in enumerate(springs):
+        force.addParticle(i, [spring])
+    held = [(i, j, np.linalg.norm(arms[i] - arms[j])) for i, j in ((0, 1), (0, 2), (1, 2))]
+    system = assembled(masses, force, constraints=held)
     positions = np.vstack([arms + np.array([0.5, 0.2, 0.1]), [[0.3, -0.2, 0.1]]])
     curvature = Curvature(system, RigidBodies.from_system(system), 1, "Reference")
     state = plain_context(system, positions).getState(positions=True)

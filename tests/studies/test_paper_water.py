@@ -12,6 +12,7 @@ from studies.paper import liquids, molecular_cutoff, tip4p
 from studies.paper.liquids import MOLECULAR, PME, Cutoffs
 from studies.paper.molecular_cutoff import MolecularCutoff
 from tests.support.oracles import random_attitudes
+from tests.support.systems import assembled
 from tests.support.waters import plain_context
 
 ON, OFF, EDGE = 0.3, 0.5, 1.5
@@ -53,11 +54,8 @@ def compound_bonds(n):
 
 def reference_energy_and_forces(positions):
     n = len(positions) // 4
-    system = openmm.System()
+    system = assembled(4 * n * [1.0], compound_bonds(n))
     system.setDefaultPeriodicBoxVectors(*(EDGE * np.eye(3)))
-    for _ in range(4 * n):
-        system.addParticle(1.0)
-    system.addForce(compound_bonds(n))
     state = plain_context(system, positions).getState(energy=True, forces=True)
     return (
         state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole),

@@ -9,9 +9,10 @@ from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator
 from openmm_sier.dynamics.schemes import DRIFT
 from studies import sampling
 from studies.methods import SCHEMES
+from tests.support.flexible_systems import started
 from tests.support.seeded import seeded
 from tests.support.tethers import SPRINGS, tethered_water
-from tests.support.waters import periodic_system, platform
+from tests.support.waters import periodic_system
 
 TEMPERATURE = 300.0
 
@@ -21,10 +22,7 @@ def test_steepness_of_springs():
     system, positions = tethered_water(500)
     bodies = RigidBodies.from_system(system)
     integrator = seeded(SIERLangevinIntegrator(TEMPERATURE, 20.0, 1e-3, scheme=SIER2))
-    context = openmm.Context(system, integrator, platform())
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(TEMPERATURE, 1)
-    integrator.step(1000)
+    context = started(system, integrator, positions, TEMPERATURE, seed=1, steps=1000)
     steepness = sampling.steepness(context, bodies, 100, 10)
     assert steepness[0] == pytest.approx(TEMPERATURE * sum(SPRINGS) / bodies.masses[0], rel=0.03)
 
@@ -55,9 +53,6 @@ def test_torn_molecules_end_one_run_and_not_the_comparison():
     topology, positions, system = periodic_system()
     while system.getNumForces():
         system.removeForce(0)
-    integrator = openmm.VerletIntegrator(0.03)
-    context = openmm.Context(system, integrator, platform())
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(2000, 1)
+    context = started(system, openmm.VerletIntegrator(0.03), positions, 2000, seed=1)
     with pytest.raises(sampling.Unstable):
         sampling.sample(context, RigidBodies.from_system(system, topology), 200, 5)

@@ -24,7 +24,5 @@ def test_methods_of_the_figure_of_costs_have_a_look():
 
 
 def test_no_two_methods_look_alike():
-    looks = [tuple(style.of_method(name)[key] for key in ("color", "marker")) for name in style.METHODS]
-    assert len(set(looks)) == len(looks)
     colours = [to_rgb(colour) for colour, _ in style.METHODS.values()]
     assert len(set(colours)) == len(colours)

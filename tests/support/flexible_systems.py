@@ -4,6 +4,7 @@ import numpy as np
 import openmm
 
 from tests.support.flexible import Points
+from tests.support.systems import assembled
 from tests.support.waters import platform
 
 #: TIP3P.
@@ -18,11 +19,8 @@ def system_of(points: Points, waters=0, ions=0, box=None):
 
     Springs are in the force group `FAST`. With a box, its edge in nm, interactions are periodic.
     """
-    system = openmm.System()
-    for mass in points.masses:
-        system.addParticle(mass)
-    for (i, j), length in zip(points.pairs.tolist(), points.lengths.tolist(), strict=True):
-        system.addConstraint(i, j, length)
+    held = zip(*points.pairs.T.tolist(), points.lengths.tolist(), strict=True)
+    system = assembled(points.masses, constraints=held)
     n = len(points.masses)
     positions = [*points.x.T]
     for number in range(waters):

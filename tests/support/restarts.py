@@ -55,6 +55,11 @@ def after_ten_steps(simulation, way, path):
     return f"load{kind}"
 
 
+def full_state(context):
+    """All that a run goes on from."""
+    return context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+
+
 def clock_and_box(context):
     state = context.getState()
     box = np.array(state.getPeriodicBoxVectors(asNumpy=True)._value)

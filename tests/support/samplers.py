@@ -5,15 +5,14 @@ import openmm
 from openmm_sier import SIER2, SIERHMCIntegrator
 from openmm_sier.engines.exact.forces import BodyForces
 from tests.support.restarts import everything
+from tests.support.seeded import seeded
 
 TEMPERATURE = 297.0
 KT = 8.314462618e-3 * TEMPERATURE
 
 
 def sampler(h=0.008, n=4, scheme=SIER2, seed=5, **options):
-    integrator = SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n, **options)
-    integrator.setRandomNumberSeed(seed)
-    return integrator
+    return seeded(SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n, **options), seed)
 
 
 def counted(context):

@@ -6,6 +6,9 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from tests.support.seeded import seeded
+from tests.support.systems import field
+
 
 def platform(name="Reference"):
     return openmm.Platform.getPlatformByName(name)
@@ -58,8 +61,7 @@ def cluster_system(molecules=8, model="tip3p", **options):
 
 def relaxed(topology, positions, system, temperature=297.0, seed=7, steps=300):
     """Positions and velocities (N, 3) after minimization and a short Langevin run."""
-    integrator = openmm.LangevinMiddleIntegrator(temperature, 10.0, 0.001)
-    integrator.setRandomNumberSeed(seed)
+    integrator = seeded(openmm.LangevinMiddleIntegrator(temperature, 10.0, 0.001), seed)
     # The same start in every run: two that differ by rounding are far apart after the minimization.
     properties = {"Threads": "1", "DeterministicForces": "true"}
     simulation = app.Simulation(topology, system, integrator, platform("CPU"), properties)
@@ -69,6 +71,11 @@ def relaxed(topology, positions, system, temperature=297.0, seed=7, steps=300):
     simulation.step(steps)
     state = simulation.context.getState(positions=True, velocities=True)
     return array(state.getPositions()), array(state.getVelocities())
+
+
+def settled(topology, positions, system, **options):
+    """Topology, System, and positions and velocities (N, 3) near 297 K; tests change no System but copies of it."""
+    return topology, system, relaxed(topology, positions, system, **options)
 
 
 def array(quantity):
@@ -121,10 +128,6 @@ def droplet(molecules=27, stiffness=50.0):
     Forces are smooth and have no cut-off, so that energies show the order of a scheme, and cheap.
     """
     topology, positions, system = cluster_system(molecules)
-    force = openmm.CustomExternalForce("0.5*stiffness*(x^2+y^2+z^2)")
-    force.addGlobalParameter("stiffness", stiffness)
     oxygens = [atom.index for atom in topology.atoms() if atom.element.symbol == "O"]
-    for index in oxygens:
-        force.addParticle(index)
-    system.addForce(force)
+    system.addForce(field("0.5*stiffness*(x^2+y^2+z^2)", oxygens, stiffness=stiffness))
     return topology, positions - positions[oxygens].mean(axis=0), system

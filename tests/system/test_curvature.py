@@ -10,17 +10,11 @@ from openmm import app, unit
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, prepare_system
 from openmm_sier.system.vibrations import Vibrations
 from tests.support.silence import silence
+from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, platform
 
 #: kJ/mol/nm^2.
 K = 1e5
-
-
-def of_masses(*masses):
-    system = openmm.System()
-    for mass in masses:
-        system.addParticle(mass)
-    return system
 
 
 def bond(energy, atoms=(0, 1), **parameters):
@@ -65,8 +59,7 @@ def squares(motions):
     ],
 )
 def test_a_bond_has_the_period_of_its_curvature_where_it_is(energy, curvature, stretch):
-    system = of_masses(1.0, 16.0)
-    system.addForce(bond(energy, **({"depth": 125.0} if "depth" in energy else {})))
+    system = assembled([1.0, 16.0], bond(energy, **({"depth": 125.0} if "depth" in energy else {})))
     (found,) = measured(system, [[0, 0, 0], [0, 0.06, 0.08 + stretch * 1.25]])
     x = math.hypot(0.06, 0.08 + stretch * 1.25) - 0.1
     # Displacements of 1e-5 nm leave 1e-6 by the fourth derivative.
@@ -75,12 +68,11 @@ def test_a_bond_has_the_period_of_its_curvature_where_it_is(energy, curvature, s
 
 
 def test_every_term_counts_with_its_own_parameters_and_masses():
-    system = of_masses(1.0, 16.0, 12.0, 12.0, 0.0, 4.0)
     force = openmm.CustomBondForce("k*(r-0.1)^2/2")
     force.addPerBondParameter("k")
     for atoms, k in (((1, 0), K), ((3, 2), 4 * K), ((4, 5), 2 * K)):
         force.addBond(*atoms, [k])
-    system.addForce(force)
+    system = assembled([1.0, 16.0, 12.0, 12.0, 0.0, 4.0], force)
     x = [[0, 0, 0], [0.1, 0, 0], [1, 0, 0], [1, 0.1, 0], [2, 0, 0], [2, 0, 0.1]]
     (found,) = measured(system, x)
     assert squares([found])[0] == pytest.approx(K * (1 + 1 / 16), rel=1e-5)
@@ -88,24 +80,20 @@ def test_every_term_counts_with_its_own_parameters_and_masses():
 
 
 def test_parameters_are_those_of_the_context():
-    system = of_masses(1.0, 1.0)
-    system.addForce(bond("scale*50000*(r-0.1)^2", scale=1.0))
+    system = assembled([1.0, 1.0], bond("scale*50000*(r-0.1)^2", scale=1.0))
     x = [[0, 0, 0], [0.1, 0, 0]]
     assert squares(measured(system, x, scale=0.25)) == pytest.approx([0.25 * K * 2], rel=1e-5)
     assert measured(system, x, scale=0.0) == []
 
 
 def test_nearest_images_are_those_of_the_box():
-    system = of_masses(1.0, 1.0)
     force = bond("50000*(r-0.1)^2")
     force.setUsesPeriodicBoundaryConditions(True)
-    system.addForce(force)
-    assert squares(measured(system, [[0, 0, 0], [1.9, 0, 0]])) == pytest.approx([K * 2], rel=1e-5)
+    assert squares(measured(assembled([1.0, 1.0], force), [[0, 0, 0], [1.9, 0, 0]])) == pytest.approx([K * 2], rel=1e-5)
 
 
 def test_bonds_within_a_body_or_held_by_a_constraint_do_not_count():
-    system = of_masses(1.0, 16.0, 1.0)
-    system.addForce(bond("50000*(r-0.1)^2"))
+    system = assembled([1.0, 16.0, 1.0], bond("50000*(r-0.1)^2"))
     x = np.array([[0.1, 0, 0], [0, 0, 0], [0, 0.1, 0]])
     named = RigidBodies.from_system(system, rigid=[[0, 1, 2]], positions=x)
     assert measured(system, x, named) == []
@@ -117,8 +105,7 @@ def test_bonds_within_a_body_or_held_by_a_constraint_do_not_count():
 def test_a_term_of_three_atoms_has_the_fastest_of_its_modes():
     """The asymmetric stretch of a molecule in line: k (1/m + 2/M); and with one bond held, that of m against m + M."""
     chain = "50000*((distance(p1,p2)-0.1)^2+(distance(p2,p3)-0.1)^2)"
-    system = of_masses(16.0, 12.0, 16.0)
-    system.addForce(compound(chain, [0, 1, 2]))
+    system = assembled([16.0, 12.0, 16.0], compound(chain, [0, 1, 2]))
     x = [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]]
     (found,) = measured(system, x)
     assert squares([found])[0] == pytest.approx(K * (1 / 16 + 2 / 12), rel=1e-5)
@@ -129,10 +116,9 @@ def test_a_term_of_three_atoms_has_the_fastest_of_its_modes():
 
 def test_what_is_far_from_its_minimum_is_no_vibration():
     """Two atoms that overlap in a start, and a restraint that does not hold yet."""
-    system = of_masses(12.0, 12.0, 12.0)
     # 4 epsilon (s/r)^12 with the curvature 4e6 kJ/mol/nm^2 at 0.2 nm.
-    system.addForce(bond("0.4*4*((0.34/r)^12-(0.34/r)^6)"))
-    system.addForce(bond("50000*(r-0.1)^2", (0, 2)))
+    overlap = bond("0.4*4*((0.34/r)^12-(0.34/r)^6)")
+    system = assembled(3 * [12.0], overlap, bond("50000*(r-0.1)^2", (0, 2)))
     x = [[0, 0, 0], [0.2, 0, 0], [0, 0.4, 0]]
     assert measured(system, x) == []
     x[2] = [0, 0.11, 0]
@@ -141,8 +127,7 @@ def test_what_is_far_from_its_minimum_is_no_vibration():
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_a_step_that_is_too_long_is_refused_when_there_are_positions(engine):
-    system = of_masses(1.0, 16.0)
-    system.addForce(bond("231375*(r-0.1)^2"))
+    system = assembled([1.0, 16.0], bond("231375*(r-0.1)^2"))
     integrator = SIERIntegrator(0.006, SIER4G, engine=engine)
     x = np.array([[0, 0, 0], [0.1, 0, 0]])
     context = context_at(system, integrator, (x, 0 * x))
@@ -159,11 +144,7 @@ def test_a_step_that_is_too_long_is_refused_when_there_are_positions(engine):
 
 
 def test_a_stiff_restraint_is_refused_by_what_causes_it():
-    system = of_masses(1.0)
-    force = openmm.CustomExternalForce("k*x^2/2")
-    force.addPerParticleParameter("k")
-    force.addParticle(0, [1e6])
-    system.addForce(force)
+    system = assembled([1.0], field("k*x^2/2", [0], k=1e6))
     integrator = SIERIntegrator(0.006, SIER2)
     context = context_at(system, integrator, (np.zeros((1, 3)), np.zeros((1, 3))))
     with pytest.raises(openmm.OpenMMException, match="the motion that CustomExternalForce causes of atom 0 is"):
@@ -190,20 +171,18 @@ def test_amoebas_flexible_water_is_refused_where_kicks_destroy_it(engine):
 
 
 def test_a_force_of_which_nothing_is_known_is_named_once():
-    system = of_masses(1.0, 1.0)
     force = openmm.CustomCVForce("50*d^2")
     force.addCollectiveVariable("d", bond("r"))
     force.setName("bias")
-    system.addForce(force)
+    system = assembled([1.0, 1.0], force)
     x = np.array([[0, 0, 0], [0.1, 0, 0]])
     integrator = SIERIntegrator(0.002, SIER4G)
     with silence():
         # No bond of a molecule is too fast for this step.
         context = context_at(system, integrator, (x, 0 * x), steps=1)
     integrator.setStepSize(6 * unit.femtoseconds)
-    with pytest.warns(
-        UserWarning, match=r"A step of 6 fs cannot be judged: of bias \(CustomCVForce\) no stiffness"
-    ) as s:
+    said = r"A step of 6 fs cannot be judged: of bias \(CustomCVForce\) no stiffness"
+    with pytest.warns(UserWarning, match=said) as told:
         integrator.step(2)
-    assert len(s) == 1
+    assert len(told) == 1
     assert context.getStepCount() == 3

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from openmm_sier import RigidBodies, RigidityError
 from tests.support import methanols
 from tests.support.silence import silence
+from tests.support.systems import assembled
 from tests.support.waters import cluster_system
 
 OH, HH = 0.09572, 0.15139
@@ -140,11 +141,8 @@ def test_molecules_of_other_masses_or_lengths_are_other_species():
 
 def test_order_of_atoms_and_constraints_does_not_matter():
     """Hydrogens first, pairs in either direction, molecules interleaved."""
-    system = openmm.System()
-    for mass in (1.008, 1.008, 1.008, 15.999, 15.999, 1.008):
-        system.addParticle(mass)
-    for a, b, length in ((3, 0, OH), (2, 0, HH), (2, 3, OH), (1, 4, OH), (5, 4, OH), (5, 1, HH)):
-        system.addConstraint(a, b, length)
+    held = ((3, 0, OH), (2, 0, HH), (2, 3, OH), (1, 4, OH), (5, 4, OH), (5, 1, HH))
+    system = assembled((1.008, 1.008, 1.008, 15.999, 15.999, 1.008), constraints=held)
     bodies = RigidBodies.from_system(system)
     assert sorted(lists(bodies)) == [[0, 2, 3], [1, 4, 5]]
     reference = RigidBodies.from_system(system_of(WATER)).species[0].moments

@@ -16,6 +16,7 @@ from openmm_sier import (
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.system.vibrations import HOPELESS, Vibrations
 from tests.support.silence import silence
+from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, platform
 
 ENGINES = ("exact", "native")
@@ -63,8 +64,7 @@ def test_a_step_at_which_the_energy_walks(engine):
     silently(system, SIERHMCIntegrator(297, 0.006, engine=engine))
     silently(system, SIERIntegrator(0.006, SIER2V2, engine=engine))
     if engine == "exact":  # the native one takes no AndersenThermostat
-        with_collisions = openmm.XmlSerializer.clone(system)
-        with_collisions.addForce(openmm.AndersenThermostat(297, 1))
+        with_collisions = with_forces(system, openmm.AndersenThermostat(297, 1))
         silently(with_collisions, SIER4GIntegrator(0.006, engine=engine))
     for i in range(9):
         system.setParticleMass(i, 4 * system.getParticleMass(i))
@@ -114,27 +114,20 @@ def test_heavier_hydrogens_are_slower():
 
 def gas(charge=0.0, epsilon=0.0):
     """Two rigid dumbbells of hydrogens in a NonbondedForce."""
-    system, force = openmm.System(), openmm.NonbondedForce()
+    force = openmm.NonbondedForce()
     for i in range(4):
-        system.addParticle(1.0)
         force.addParticle((-1) ** i * charge, 0.3, epsilon)
-    for i in (0, 2):
-        system.addConstraint(i, i + 1, 0.1)
-    system.addForce(force)
-    return system
+    return assembled(4 * [1.0], force, constraints=((0, 1, 0.1), (2, 3, 0.1)))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_what_nothing_holds_takes_any_step(engine):
     alone, with_frozen = cluster_system(1)[2], cluster_system(2)[2]
-    free = openmm.System()
-    for _ in range(2):
-        free.addParticle(18.0)
 
     def long():
         return SIER4GIntegrator(6, engine=engine)
 
-    for system in (free, gas(), alone):
+    for system in (assembled([18.0, 18.0]), gas(), alone):
         silently(system, long())
     for i in range(3):
         with_frozen.setParticleMass(i, 0)

@@ -9,6 +9,7 @@ from openmm_sier import make_whole
 from openmm_sier.measure.forcefields import read_box
 from openmm_sier.system.boxes import wrapped
 from tests.support.peptides import capped_alanine_box, forcefield
+from tests.support.systems import assembled
 from tests.support.waters import plain_context
 
 #: nm, as rows: wide enough for the peptide and its water, and oblique.
@@ -63,29 +64,22 @@ def test_whole_molecules_stay_to_the_last_bit(peptide):
 
 def test_a_molecule_longer_than_half_the_box_keeps_its_shape():
     """A chain of twelve atoms along a diagonal, whose ends are nearest to each other through the boundary."""
-    system, bonds = openmm.System(), openmm.HarmonicBondForce()
-    system.setDefaultPeriodicBoxVectors(*1.2 * np.eye(3))
+    bonds, pair = openmm.HarmonicBondForce(), openmm.CustomNonbondedForce("0")
+    pair.setNonbondedMethod(pair.CutoffPeriodic)
     for i in range(12):
-        system.addParticle(12.0)
+        pair.addParticle()
         if i:
             bonds.addBond(i - 1, i, 0.15, 2e5)
-    system.addForce(bonds)
-    pair = openmm.CustomNonbondedForce("0")
-    pair.setNonbondedMethod(pair.CutoffPeriodic)
-    for _ in range(12):
-        pair.addParticle()
-    system.addForce(pair)
+    system = assembled(12 * [12.0], bonds, pair)
+    system.setDefaultPeriodicBoxVectors(*1.2 * np.eye(3))
     whole = np.arange(12)[:, None] * np.full(3, 0.15 / np.sqrt(3))
     np.testing.assert_allclose(make_whole(system, wrapped(whole, 1.2 * np.eye(3))), whole, atol=1e-12)
 
 
 def water(k=4.6e5, periodic=False):
     """Two flexible waters in a box of 3 nm, and a restraint between their oxygens of k kJ/mol/nm^2."""
-    system, bonds, restraint = openmm.System(), openmm.HarmonicBondForce(), openmm.HarmonicBondForce()
-    system.setDefaultPeriodicBoxVectors(*3 * np.eye(3))
+    bonds, restraint = openmm.HarmonicBondForce(), openmm.HarmonicBondForce()
     for first in (0, 3):
-        for mass in (16.0, 1.0, 1.0):
-            system.addParticle(mass)
         for hydrogen in (1, 2):
             bonds.addBond(first, first + hydrogen, 0.0957, 4.6e5)
     bonds.setUsesPeriodicBoundaryConditions(periodic)
@@ -94,8 +88,8 @@ def water(k=4.6e5, periodic=False):
     reciprocal.setNonbondedMethod(reciprocal.CutoffPeriodic)
     for _ in range(6):
         reciprocal.addParticle(0, 1, 0)
-    for force in (bonds, restraint, reciprocal):
-        system.addForce(force)
+    system = assembled(2 * (16.0, 1.0, 1.0), bonds, restraint, reciprocal)
+    system.setDefaultPeriodicBoxVectors(*3 * np.eye(3))
     molecule = np.array([[0, 0, 0], [0.0957, 0, 0], [-0.024, 0.0927, 0]])
     return system, np.concatenate([molecule, molecule + np.array([2.0, 0, 0])])
 
@@ -136,9 +130,7 @@ def test_a_broken_molecule_is_refused_with_residue_and_distance(peptide, constra
 def test_bonds_of_the_topology_alone_count_too(peptide):
     """Of a force field whose bonds are expressions."""
     topology, positions, _ = peptide
-    system = openmm.System()
-    for _ in positions:
-        system.addParticle(1.0)
+    system = assembled(len(positions) * [1.0])
     assert np.array_equal(make_whole(system, positions, topology), positions)
     positions = positions.copy()
     positions[0] += 0.5

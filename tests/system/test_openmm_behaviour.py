@@ -3,16 +3,13 @@
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import unit
 
 from openmm_sier import SIER2, SIER4Integrator, SIERLangevinIntegrator
-from tests.support.waters import array, context_at, phase_point, platform
-
-
-def seeded(integrator):
-    integrator.setRandomNumberSeed(8)
-    return integrator
-
+from tests.support.restarts import simulation_of
+from tests.support.seeded import seeded
+from tests.support.systems import with_forces
+from tests.support.waters import array, context_at, phase_point
 
 INTEGRATORS = {
     "LangevinMiddle": lambda: seeded(openmm.LangevinMiddleIntegrator(297.0, 1.0, 0.001)),
@@ -23,20 +20,13 @@ INTEGRATORS = {
 every_integrator = pytest.mark.parametrize("make", INTEGRATORS.values(), ids=INTEGRATORS.keys())
 
 
-def simulation_of(setup, integrator, name="Reference"):
-    topology, system, point = setup
-    simulation = app.Simulation(topology, system, integrator, platform(name))
-    simulation.context.setPositions(point[0])
-    simulation.context.setVelocities(point[1])
-    return simulation
-
-
 # --- time, steps and settings -----------------------------------------------------------------------------------
 
 
 @every_integrator
 def test_counters(cluster, make):
-    simulation = simulation_of(cluster, make())
+    topology, system, point = cluster
+    simulation = simulation_of(topology, system, make(), point=point)
     context, integrator = simulation.context, simulation.integrator
     assert simulation.integrator is context.getIntegrator()
     simulation.step(7)
@@ -60,22 +50,20 @@ FLAGS = ["positions", "velocities", "forces", "energy", "parameters", "parameter
 
 
 def with_parameter(system):
-    system = openmm.XmlSerializer.clone(system)
     pull = openmm.CustomCompoundBondForce(1, "strength*x1")
     pull.addGlobalParameter("strength", 2.0)
     pull.addEnergyParameterDerivative("strength")
     for i in range(system.getNumParticles()):
         pull.addBond([i])
     pull.setForceGroup(5)
-    system.addForce(pull)
-    return system
+    return with_forces(system, pull)
 
 
 def test_the_state_is_that_of_its_positions(cluster):
     """Forces, energies and parameters agree with a Context that was never stepped."""
     topology, system, point = cluster
     system = with_parameter(system)
-    simulation = simulation_of((topology, system, point), SIER4Integrator(0.001))
+    simulation = simulation_of(topology, system, SIER4Integrator(0.001), point=point)
     simulation.step(5)
     simulation.context.setParameter("strength", 3.0)
     other = context_at(system, openmm.VerletIntegrator(0.001), phase_point(simulation.context))
@@ -98,7 +86,7 @@ def test_force_groups_choose_the_forces_that_move(cluster, engine):
         system.getForce(i).setForceGroup(2)
     integrator = SIER4Integrator(0.001, engine=engine)
     integrator.setIntegrationForceGroups({7})
-    simulation = simulation_of((topology, system, point), integrator)
+    simulation = simulation_of(topology, system, integrator, point=point)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
     start = masses @ phase_point(simulation.context)[1]
     simulation.step(10)
@@ -111,6 +99,3 @@ def test_force_groups_choose_the_forces_that_move(cluster, engine):
     change = masses @ (phase_point(simulation.context)[1] - middle)
     # It takes effect with the next step, as it does in Verlet; its forces cancel in sum.
     assert np.abs(change).max() < 1e-9
-
-
-# --- wrappers that own a Simulation -----------------------------------------------------------------------------

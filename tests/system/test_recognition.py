@@ -8,6 +8,7 @@ from openmm_sier import RigidBodies, RigidityError, SIER2Integrator
 from openmm_sier.dynamics.species import FIT_FRACTION, FIT_TOLERANCE, Species
 from tests.support.oracles import random_attitudes
 from tests.support.silence import silence
+from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, phase_point, platform
 
 #: O-H in nm and H-O-H in degrees: water models of OpenMM's force fields, and hydrogens as crystallographers place them.
@@ -124,22 +125,11 @@ def test_hands_are_told_apart_within_the_tolerance(height, rng):
 # --- positions that were never set ------------------------------------------------------------------------------------
 
 
-def points(n):
-    system = openmm.System()
-    for _ in range(n):
-        system.addParticle(20.0)
-    return system
-
-
 @pytest.mark.parametrize("name", ["Reference", "CPU"])
 @pytest.mark.parametrize("n", [1, 3])
 def test_points_may_all_be_at_the_origin(n, name):
     """OpenMM itself knows whether positions were set."""
-    system = points(n)
-    force = openmm.CustomExternalForce("-x")
-    for i in range(n):
-        force.addParticle(i)
-    system.addForce(force)
+    system = assembled(n * [20.0], field("-x", range(n)))
     integrator = SIER2Integrator(0.001)
     context = openmm.Context(system, integrator, platform(name))
     for ask in (lambda: integrator.step(1), integrator.getBodyState, integrator.computeSystemTemperature):

@@ -10,6 +10,7 @@ import pytest
 from openmm_sier import SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator
 from openmm_sier.system import runaway
 from tests.support.silence import silence
+from tests.support.systems import assembled
 from tests.support.waters import context_at, platform
 
 ENGINES = ("exact", "native")
@@ -37,10 +38,7 @@ def test_a_runaway_stops_with_an_error(box, monkeypatch):
 
 
 def gas(n=100):
-    system = openmm.System()
-    for _ in range(n):
-        system.addParticle(18.0)
-    return system, np.random.default_rng(1).normal(size=(n, 3))
+    return assembled(n * [18.0]), np.random.default_rng(1).normal(size=(n, 3))
 
 
 def looks(integrator, calls=3):
@@ -92,12 +90,10 @@ def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(box):
     openmm.LocalEnergyMinimizer.minimize(context, maxIterations=100)
     context.setVelocitiesToTemperature(300, 1)
     looks(integrator, 1)
-    ions = openmm.System()
     coulomb = openmm.NonbondedForce()
     for charge in (1, -1):
-        ions.addParticle(23.0)
         coulomb.addParticle(charge, 0.2, 0.5)
-    ions.addForce(coulomb)
+    ions = assembled(2 * [23.0], coulomb)
     integrator = SIER4GIntegrator(0.002)
     context = context_at(ions, integrator, (np.array([[0, 0, 0], [0.8, 0, 0]]), np.zeros((2, 3))))
     # They fall onto each other.

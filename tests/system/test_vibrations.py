@@ -22,6 +22,7 @@ from openmm_sier import (
 from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system.vibrations import Vibrations
 from tests.support.silence import silence
+from tests.support.systems import assembled
 from tests.support.waters import cluster_system, context_at, phase_point, platform
 
 #: Of O-H in OpenMM's flexible TIP3P, 462750.4 kJ/mol/nm^2.
@@ -34,14 +35,10 @@ def flexible():
 
 
 def diatomic(strength=1e5, masses=(1.0, 16.0), group=0):
-    system = openmm.System()
     bonds = openmm.HarmonicBondForce()
-    for mass in masses:
-        system.addParticle(mass)
     bonds.addBond(0, 1, 0.1, strength)
     bonds.setForceGroup(group)
-    system.addForce(bonds)
-    return system
+    return assembled(masses, bonds)
 
 
 def limits(scheme, period):
@@ -164,12 +161,9 @@ def test_bonds_without_strength_are_no_oscillators():
 def test_a_bond_at_a_body_moves_the_body(rng):
     """Its inverse mass is the largest that a rigid motion of the atoms has there, from their own mass matrix."""
     masses, x = rng.uniform(1, 20, 4), rng.normal(scale=0.1, size=(4, 3))
-    system = openmm.System()
-    for mass in (*masses, 0.0):
-        system.addParticle(mass)
     bonds = openmm.HarmonicBondForce()
     bonds.addBond(2, 4, 0.1, 1e5)
-    system.addForce(bonds)
+    system = assembled([*masses, 0.0], bonds)
     bodies = RigidBodies.from_system(system, rigid=[range(4)], positions=np.vstack([x, [0, 0, 1]]) * unit.nanometer)
     # Columns: what six rigid motions do to the 12 coordinates of the atoms.
     motions = np.zeros((4, 3, 6))

@@ -11,7 +11,7 @@ from openmm import unit
 
 from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
 from tests.support.seeded import seeded
-from tests.support.waters import array, droplet, periodic_system, platform, relaxed
+from tests.support.waters import array, droplet, periodic_system, platform, settled
 
 pytest.importorskip("openmmtools", reason="pip install openmm-sier[validation]")
 from openmmtools import cache, mcmc, multistate, states
@@ -27,8 +27,7 @@ def drop():
     openmmtools keeps an Andersen thermostat that it finds in a System, and otherwise adds one without a seed. Each
     molecule collides every 50 fs.
     """
-    topology, positions, system = droplet(8)
-    point = relaxed(topology, positions, system)
+    _, system, point = settled(*droplet(8))
     system.addForce(seeded(openmm.AndersenThermostat(300 * KELVIN, FRICTION), 5))
     return system, point
 
@@ -65,8 +64,7 @@ INTEGRATORS = {
 
 @pytest.fixture(scope="module")
 def box():
-    topology, positions, system = periodic_system(removeCMMotion=False)
-    return system, relaxed(topology, positions, system)
+    return settled(*periodic_system(removeCMMotion=False))[1:]
 
 
 @pytest.mark.slow
