@@ -156,11 +156,9 @@ def usual_substeps(scheme: Scheme, nested: bool) -> int:
     suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
     as long as a drift of SIER4G, 3 fs, or a third of a step with a bath in the middle of its drift.
     """
-    if nested and scheme.bath_divides_drift:
-        return 2
     is_long = scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT
     if nested:
-        return 2 if is_long else 1
+        return 2 if is_long or scheme.bath_divides_drift else 1
     return 5 if is_long else 3
 
 
