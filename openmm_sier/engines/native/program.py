@@ -12,7 +12,6 @@ every n of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -125,8 +124,7 @@ class Line(NamedTuple):
         return f"{text}  for {self.unit} = {', '.join(f'{d:.6g}' for d in self.lengths)}" if self.lengths else text
 
 
-@dataclass(frozen=True)
-class Program:
+class Program(NamedTuple):
     """A step of a scheme as native steps.
 
     Attributes:
