@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 
@@ -65,9 +64,6 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
     for number, atoms in enumerate(molecules):
         numbers[list(atoms)] = number
     return numbers
-
-
-Bodies = TypeVar("Bodies", bound="RigidBodies")
 
 
 class RigidBodies:
@@ -166,10 +162,6 @@ class RigidBodies:
         for species, part in zip(self.species, self.parts, strict=True):
             owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
         return owners
-
-    def linked(self: Bodies, links: tuple, molecules: np.ndarray) -> Bodies:
-        """The same bodies with other links and molecules, see `RigidBodies`."""
-        return type(self)(self.species, self.n_particles, self.labels, links, molecules)
 
     def _check(self) -> None:
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
