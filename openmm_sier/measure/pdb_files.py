@@ -13,7 +13,7 @@ from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.measure.file_kinds import MMCIF, PDB, kind_of
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
-TWICE = "WARNING: duplicate atom"
+TWICE = "WARNING: duplicate atom "
 
 #: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
@@ -46,9 +46,7 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         try:
             file = READERS[kind](str(path))
         except UserWarning as twice:
-            raise ForceFieldError(
-                f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE).strip()}"
-            ) from None
+            raise ForceFieldError(f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE)}") from None
     file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
     check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
     return file
