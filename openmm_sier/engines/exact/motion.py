@@ -51,7 +51,7 @@ class Motion:
         self._bodies = bodies
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
-        self.solute = _solute(context, bodies, self._members, groups_of(fast_groups))
+        self.solute = _solute(context, bodies, self._members, fast_groups)
         self.fast = None if self.solute is None else CachedForces(self.solute)
         self._drift = operators.drift(bodies, rotation)
         if len(self._members):
@@ -116,10 +116,8 @@ def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Pla
     return platform, properties
 
 
-def _solute(
-    context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: list[int]
-) -> SoluteForces | None:
-    """What computes the forces of some groups; None where there are none."""
+def _solute(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: int) -> SoluteForces | None:
+    """What computes the forces of some groups, a bit mask; None where there are none."""
     if not groups:
         return None
     system = context.getSystem()
@@ -127,7 +125,7 @@ def _solute(
     rigid = np.where(bodies.point_particles, -1, bodies.owners)
     rigid[tables.frozen_atoms(system)] = bodies.n
     # Forces that cannot be fast are refused even where there is nothing to compute.
-    reduced = solute_system(system, atoms, groups, rigid)
+    reduced = solute_system(system, atoms, groups_of(groups), rigid)
     if not atoms or reduced.getNumForces() == 0:
         return None
     solute = SoluteForces(reduced, atoms, *_platform_of_solute(context, len(atoms)))
