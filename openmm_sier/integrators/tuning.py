@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -73,8 +72,7 @@ class LengthFound(NamedTuple):
         return f"{self.steps:10}{self.acceptance:12.3f}  {trials:.1f} ± {errors[0]}, {forces:.0f} ± {errors[1]}"
 
 
-@dataclass(frozen=True)
-class Tuning:
+class Tuning(NamedTuple):
     """What `tune` found; print it.
 
     Attributes:
