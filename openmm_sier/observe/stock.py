@@ -123,8 +123,7 @@ def make_stock(
 
 def seed_noise(system: openmm.System, integrator: openmm.Integrator, seed: int, step: int) -> None:
     """Set the seeds with which the next Context, or the next `reinitialize`, starts at a given step of a run."""
-    noisy = [integrator, *system.getForces()]
-    noisy = [one for one in noisy if hasattr(one, "setRandomNumberSeed")]
+    noisy = [one for one in (integrator, *system.getForces()) if hasattr(one, "setRandomNumberSeed")]
     # OpenMM takes 31 bits, and draws a seed itself where it is given 0.
     words = np.random.SeedSequence([seed, step]).generate_state(len(noisy))
     for one, word in zip(noisy, words.tolist(), strict=True):
