@@ -107,13 +107,9 @@ def make_stock(
         pressure: bar, of a MonteCarloBarostat; None at constant volume.
     """
     system = openmm.XmlSerializer.clone(system)
-    integrator: Any
-    if name == "verlet":
-        integrator = StockVerlet(step)
-        if temperature is not None:
-            system.addForce(openmm.AndersenThermostat(temperature, friction))
-    else:
-        integrator = StockLangevinMiddle(temperature, friction, step)
+    integrator: Any = StockVerlet(step) if name == "verlet" else StockLangevinMiddle(temperature, friction, step)
+    if name == "verlet" and temperature is not None:
+        system.addForce(openmm.AndersenThermostat(temperature, friction))
     if pressure is not None:
         system.addForce(openmm.MonteCarloBarostat(pressure * unit.bar, temperature, BAROSTAT_INTERVAL))
     integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
