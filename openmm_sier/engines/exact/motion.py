@@ -1,5 +1,7 @@
 """What moves the bodies of one Context: the operators of a scheme, with constraints, and fast forces in the drifts."""
 
+from functools import partial
+
 import numpy as np
 import openmm
 
@@ -71,21 +73,17 @@ class Motion:
         if self._made[0] != flow:
             found = dict(self._outer)
             if flow.bath is not None:
-                found[BATH] = self._remembered(self.bath(flow.bath))
+                found[BATH] = partial(self._remembered, self.bath(flow.bath))
             longest = inner_step(flow)
             if self.fast is not None and longest:
                 found |= self._nested_drifts(self.fast, flow.scheme, longest)
             self._made = flow, found
         return self._made[1]
 
-    def _remembered(self, bath: Operator) -> Operator:
-        """A bath that leaves what it made as `after_bath`."""
-
-        def apply(state: BodyState, h: float) -> BodyState:
-            self.after_bath = bath(state, h)
-            return self.after_bath
-
-        return apply
+    def _remembered(self, bath: Operator, state: BodyState, h: float) -> BodyState:
+        """Let a bath act, and leave what it made as `after_bath`."""
+        self.after_bath = bath(state, h)
+        return self.after_bath
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""
