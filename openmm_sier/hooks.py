@@ -57,10 +57,8 @@ def _replace(cls: type, name: str, instead: Callable[..., Any]) -> None:
     """Replace a method by a function that takes it as its first argument; one that replaced it earlier is removed."""
     if name not in vars(cls):
         return
-    found = vars(cls)[name]
-    static = isinstance(found, staticmethod)
-    method = found.__func__ if static else found
-    method = inspect.unwrap(method, stop=lambda function: not hasattr(function, "_of_openmm_sier"))
+    static = isinstance(vars(cls)[name], staticmethod)
+    method = inspect.unwrap(getattr(cls, name), stop=lambda function: not hasattr(function, "_of_openmm_sier"))
 
     @functools.wraps(method)
     def wrapper(*args: Any, **kwargs: Any) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -107,7 +106,7 @@ def solute(path: Path, interactions: Interactions, forcefield: Sequence[str] = (
     """
     if path != DHFR:
         return forcefields.read_box(path, forcefield or None, "hbonds", interactions)
-    return dhfr(**asdict(interactions))
+    return dhfr(**interactions._asdict())
 
 
 class Replica(NamedTuple):

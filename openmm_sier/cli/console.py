@@ -49,7 +49,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
 
 
 @contextmanager
-def progress_bar(description: str, total: float = 1.0, ps: float | None = None, begun: int = 0) -> Iterator[Advance]:
+def progress_bar(description: str, total: float, ps: float | None = None, begun: int = 0) -> Iterator[Advance]:
     """A progress bar on standard error, or occasional lines where that is not a terminal.
 
     The value is a function that takes how much has been done in all and, optionally, a new description. The first line

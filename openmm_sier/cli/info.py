@@ -22,6 +22,9 @@ from openmm_sier.system.find_bodies import RigidBodies
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
 
+#: Tops by whether their two lower moments are equal, and their two upper ones.
+TOPS = {(True, True): "spherical", (True, False): "oblate", (False, True): "prolate", (False, False): "asymmetric"}
+
 COLUMNS = ("residues", "number", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
 
 
@@ -91,12 +94,8 @@ def kind(moments: np.ndarray) -> str:
         return "point"
     if low == 0:
         return "linear"
-    lower_pair, upper_pair = middle - low < EQUAL * high, high - middle < EQUAL * high
-    if lower_pair and upper_pair:
-        return "spherical top"
-    if lower_pair:
-        return "oblate top"
-    return "prolate top" if upper_pair else "asymmetric top"
+    equal = middle - low < EQUAL * high, high - middle < EQUAL * high
+    return f"{TOPS[equal]} top"
 
 
 def _riders(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:

@@ -59,9 +59,6 @@ def described(error: Exception) -> str:
     message = for_the_command(error) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    expected = (
-        isinstance(error, (ValueError, OSError, ImportError))
-        or type(error).__module__.startswith("openmm")
-        or hasattr(error, "exit_code")
-    )
+    of_ours = type(error).__module__.startswith("openmm") or hasattr(error, "exit_code")
+    expected = of_ours or isinstance(error, (ValueError, OSError, ImportError))
     return message if expected else f"{type(error).__name__}: {message} (--debug shows where)"

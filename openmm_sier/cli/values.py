@@ -16,10 +16,6 @@ class WrongValueError(ArgumentTypeError, ValueError):
         super().__init__(f"expected {expected}, got {got!r}{remark}")
 
 
-def _same(value: Any) -> Any:
-    return value
-
-
 @dataclass(frozen=True)
 class Kind:
     """What an option takes.
@@ -38,7 +34,7 @@ class Kind:
 
     expected: str
     accepts: Callable[[Any], bool]
-    made: Callable[[Any], Any] = _same
+    made: Callable[[Any], Any] = lambda value: value
     parse: Callable[[str], Any] = str
     metavar: str = "VALUE"
     file: str = ""

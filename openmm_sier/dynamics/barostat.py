@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from openmm_sier.dynamics.noise import generator
 LARGEST_MOVE = 0.5
 
 
-@dataclass(frozen=True)
-class MonteCarloVolumeMove:
+class MonteCarloVolumeMove(NamedTuple):
     """A move of the volume by the method of OpenMM's MonteCarloBarostat.
 
     Unlike OpenMM's it remembers nothing of earlier ones: moves have a fixed largest size, and their random numbers are

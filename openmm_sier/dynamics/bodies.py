@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 
@@ -65,9 +64,6 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
     for number, atoms in enumerate(molecules):
         numbers[list(atoms)] = number
     return numbers
-
-
-Bodies = TypeVar("Bodies", bound="RigidBodies")
 
 
 class RigidBodies:
@@ -167,10 +163,6 @@ class RigidBodies:
             owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
         return owners
 
-    def linked(self: Bodies, links: tuple, molecules: np.ndarray) -> Bodies:
-        """The same bodies with other links and molecules, see `RigidBodies`."""
-        return type(self)(self.species, self.n_particles, self.labels, links, molecules)
-
     def _check(self) -> None:
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
         outside = used[(used < 0) | (used >= self.n_particles)]
@@ -203,7 +195,7 @@ class RigidBodies:
 
     # --- from atoms to bodies ---
 
-    def fit(self, positions: np.ndarray, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def fit(self, positions: np.ndarray, previous: BodyState | None = None) -> backend.Pair:
         """Centres and attitudes of the bodies that atom positions form.
 
         Args:
@@ -268,7 +260,7 @@ class RigidBodies:
             "from the positions that it was made of"
         )
 
-    def momenta(self, velocities: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def momenta(self, velocities: np.ndarray, A: np.ndarray) -> backend.Pair:
         """Momenta and angular momenta that atom velocities carry: the rigid part of their motion.
 
         Args:
@@ -284,7 +276,7 @@ class RigidBodies:
         velocity, moment = self._sum_over_sites(velocities, A, self._fractions)
         return self.masses * velocity, self.masses * moment
 
-    def forces_and_torques(self, forces: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def forces_and_torques(self, forces: np.ndarray, A: np.ndarray) -> backend.Pair:
         """Net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
 
         Args:
@@ -300,9 +292,7 @@ class RigidBodies:
         """
         return self._sum_over_sites(forces, A, self._ones)
 
-    def _sum_over_sites(
-        self, vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _sum_over_sites(self, vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]) -> backend.Pair:
         active = backend.active()
         total, moment = np.empty((2, 3, self.n))
         kinds = zip(self._sites, weights, strict=True)
@@ -330,9 +320,7 @@ class RigidBodies:
             active.move(sites, state.p, state.A, state.L, self._inverses, velocities)
         return velocities
 
-    def displaced(
-        self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def displaced(self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float) -> backend.Pair:
         """Centres and attitudes of bodies displaced by `shift` times the accelerations by forces and torques.
 
         Args:
@@ -353,7 +341,7 @@ class RigidBodies:
         return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
 
     @cached_property
-    def _inverses(self) -> tuple[np.ndarray, np.ndarray]:
+    def _inverses(self) -> backend.Pair:
         return self.inverse_masses, self.inverse_moments
 
     @cached_property
@@ -388,6 +376,6 @@ class RigidBodies:
         p = state.p + self.masses * velocity[:, None]
         return BodyState(state.q, p, state.A, state.L, state.heat + gained, state.draws)
 
-    def total_momenta(self, state: BodyState) -> tuple[np.ndarray, np.ndarray]:
+    def total_momenta(self, state: BodyState) -> backend.Pair:
         """Total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)

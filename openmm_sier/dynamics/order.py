@@ -28,15 +28,13 @@ def order_of(stages: Sequence[Stage]) -> int:
     coefficients: dict[Word, float] = {(): 1.0}
     for stage in stages:
         coefficients = _product(coefficients, _exponential(_generator(stage)))
-    order = 0
     highest = HIGHEST_GRADIENT_ORDER if any(stage.shift for stage in stages) else HIGHEST_ORDER
     for length in range(1, highest + 1):
         words = itertools.product({stage.flow for stage in stages}, repeat=length)
         errors = _reduced({word: coefficients.get(word, 0.0) - 1 / math.factorial(length) for word in words})
         if any(abs(error) > CONDITION_TOLERANCE for error in errors.values()):
-            break
-        order = length
-    return order
+            return length - 1
+    return highest
 
 
 def _generator(stage: Stage) -> dict[Word, float]:

@@ -43,11 +43,8 @@ class Scheme:
         object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
         if not self.stages:
             raise ValueError(f"scheme {self.name} has no stages")
-        for stage in self.stages:
-            if stage.shift and stage.operator != GRADIENT_KICK:
-                raise ValueError(
-                    f"scheme {self.name}: only a '{GRADIENT_KICK}' has a shift, got one for '{stage.operator}'"
-                )
+        if wrong := [stage.operator for stage in self.stages if stage.shift and stage.operator != GRADIENT_KICK]:
+            raise ValueError(f"scheme {self.name}: only a '{GRADIENT_KICK}' has a shift, got one for '{wrong[0]}'")
         for flow in dict.fromkeys(stage.flow for stage in self.stages):
             total = math.fsum(stage.fraction for stage in self.stages if stage.flow == flow)
             if not math.isclose(total, 1.0, rel_tol=0.0, abs_tol=1e-14):

@@ -18,8 +18,7 @@ def is_remembered(context: openmm.Context) -> bool:
     platform = context.getPlatform()
     if platform.getName() != "CPU" or platform.getPropertyValue(context, "Threads") != "1":
         return False
-    system = context.getSystem()
-    forces = (system.getForce(i) for i in range(system.getNumForces()))
+    forces = context.getSystem().getForces()
     # In every Force that has nonbonded methods, 0 is the one without a cut-off.
     return any(force.getNonbondedMethod() != 0 for force in forces if hasattr(force, "getNonbondedMethod"))
 

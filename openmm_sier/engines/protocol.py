@@ -188,16 +188,6 @@ class Engine(ABC):
     def draws(self, number: int) -> None:
         self.change(lambda point: replace(point, draws=number))
 
-    @property
-    def mass(self) -> float:
-        """Mass of all that moves, dalton."""
-        return self.movers.bodies.mass
-
-    @property
-    def molecules(self) -> int:
-        """Number of molecules, each of which moves as a whole with the volume."""
-        return self.movers.centres.count
-
     def kinetic_energy(self) -> float:
         """Kinetic energy, kJ/mol."""
         return sum(self.movers.bodies.kinetic_energies(self.point))

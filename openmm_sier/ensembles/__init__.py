@@ -4,12 +4,10 @@ An ensemble is frozen data with one operation, `advance`. It knows engines only 
 is written once for all of them.
 """
 
-from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
+from openmm_sier.ensembles.ensemble import ConstantEnergy
 from openmm_sier.ensembles.langevin import Langevin
 from openmm_sier.ensembles.metropolis import Metropolis
 from openmm_sier.ensembles.rescaling import VelocityRescaling
 
 #: Ensembles by the names of their classes, by which XML and copies of integrators have them.
-ENSEMBLES: dict[str, type[Ensemble]] = {
-    cls.__name__: cls for cls in (ConstantEnergy, Langevin, Metropolis, VelocityRescaling)
-}
+ENSEMBLES = {cls.__name__: cls for cls in (ConstantEnergy, Langevin, Metropolis, VelocityRescaling)}

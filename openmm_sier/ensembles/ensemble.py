@@ -190,7 +190,7 @@ def _move_volume(engine: Engine, pressure: float, temperature: float, seed: int)
         openmm.OpenMMException: the box became too small for the cut-off. The engine is back where it was.
     """
     before, sample = engine.potential_energy(), engine.remember()
-    move, volume = MonteCarloVolumeMove.drawn(seed, engine.draws, engine.molecules), engine.volume()
+    move, volume = MonteCarloVolumeMove.drawn(seed, engine.draws, engine.movers.centres.count), engine.volume()
     try:
         engine.scale(move.factor)
         gain = engine.potential_energy() - before

@@ -126,7 +126,7 @@ class Metropolis(ConstantTemperature):
             return
         if engine.removes_momentum and self.friction is not None:
             # The centre of mass was stopped after the last trial. Its momentum is drawn anew, the rest in part.
-            spread = math.sqrt(GAS_CONSTANT * self.temperature / engine.mass)
+            spread = math.sqrt(GAS_CONSTANT * self.temperature / engine.movers.bodies.mass)
             engine.shift_velocities(spread * generator(seed, engine.draws, stream=3).standard_normal(3))
         friction = math.inf if self.friction is None else self.friction
         engine.draw_momenta(OrnsteinUhlenbeck(self.temperature, friction, friction, seed), time)

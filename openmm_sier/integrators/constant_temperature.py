@@ -17,9 +17,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
     Its noise is a function of the seed and of the number of draws so far, which both travel in checkpoints.
     """
 
-    def __init__(
-        self, thermostat: ConstantTemperature, stepSize: Any, scheme: Scheme | str = SIER4G, **options: Any
-    ) -> None:
+    def __init__(self, thermostat: ConstantTemperature, stepSize: Any, scheme: Scheme | str = SIER4G, **options: Any):
         """
         Args:
             thermostat: what keeps the temperature and, with its `pressure`, the pressure, see `openmm_sier.ensembles`.

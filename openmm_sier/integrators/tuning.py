@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -73,8 +72,7 @@ class LengthFound(NamedTuple):
         return f"{self.steps:10}{self.acceptance:12.3f}  {trials:.1f} ± {errors[0]}, {forces:.0f} ± {errors[1]}"
 
 
-@dataclass(frozen=True)
-class Tuning:
+class Tuning(NamedTuple):
     """What `tune` found; print it.
 
     Attributes:
@@ -171,7 +169,7 @@ def tune(
         integrator.setStepsPerTrial(before[1])
         raise
     integrator.resetStatistics()
-    return Tuning(step, steps, acceptance, tried, compared, integrator.forceEvaluations - forces)
+    return Tuning(step, steps, acceptance, tuple(tried), tuple(compared), integrator.forceEvaluations - forces)
 
 
 def _set(integrator: SIERHMCIntegrator, step: float, steps: int) -> None:
@@ -199,9 +197,7 @@ def _longest_step(context: openmm.Context) -> float:
     return vibrations.longest_step(integrator.scheme, 0, group_mask("fastForceGroups", integrator.fastForceGroups))
 
 
-def _find_step(
-    integrator: SIERHMCIntegrator, wanted: float, trials: int, most: float
-) -> tuple[tuple[StepFound, ...], float]:
+def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int, most: float) -> tuple[list[StepFound], float]:
     """The steps that were tried, and the one with the wanted acceptance, or `most` if that is less."""
     step = integrator.getSchemeStepSize().value_in_unit(unit.picosecond)
     time, order = step * integrator.getStepsPerTrial(), integrator.scheme.order
@@ -218,12 +214,12 @@ def _find_step(
         factor = (spread_at(wanted) / found.spread) ** (1 / order) if found.spread else LONGER
         following = min(step * min(LONGER, max(SHORTER, factor)), 0.9 * longest, most)
         if abs(following / step - 1) < SETTLED:
-            return tuple(tried), following if refusal is None else step
+            return tried, following if refusal is None else step
         step = following
     usable = [each for each in tried if math.isfinite(each.spread)]
     if not usable:
         raise refusal or openmm.OpenMMException(f"Energy errors are not finite at steps down to {step:.3g} ps")
-    return tuple(tried), min(usable, key=lambda each: abs(each.acceptance - wanted)).step
+    return tried, min(usable, key=lambda each: abs(each.acceptance - wanted)).step
 
 
 def _try_step(integrator: SIERHMCIntegrator, step: float, steps: int, trials: int) -> StepFound:
@@ -236,7 +232,7 @@ def _try_step(integrator: SIERHMCIntegrator, step: float, steps: int, trials: in
 
 def _find_length(
     integrator: SIERHMCIntegrator, step: float, samples: int, counts: list[int] | None, time: float
-) -> tuple[tuple[LengthFound, ...], int]:
+) -> tuple[list[LengthFound], int]:
     """The lengths that were compared, and the cheapest; of those without an error, or refused, only if no other is."""
     if counts is None:
         counts = [max(1, round(factor * time / step)) for factor in LENGTHS]
@@ -249,7 +245,7 @@ def _find_length(
     best = min(found, key=lambda each: (each.refused != "", math.isnan(each.cost[1]), np.nansum(each.cost)))
     if best.refused:
         raise openmm.OpenMMException(best.refused)
-    return tuple(found), best.steps
+    return found, best.steps
 
 
 def _try_length(integrator: SIERHMCIntegrator, step: float, steps: int, samples: int) -> LengthFound:

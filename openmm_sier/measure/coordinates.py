@@ -95,10 +95,9 @@ def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topol
     Raises:
         ForceFieldError: naming the first atom that differs.
     """
-    if len(found.positions) != topology.getNumAtoms():
-        raise ForceFieldError(
-            f"{path} has {len(found.positions)} atoms, expected the {topology.getNumAtoms()} of {source}"
-        )
+    number, expected = len(found.positions), topology.getNumAtoms()
+    if number != expected:
+        raise ForceFieldError(f"{path} has {number} atoms, expected the {expected} of {source}")
     for atom, name in zip(topology.atoms(), found.names, strict=False):
         one, two = (_letter(each) for each in (atom.name, name))
         if one and two and one != two and len(atom.residue) > 1:

@@ -27,10 +27,14 @@ HEAD = 2**20
 #: What files of a kind begin with, after blanks; the bytes of NetCDF files are those of AMBER's binary coordinates.
 _BEGINNINGS = {"%VERSION": PRMTOP, "PSF": PSF, "*": CRD, "CDF": AMBER_COORDINATES, "\ufffdHDF": AMBER_COORDINATES}
 
-_SECTION = re.compile(r"^\s*(\[\s*[a-z_]+\s*\]|#\s*include\s)", re.MULTILINE)
 _ROOT = re.compile(r"<(State|System)\b")
-_ATOM_SITE = re.compile(r"^\s*_atom_site\.", re.MULTILINE)
-_ATOM = re.compile(r"^(ATOM|HETATM)", re.MULTILINE)
+
+#: What a line of other files of a kind begins with; the first that is found tells.
+_LINES = {
+    MMCIF: re.compile(r"^\s*_atom_site\.", re.MULTILINE),
+    PDB: re.compile(r"^(ATOM|HETATM)", re.MULTILINE),
+    TOP: re.compile(r"^\s*(\[\s*[a-z_]+\s*\]|#\s*include\s)", re.MULTILINE),
+}
 
 
 def kind_of(path: str | Path) -> str:
@@ -51,11 +55,7 @@ def kind_of(path: str | Path) -> str:
     if begun.startswith("<"):
         root = _ROOT.search(begun)
         return {"State": STATE, "System": SYSTEM}[root[1]] if root else UNKNOWN
-    if _ATOM_SITE.search(text):
-        return MMCIF
-    if _ATOM.search(text):
-        return PDB
-    return TOP if _SECTION.search(text) else UNKNOWN
+    return next((kind for kind, line in _LINES.items() if line.search(text)), UNKNOWN)
 
 
 def _counted(lines: list[str]) -> str:

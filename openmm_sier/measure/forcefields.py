@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
@@ -44,8 +44,7 @@ LARGEST_CUTOFF = 0.45
 MOST_MESH_POINTS = 2**31
 
 
-@dataclass(frozen=True)
-class Interactions:
+class Interactions(NamedTuple):
     """How the interactions of a box are cut off; None stands for what `pme_system` does by itself.
 
     Attributes:
@@ -209,8 +208,7 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
             )
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(NamedTuple):
     """What is to be simulated: coordinates with their force field, molecules whole.
 
     Attributes:
@@ -229,7 +227,7 @@ class Box:
     files: tuple[str, ...]
     reason: str
     listed: np.ndarray
-    sources: Mapping[str, Path] = field(default_factory=dict)
+    sources: Mapping[str, Path] = MappingProxyType({})
 
 
 def read_box(

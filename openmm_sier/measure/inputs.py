@@ -3,7 +3,6 @@
 import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -246,7 +245,7 @@ def _with_sources(box: Box, path: Path, topology: Path | None) -> Box:
         sources["topology"], named = topology, box.files[1:]
         sources |= {str(name): topology.parent / name for name in _included(topology)}
     sources |= {name: Path(forcefields.locate(name, path.parent)) for name in named}
-    return replace(box, sources={use: place for use, place in sources.items() if place.is_file()})
+    return box._replace(sources={use: place for use, place in sources.items() if place.is_file()})
 
 
 def _included(topology: Path) -> Iterator[Path]:

@@ -13,7 +13,7 @@ from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.measure.file_kinds import MMCIF, PDB, kind_of
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
-TWICE = "WARNING: duplicate atom"
+TWICE = "WARNING: duplicate atom "
 
 #: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
@@ -46,9 +46,7 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         try:
             file = READERS[kind](str(path))
         except UserWarning as twice:
-            raise ForceFieldError(
-                f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE).strip()}"
-            ) from None
+            raise ForceFieldError(f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE)}") from None
     file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
     check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
     return file
@@ -111,8 +109,24 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
     Raises:
         ForceFieldError: they are no numbers, two atoms are in one place, or the box cannot hold the atoms.
     """
-    _refuse_coincident(path, topology, positions)
-    _refuse_dense(path, topology)
+    atoms = [atom for atom in topology.atoms() if atom.element is not None]
+    places = positions[[atom.index for atom in atoms]]
+    if not np.isfinite(places).all():
+        raise ForceFieldError(f"{path} has coordinates that are no numbers")
+    order = np.lexsort(places.T)
+    same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
+    if len(same):
+        one, two = (named_atom(atoms[order[same[0] + k]]) for k in (0, 1))
+        raise ForceFieldError(f"{path}: {one} and {two} are in the same place: is a molecule listed twice?")
+    if (vectors := box_vectors(topology)) is None:
+        return
+    volume = abs(float(np.linalg.det(vectors)))
+    mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in atoms)
+    if not mass < DENSEST * GRAM_PER_CM3 * volume:
+        raise ForceFieldError(
+            f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
+            "where there is none, in a PDB file the record CRYST1"
+        )
 
 
 def _check_edges(path: str | Path) -> None:
@@ -132,32 +146,6 @@ def _check_edges(path: str | Path) -> None:
             )
 
 
-def _refuse_coincident(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:
-    """Refuse atoms in the very same place, as of a molecule that is listed twice."""
-    atoms = [atom for atom in topology.atoms() if atom.element is not None]
-    places = positions[[atom.index for atom in atoms]]
-    if not np.isfinite(places).all():
-        raise ForceFieldError(f"{path} has coordinates that are no numbers")
-    order = np.lexsort(places.T)
-    same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
-    if len(same):
-        one, two = (named_atom(atoms[order[same[0] + k]]) for k in (0, 1))
-        raise ForceFieldError(f"{path}: {one} and {two} are in the same place: is a molecule listed twice?")
-
-
 def named_atom(atom: app.topology.Atom) -> str:
     """An atom as messages name it."""
     return f"atom {atom.id} ({atom.name} of {atom.residue.name} {atom.residue.id})"
-
-
-def _refuse_dense(path: str | Path, topology: app.Topology) -> None:
-    if (vectors := box_vectors(topology)) is None:
-        return
-    volume = abs(float(np.linalg.det(vectors)))
-    elements = [atom.element for atom in topology.atoms() if atom.element is not None]
-    mass = sum(element.mass.value_in_unit(unit.dalton) for element in elements)
-    if not mass < DENSEST * GRAM_PER_CM3 * volume:
-        raise ForceFieldError(
-            f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
-            "where there is none, in a PDB file the record CRYST1"
-        )

@@ -16,9 +16,7 @@ class Report:
     def note(self, message: str) -> None:
         """Take a line of progress information."""
 
-    def progress(
-        self, description: str, total: float = 1.0, ps: float | None = None
-    ) -> AbstractContextManager[Advance]:
+    def progress(self, description: str, total: float, ps: float | None = None) -> AbstractContextManager[Advance]:
         """Progress of a computation, as a context manager.
 
         Args:

@@ -2,15 +2,14 @@
 
 import math
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.engines.temperature import Temperatures, temperatures
+from openmm_sier.engines.temperature import temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.stock import StockIntegrator
 
@@ -83,8 +82,12 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     potential = observed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     kinetic = sum(bodies.kinetic_energies(motion))
     conserved = kinetic
-    if isinstance(integrator, SIERIntegrator) and integrator.scheme.momentum_lag:
-        conserved = sum(bodies.kinetic_energies(integrator.getWholeStepState()))
+    if isinstance(integrator, StockIntegrator):
+        found = temperatures(bodies, motion, integrator.conservesMomentum)
+    else:
+        found = integrator.computeTemperatures()
+        if integrator.scheme.momentum_lag:
+            conserved = sum(bodies.kinetic_energies(integrator.getWholeStepState()))
     momentum, angular_momentum = bodies.total_momenta(motion)
     periodic = context.getSystem().usesPeriodicBoundaryConditions()
     volume = observed.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3) if periodic else math.nan
@@ -94,7 +97,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         kinetic,
         potential + kinetic,
         potential + conserved - motion.heat,
-        *_temperatures(integrator, motion),
+        *found,
         *momentum,
         *angular_momentum,
         volume,
@@ -102,12 +105,6 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         *integrator.reported().values(),
     )
     return (observed.getStepCount(), *(float(value) for value in values))
-
-
-def _temperatures(integrator: Any, motion: BodyState) -> Temperatures:
-    if isinstance(integrator, SIERIntegrator):
-        return integrator.computeTemperatures()
-    return temperatures(integrator.bodies, motion, integrator.conservesMomentum)
 
 
 def csv_line(values: Iterable[str | float]) -> str:

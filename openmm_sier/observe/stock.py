@@ -107,13 +107,9 @@ def make_stock(
         pressure: bar, of a MonteCarloBarostat; None at constant volume.
     """
     system = openmm.XmlSerializer.clone(system)
-    integrator: Any
-    if name == "verlet":
-        integrator = StockVerlet(step)
-        if temperature is not None:
-            system.addForce(openmm.AndersenThermostat(temperature, friction))
-    else:
-        integrator = StockLangevinMiddle(temperature, friction, step)
+    integrator: Any = StockVerlet(step) if name == "verlet" else StockLangevinMiddle(temperature, friction, step)
+    if name == "verlet" and temperature is not None:
+        system.addForce(openmm.AndersenThermostat(temperature, friction))
     if pressure is not None:
         system.addForce(openmm.MonteCarloBarostat(pressure * unit.bar, temperature, BAROSTAT_INTERVAL))
     integrator.setConstraintTolerance(CONSTRAINT_TOLERANCE)
@@ -123,8 +119,7 @@ def make_stock(
 
 def seed_noise(system: openmm.System, integrator: openmm.Integrator, seed: int, step: int) -> None:
     """Set the seeds with which the next Context, or the next `reinitialize`, starts at a given step of a run."""
-    noisy = [integrator, *system.getForces()]
-    noisy = [one for one in noisy if hasattr(one, "setRandomNumberSeed")]
+    noisy = [one for one in (integrator, *system.getForces()) if hasattr(one, "setRandomNumberSeed")]
     # OpenMM takes 31 bits, and draws a seed itself where it is given 0.
     words = np.random.SeedSequence([seed, step]).generate_state(len(noisy))
     for one, word in zip(noisy, words.tolist(), strict=True):

@@ -118,9 +118,7 @@ def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
 
 def tell_of_other_temperatures(system: openmm.System, temperature: float) -> None:
     """Warn of a barostat or an AndersenThermostat of OpenMM at another temperature in K than that of a heat bath."""
-    for force in system.getForces():
-        if not isinstance(force, OF_ENSEMBLES):
-            continue
+    for force in [force for force in system.getForces() if isinstance(force, OF_ENSEMBLES)]:
         theirs = force.getDefaultTemperature().value_in_unit(unit.kelvin)
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
             notify(

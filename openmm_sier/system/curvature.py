@@ -26,6 +26,9 @@ DISPLACEMENT = 1e-5
 #: repulsion of two atoms that overlap in a start, or a restraint that is far from where it holds.
 FAR = 25.0
 
+#: Pairs of places in the terms, with the terms, (t,), in which their distance is fixed.
+HeldPairs = list[tuple[int, int, np.ndarray]]
+
 _FORCE = unit.kilojoule_per_mole / unit.nanometer
 
 
@@ -117,9 +120,7 @@ def _derivatives(alone: openmm.Context, x: np.ndarray) -> tuple[np.ndarray, np.n
     return -forces(x), (second + second.transpose(0, 2, 1)) / 2
 
 
-def _held_pairs(
-    atoms: np.ndarray, owner: np.ndarray, held: Collection[tuple[int, int]]
-) -> list[tuple[int, int, np.ndarray]]:
+def _held_pairs(atoms: np.ndarray, owner: np.ndarray, held: Collection[tuple[int, int]]) -> HeldPairs:
     """Pairs of places in the terms, with the terms (t,) in which their distance is fixed, by a constraint or a body."""
     found = []
     for i, j in combinations(range(atoms.shape[1]), 2):
@@ -131,9 +132,7 @@ def _held_pairs(
     return found
 
 
-def _without_held(
-    curvature: np.ndarray, x: np.ndarray, weights: np.ndarray, pairs: list[tuple[int, int, np.ndarray]]
-) -> np.ndarray:
+def _without_held(curvature: np.ndarray, x: np.ndarray, weights: np.ndarray, pairs: HeldPairs) -> np.ndarray:
     """Second derivatives (t, 3k, 3k) by motions that leave the distances of pairs as they are; all mass-weighted."""
     if not pairs:
         return curvature

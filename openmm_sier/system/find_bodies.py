@@ -371,7 +371,8 @@ class Links:
                 raise joins_a_body(*pair)
         edges = bodies.owners[np.concatenate([pairs, self.bonds, self.terms, self.custom])]
         molecules = joined(bodies.n, edges[(edges >= 0).all(axis=1)])
-        return bodies.linked((ends[between], lengths[between]), molecules)
+        links = ends[between], lengths[between]
+        return type(bodies)(bodies.species, bodies.n_particles, bodies.labels, links, molecules)
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:

@@ -9,10 +9,8 @@ from pathlib import Path
 import openmm
 
 #: Calls from these are not the user's own: OpenMM's Simulation creates Contexts, and context managers are entered here.
-_PACKAGES = (
-    *(f"{folder}{os.sep}" for folder in (Path(__file__).parent.parent, Path(openmm.__file__).parent)),
-    contextlib.__file__,
-)
+_FOLDERS = Path(__file__).parent.parent, Path(openmm.__file__).parent
+_PACKAGES = (*(f"{folder}{os.sep}" for folder in _FOLDERS), contextlib.__file__)
 
 
 def notify(message: str) -> None:

@@ -14,6 +14,9 @@ WATER = [0, 1, 2]
 SITE, ION = 11, 12
 FAST = 3
 
+#: For each particle the number of its rigid body.
+NO_BODIES = np.full(13, -1)
+
 
 def bonded_forces():
     """One of each kind, with terms on flexible atoms."""
@@ -55,9 +58,9 @@ def whole_system(forces):
     return system
 
 
-def solute_of(system, rigid=None):
+def solute_of(system, rigid=NO_BODIES):
     reduced = solute_system(system, FLEXIBLE, {FAST}, rigid)
-    return SoluteForces(reduced, FLEXIBLE, openmm.Platform.getPlatformByName("Reference"))
+    return SoluteForces(reduced, FLEXIBLE, openmm.Platform.getPlatformByName("Reference"), {})
 
 
 def forces_in(context):
@@ -115,7 +118,7 @@ def test_terms_within_a_rigid_body_are_left_out(positions):
     expected = forces_in(plain_context(system, positions))[FLEXIBLE].T
     assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
     with pytest.raises(SoluteError, match="angle of HarmonicAngleForce acts on the atoms 1, 0, 2; atom 1 is not among"):
-        solute_system(system, FLEXIBLE, {FAST})
+        solute_system(system, FLEXIBLE, {FAST}, NO_BODIES)
     joined = openmm.HarmonicBondForce()
     joined.addBond(0, FLEXIBLE[0], 0.3, 100)
     with pytest.raises(SoluteError, match="bond of HarmonicBondForce acts on the atoms 0, 9; atom 0 is not among"):
@@ -132,4 +135,4 @@ def test_what_is_refused():
         (bond, "atom 11 is not among those"),
     ):
         with pytest.raises(SoluteError, match=message):
-            solute_system(whole_system([force]), FLEXIBLE, {FAST})
+            solute_system(whole_system([force]), FLEXIBLE, {FAST}, NO_BODIES)

@@ -43,11 +43,10 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
     try:
         with zipfile.ZipFile(path) as archive:
             notes: dict[str, Any] = json.loads(archive.read("notes.json"))
-            version = notes.get("format")
             state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
         raise records.RecordError(f"{path} is no checkpoint of openmm-sier run") from error
-    if version != FORMAT:
+    if (version := notes.get("format")) != FORMAT:
         raise records.RecordError(
             f"{path} was written by another version of openmm-sier, in format {version} in place of {FORMAT}: finish "
             "the run with that version, or begin a new one"

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Collection, Mapping
-from dataclasses import asdict
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -141,7 +140,7 @@ class Outputs:
             "potential_energy": potential,
             "platform": platform_of(context),
             "inputs": self._inputs,
-            **{name: asdict(file.noted()) for name, file in self._files.items()},
+            **{name: vars(file.noted()) for name, file in self._files.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
         checkpoints.write_checkpoint(self.checkpoint, state, notes)

@@ -164,7 +164,7 @@ def _fingerprint(path: Path, size: int) -> str:
 class Log(GrowingFile):
     """A CSV file of numbers with a heading."""
 
-    def __init__(self, path: Path, columns: Sequence[str], noted: Noted | None = None):
+    def __init__(self, path: Path, columns: Sequence[str], noted: Noted | None):
         super().__init__(path, noted)
         self.columns = tuple(columns)
         if not self.size:

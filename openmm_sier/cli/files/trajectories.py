@@ -20,9 +20,7 @@ DCD_HEADER, DCD_TIME = 276, slice(180, 260)
 class Trajectory(GrowingFile):
     """Frames of a file that grows."""
 
-    def __init__(
-        self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None = None
-    ) -> None:
+    def __init__(self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None):
         """Begin a file with atoms of a topology, steps of dt ps and an interval in steps, or continue it."""
         super().__init__(path, noted)
         self._topology, self._dt, self._interval = topology, dt, interval

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from openmm_sier.dynamics.backend import numba_loops
 from openmm_sier.dynamics.backend.numba_compile import compiled
-from openmm_sier.dynamics.backend.numpy_backend import Inverses, Kinds, NumpyBackend, rotated
+from openmm_sier.dynamics.backend.numpy_backend import Kinds, NumpyBackend, Pair, rotated
 from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.backend.threads import shared
 
@@ -33,7 +33,7 @@ class NumbaBackend(NumpyBackend):
 
     def drift(
         self, kinds: Kinds, q: ndarray, p: ndarray, A: ndarray, L: ndarray, h: float, inverse_masses: ndarray
-    ) -> tuple[ndarray, ndarray]:
+    ) -> Pair:
         new_q, new_A, far = np.empty(q.shape), np.empty(A.shape), np.empty(A.shape[2], dtype=bool)
         for rates, part in kinds:
             if rates is None:
@@ -51,9 +51,7 @@ class NumbaBackend(NumpyBackend):
         if _shared(numba_loops.rotate)(part, A, L, h, rates, new, far):
             _rotate_far(rates, part, A, L, h, far, new)
 
-    def kick(
-        self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray
-    ) -> tuple[ndarray, ndarray]:
+    def kick(self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray) -> Pair:
         new_p, new_L, every = np.empty(p.shape), np.empty(p.shape), slice(0, p.shape[1])
         if at is q:
             _shared(numba_loops.kick)(every, p, L, F, tau, h, new_p, new_L)
@@ -61,9 +59,7 @@ class NumbaBackend(NumpyBackend):
             _shared(numba_loops.kick_elsewhere)(every, p, L, F, tau, h, q, at, new_p, new_L)
         return new_p, new_L
 
-    def displace(
-        self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Inverses
-    ) -> tuple[ndarray, ndarray]:
+    def displace(self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Pair) -> Pair:
         new_q, new_A, every = np.empty(q.shape), np.empty(A.shape), slice(0, q.shape[1])
         _shared(numba_loops.displace)(every, q, A, F, tau, shift, *inverses, new_q, new_A)
         return new_q, new_A
@@ -71,16 +67,15 @@ class NumbaBackend(NumpyBackend):
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
         return not _shared(numba_loops.place)(sites.part, sites.part.start, q, A, sites.places, sites.atoms, positions)
 
-    def move(self, sites: Sites, p: ndarray, A: ndarray, L: ndarray, inverses: Inverses, velocities: ndarray) -> None:
+    def move(self, sites: Sites, p: ndarray, A: ndarray, L: ndarray, inverses: Pair, velocities: ndarray) -> None:
         part, places, atoms = sites.part, sites.places, sites.atoms
         _shared(numba_loops.move)(part, part.start, p, A, L, *inverses, places, atoms, velocities)
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
     ) -> bool:
-        return not _shared(numba_loops.collect)(
-            sites.part, sites.part.start, vectors, A, sites.places, weights, sites.atoms, total, moment
-        )
+        part, places, atoms = sites.part, sites.places, sites.atoms
+        return not _shared(numba_loops.collect)(part, part.start, vectors, A, places, weights, atoms, total, moment)
 
     def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, at: ndarray, F: ndarray) -> None:
         _compiled(numba_loops.turn_groups)(edges, part, m, q, at, F)

@@ -18,8 +18,9 @@ ROTATED = 4096
 #: Inverse moments of each kind of body, and which bodies are of it, see `NumpyBackend.rotate`.
 Kinds = Sequence[tuple[ndarray | None, slice]]
 
-#: Inverse masses, (n,), and inverse moments, (3, n), of bodies.
-Inverses = tuple[ndarray, ndarray]
+#: Two arrays of bodies, of what moves and what turns them: centres and attitudes, momenta and angular momenta, forces
+#: and torques, or inverse masses, (n,), and inverse moments, (3, n).
+Pair = tuple[ndarray, ndarray]
 
 
 class NumpyBackend:
@@ -29,7 +30,7 @@ class NumpyBackend:
 
     def drift(
         self, kinds: Kinds, q: ndarray, p: ndarray, A: ndarray, L: ndarray, h: float, inverse_masses: ndarray
-    ) -> tuple[ndarray, ndarray]:
+    ) -> Pair:
         """Centres (3, n) and attitudes (3, 3, n) after free motion for a time h, of bodies at q with momenta p, (3, n).
 
         Args and errors: as of `rotate`; inverse masses are (n,).
@@ -64,9 +65,7 @@ class NumpyBackend:
             own = rates if rates.ndim == 1 else rates[:, block]
             new[:, :, block] = rotated(own, A[:, :, block], L[:, block], h, range(block.start, block.stop))
 
-    def kick(
-        self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray
-    ) -> tuple[ndarray, ndarray]:
+    def kick(self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray) -> Pair:
         """Momenta and angular momenta about q after forces at other points, and torques about these, for a time h.
 
         All arrays are (3, n).
@@ -74,9 +73,7 @@ class NumpyBackend:
         torque = tau if at is q else tau + formulas.cross(at - q, F)
         return p + h * F, L + h * torque
 
-    def displace(
-        self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Inverses
-    ) -> tuple[ndarray, ndarray]:
+    def displace(self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Pair) -> Pair:
         """Centres and attitudes of bodies displaced by `shift` times their accelerations.
 
         Args:
@@ -96,7 +93,7 @@ class NumpyBackend:
                 positions[column] = (q[:, sites.part] + arm).T
         return bool(np.isfinite(q[:, sites.part]).all() and np.isfinite(A[:, :, sites.part]).all())
 
-    def move(self, sites: Sites, p: ndarray, A: ndarray, L: ndarray, inverses: Inverses, velocities: ndarray) -> None:
+    def move(self, sites: Sites, p: ndarray, A: ndarray, L: ndarray, inverses: Pair, velocities: ndarray) -> None:
         """Write the velocities (N, 3) of the atoms of bodies with momenta and angular momenta, (3, n)."""
         part, (inverse_masses, inverse_moments) = sites.part, inverses
         omega = formulas.angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part])
@@ -152,9 +149,8 @@ def rotated(rates: ndarray, A: ndarray, L: ndarray, h: float, numbers: Sequence[
     """New attitudes, (3, 3, n), of bodies whose numbers are for messages; rates are (3,) or (3, n)."""
     with np.errstate(all="ignore"):
         body_L = formulas.body_frame(A, L)
-        turn, _, reached = free_rotation(
-            body_L, rates, h, shortest_series, long_steps.sine_cosine, long_steps.PHASE_CAP
-        )
+        any_angle = long_steps.sine_cosine, long_steps.PHASE_CAP
+        turn, _, reached = free_rotation(body_L, rates, h, shortest_series, *any_angle)
     if not reached.all():
         far = np.flatnonzero(~reached)
         for name, values in (("angular momentum", L[None, :, far]), ("attitude", A[:, :, far])):

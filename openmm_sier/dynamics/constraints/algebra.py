@@ -24,7 +24,8 @@ from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import constraint_solver
-from openmm_sier.dynamics.constraints.graph import constraint_table, independent, joined
+from openmm_sier.dynamics.backend.constraint_solver import ConstraintTable
+from openmm_sier.dynamics.constraints.graph import independent, joined
 
 #: How many atoms of a large component a message names.
 NAMED = 8
@@ -79,8 +80,19 @@ class Constraints:
         return named if len(bodies) <= NAMED else f"{named} and {len(bodies) - NAMED} more"
 
     @cached_property
-    def _table(self) -> constraint_solver.ConstraintTable:
-        return constraint_table(self.pairs, self.lengths, self.masses, self.members, self._first)
+    def _table(self) -> ConstraintTable:
+        """The constraints as backends take them."""
+        from scipy import sparse
+
+        pairs, masses = np.searchsorted(self.members, self.pairs), self.masses[self.members]
+        numbers = np.arange(len(pairs))
+        incidence = sparse.csr_array((np.ones(len(pairs)), (numbers, pairs[:, 0])), (len(pairs), len(masses)))
+        incidence -= sparse.csr_array((np.ones(len(pairs)), (numbers, pairs[:, 1])), (len(pairs), len(masses)))
+        weights = (incidence @ sparse.diags_array(1 / masses) @ incidence.T).tocoo()
+        ends = np.ascontiguousarray(pairs.T)
+        rows, columns = weights.row.astype(np.int64), weights.col.astype(np.int64)
+        squares = self.lengths**2
+        return ConstraintTable(self.members, self._first, ends, squares, 1 / masses, rows, columns, weights.data)
 
     def restricted(self, bodies: ArrayLike) -> Constraints:
         """The constraints in the numbering of a subset of the bodies, which must not split a component.
@@ -97,9 +109,7 @@ class Constraints:
         ends = number[self.pairs]
         cut = np.flatnonzero((ends < 0).any(axis=1) & (ends >= 0).any(axis=1))
         if len(cut):
-            raise ConstraintError(
-                f"the constraint of {self._name(*self.pairs[cut[0]])} leaves the subset of the bodies"
-            )
+            raise ConstraintError(f"the constraint of {self._name(*self.pairs[cut[0]])} leaves the subset of bodies")
         kept = (ends >= 0).all(axis=1)
         return Constraints(
             ends[kept], self.lengths[kept], self.masses[bodies], lambda body: self._describe(int(bodies[body]))
@@ -164,9 +174,7 @@ class Constraints:
         """
         return self.displaced(q, np.zeros_like(q), 0.0)
 
-    def drift(
-        self, q: np.ndarray, p: np.ndarray, t: float, fractions: Sequence[float] | np.ndarray = (1.0,)
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def drift(self, q: np.ndarray, p: np.ndarray, t: float, fractions: Sequence[float] = (1.0,)) -> backend.Pair:
         """Free motion for the time t: straight lines, and geodesics of the constrained bodies.
 
         Args:

@@ -1,4 +1,4 @@
-"""The graph of constraints: its connected components, and which constraints share atoms."""
+"""The graph of constraints: its connected components, and which constraints are independent."""
 
 import numpy as np
 
@@ -20,30 +20,6 @@ def joined(n: int, pairs: np.ndarray) -> np.ndarray:
     graph = sparse.coo_array((np.ones(len(ends), dtype=bool), ends.T), (n, n))
     _, component = connected_components(graph, directed=False)
     return np.unique(component, return_index=True)[1][component]
-
-
-def constraint_table(
-    pairs: np.ndarray, lengths: np.ndarray, masses: np.ndarray, members: np.ndarray, first: np.ndarray
-) -> ConstraintTable:
-    """Constraints as backends take them.
-
-    Args:
-        pairs: columns of bodies, (c, 2).
-        lengths: (c,), nm.
-        masses: of all bodies, (n,), dalton.
-        members: columns of constrained bodies, ascending, (m,).
-        first: for each of these the smallest column of its component, (m,).
-    """
-    from scipy import sparse
-
-    pairs, masses = np.searchsorted(members, pairs), masses[members]
-    numbers = np.arange(len(pairs))
-    incidence = sparse.csr_array((np.ones(len(pairs)), (numbers, pairs[:, 0])), (len(pairs), len(masses)))
-    incidence -= sparse.csr_array((np.ones(len(pairs)), (numbers, pairs[:, 1])), (len(pairs), len(masses)))
-    weights = (incidence @ sparse.diags_array(1 / masses) @ incidence.T).tocoo()
-    ends = np.ascontiguousarray(pairs.T)
-    rows, columns = weights.row.astype(np.int64), weights.col.astype(np.int64)
-    return ConstraintTable(members, first, ends, lengths**2, 1 / masses, rows, columns, weights.data)
 
 
 def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:

@@ -73,9 +73,9 @@ class ExactEngine(Engine):
 
     @property
     def movers(self) -> Movers:  # type: ignore[override]
-        if self._moving.is_settled:
-            return self._moving.movers
-        return self._moving.settle_by(Snapshot(self._context).positions, self._flow)
+        if not self._moving.is_settled:
+            self._moving.settle_by(Snapshot(self._context).positions, self._flow)
+        return self._moving.movers
 
     @property
     def point(self) -> BodyState:

@@ -1,5 +1,7 @@
 """What moves the bodies of one Context: the operators of a scheme, with constraints, and fast forces in the drifts."""
 
+from functools import partial
+
 import numpy as np
 import openmm
 
@@ -18,9 +20,6 @@ from openmm_sier.system.arguments import groups_of
 #: has the averages of harmonic motion right at any step below its stability limit.
 LONGEST_INNER_STEP = 0.003
 LONGEST_WITH_BATH = 0.0035
-
-#: RATTLE steps of a drift in a step of SIER2, whose own errors are larger.
-_ONE_STEP = (1.0,)
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
@@ -54,16 +53,14 @@ class Motion:
         self._bodies = bodies
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
-        self.solute = _solute(context, bodies, self._members, groups_of(fast_groups))
+        self.solute = _solute(context, bodies, self._members, fast_groups)
         self.fast = None if self.solute is None else CachedForces(self.solute)
         self._drift = operators.drift(bodies, rotation)
         if len(self._members):
-            self._outer = constrained.constrained_operators(
-                bodies, forces, bodies.constraints, rotation, groups=self._groups
-            )
+            self._outer = constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, self._groups)
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
-        self._made: tuple[Flow | None, dict[str, Operator]] = (None, {})
+        self._made: tuple[tuple[Flow, float] | None, dict[str, Operator]] = (None, {})
         self.after_bath: BodyState | None = None
 
     def bath(self, bath: Thermostat) -> Operator:
@@ -73,23 +70,19 @@ class Motion:
 
     def operators(self, flow: Flow, longest: float) -> dict[str, Operator]:
         """The operators that execute a flow, by name, with inner steps of up to `longest`, ps."""
-        if self._made[0] != flow:
+        if self._made[0] != (flow, longest):
             found = dict(self._outer)
             if flow.bath is not None:
-                found[BATH] = self._remembered(self.bath(flow.bath))
+                found[BATH] = partial(self._remembered, self.bath(flow.bath))
             if self.fast is not None and longest:
                 found |= self._nested_drifts(self.fast, flow.scheme, longest)
-            self._made = flow, found
+            self._made = (flow, longest), found
         return self._made[1]
 
-    def _remembered(self, bath: Operator) -> Operator:
-        """A bath that leaves what it made as `after_bath`."""
-
-        def apply(state: BodyState, h: float) -> BodyState:
-            self.after_bath = bath(state, h)
-            return self.after_bath
-
-        return apply
+    def _remembered(self, bath: Operator, state: BodyState, h: float) -> BodyState:
+        """Let a bath act, and leave what it made as `after_bath`."""
+        self.after_bath = bath(state, h)
+        return self.after_bath
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""
@@ -101,9 +94,9 @@ class Motion:
         members, constraints = self._members, self._bodies.constraints.restricted(self._members)
         groups = self._groups[members]
         if scheme.bath_divides_drift:
-            moves = constrained.steps_around_bath(
-                constrained.point_operators(constraints, forces, _ONE_STEP, groups), longest
-            )
+            # One RATTLE step in each drift: SIER2's own errors are larger.
+            within = constrained.point_operators(constraints, forces, (1.0,), groups)
+            moves = constrained.steps_around_bath(within, longest)
         else:
             within = constrained.point_operators(constraints, forces, groups=groups)
             moves = {DRIFT: constrained.equal_steps(scheme.within_drifts, within, longest)}
@@ -120,10 +113,8 @@ def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Pla
     return platform, properties
 
 
-def _solute(
-    context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: list[int]
-) -> SoluteForces | None:
-    """What computes the forces of some groups; None where there are none."""
+def _solute(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: int) -> SoluteForces | None:
+    """What computes the forces of some groups, a bit mask; None where there are none."""
     if not groups:
         return None
     system = context.getSystem()
@@ -131,7 +122,7 @@ def _solute(
     rigid = np.where(bodies.point_particles, -1, bodies.owners)
     rigid[tables.frozen_atoms(system)] = bodies.n
     # Forces that cannot be fast are refused even where there is nothing to compute.
-    reduced = solute_system(system, atoms, groups, rigid)
+    reduced = solute_system(system, atoms, groups_of(groups), rigid)
     if not atoms or reduced.getNumForces() == 0:
         return None
     solute = SoluteForces(reduced, atoms, *_platform_of_solute(context, len(atoms)))

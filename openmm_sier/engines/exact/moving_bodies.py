@@ -58,23 +58,21 @@ class MovingBodies:
 
     # --- their life ---
 
-    def settle_by(self, positions: np.ndarray, flow: Flow) -> Movers:
+    def settle_by(self, positions: np.ndarray, flow: Flow) -> None:
         """Settle planned bodies with the geometry that the Context carries or, the first time, that of positions.
 
         Raises:
             RigidityError, openmm.OpenMMException: the positions do not form the bodies, or what they form is refused.
         """
         if self._plan is None:
-            return self.movers
+            return
         integrator = self._context.getIntegrator()
         sites = np.array(integrator.getPerDofVariableByName(SITES))
-        if self.is_settled and np.array_equal(packing.sites(self.movers.bodies), sites):
-            return self.movers
-        movers = self._settle(self._plan.bodies(positions, sites), flow)
-        integrator.setPerDofVariableByName(SITES, packing.sites(movers.bodies))
-        return movers
+        if not (self.is_settled and np.array_equal(packing.sites(self.movers.bodies), sites)):
+            self._settle(self._plan.bodies(positions, sites), flow)
+            integrator.setPerDofVariableByName(SITES, packing.sites(self.movers.bodies))
 
-    def _settle(self, bodies: RigidBodies, flow: Flow) -> Movers:
+    def _settle(self, bodies: RigidBodies, flow: Flow) -> None:
         context = self._context
         system = context.getSystem()
         self.check_step = StepCheck(system, bodies, inner_step)
@@ -86,7 +84,6 @@ class MovingBodies:
         self.motion = self._new_motion(bodies)
         self.forces.bodies = bodies
         self.movers, self.is_settled = Movers(bodies, lambda: context.getMolecules()), True
-        return self.movers
 
     def _new_motion(self, bodies: RigidBodies) -> Motion:
         fast = self._context.getIntegrator().getIntegrationForceGroups() & self._fast_groups

@@ -1,6 +1,6 @@
 """Bonded forces on some atoms, from a Context that has no other forces, so that they cost no pass over all pairs."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 import openmm
@@ -14,9 +14,7 @@ class SoluteError(ValueError):
     """Fast forces that a Context of bonded forces cannot compute."""
 
 
-def solute_system(
-    system: openmm.System, atoms: ArrayLike, groups: Iterable[int], rigid: ArrayLike | None = None
-) -> openmm.System:
+def solute_system(system: openmm.System, atoms: ArrayLike, groups: Iterable[int], rigid: np.ndarray) -> openmm.System:
     """A System with nothing but the bonded forces of some force groups, and no particles after the last in them.
 
     Args:
@@ -24,7 +22,7 @@ def solute_system(
         atoms: particle indices, (m,), on which the forces act.
         groups: force groups, each from 0 to 31.
         rigid: for each particle of `system` the number of its rigid body, -1 for one that is in none. Terms within
-            one rigid body do no work. None: no particle is in a rigid body.
+            one rigid body do no work.
 
     Raises:
         SoluteError: a Force of the groups is not a bonded force, or one of its terms acts on an atom that is not in
@@ -33,7 +31,6 @@ def solute_system(
     n = system.getNumParticles()
     moving = np.zeros(n, dtype=bool)
     moving[np.asarray(atoms, dtype=np.int64)] = True
-    rigid = np.full(n, -1) if rigid is None else np.asarray(rigid)
     reduced, wanted = openmm.System(), frozenset(groups)
     last = int(np.max(atoms, initial=-1))
     for force in system.getForces():
@@ -89,13 +86,7 @@ class SoluteForces:
     get_state = staticmethod(openmm.Context.getState)
     set_positions = staticmethod(openmm.Context.setPositions)
 
-    def __init__(
-        self,
-        reduced: openmm.System,
-        atoms: ArrayLike,
-        platform: openmm.Platform,
-        properties: Mapping[str, str] | None = None,
-    ):
+    def __init__(self, reduced: openmm.System, atoms: ArrayLike, platform: openmm.Platform, properties: dict[str, str]):
         """
         Args:
             reduced: what `solute_system` gave.
@@ -105,7 +96,7 @@ class SoluteForces:
         """
         self.atoms = np.asarray(atoms, dtype=np.int64)
         self._integrator = openmm.VerletIntegrator(0.001)
-        self._context = openmm.Context(reduced, self._integrator, platform, properties or {})
+        self._context = openmm.Context(reduced, self._integrator, platform, properties)
         # Other atoms stay anywhere, apart from each other.
         self._positions = np.random.default_rng(0).random((reduced.getNumParticles(), 3))
         self._values = np.empty_like(self._positions)

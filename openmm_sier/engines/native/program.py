@@ -12,7 +12,6 @@ every n of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -125,8 +124,7 @@ class Line(NamedTuple):
         return f"{text}  for {self.unit} = {', '.join(f'{d:.6g}' for d in self.lengths)}" if self.lengths else text
 
 
-@dataclass(frozen=True)
-class Program:
+class Program(NamedTuple):
     """A step of a scheme as native steps.
 
     Attributes:
@@ -156,11 +154,9 @@ def usual_substeps(scheme: Scheme, nested: bool) -> int:
     suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
     as long as a drift of SIER4G, 3 fs, or a third of a step with a bath in the middle of its drift.
     """
-    if nested and scheme.bath_divides_drift:
-        return 2
     is_long = scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT
     if nested:
-        return 2 if is_long else 1
+        return 2 if is_long or scheme.bath_divides_drift else 1
     return 5 if is_long else 3
 
 
