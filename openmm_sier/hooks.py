@@ -11,8 +11,9 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `Context.createCheckpoint`, and `XmlSerializer.serialize` of a State with the integrator's parameters, make the run
   continue exactly as a restart from their result would. `Context.getState` marks such a State and changes nothing.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
-- `System.removeForce`, `Force.setForceGroup` and `NonbondedForce.setPMEParameters` are counted, so that an integrator
-  looks for changes of its System only after one of them.
+- `System.setParticleMass`, `setConstraintParameters` and `removeForce`, `Force.setForceGroup` and
+  `NonbondedForce.setPMEParameters` are counted, so that an integrator looks for changes of its System only after one
+  of them.
 - `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
@@ -43,7 +44,8 @@ def install() -> None:
     _replace(openmm.Context, "createCheckpoint", functools.partial(_pass_on, Binding.start_anew))
     _replace(openmm.XmlSerializer, "serialize", _write_restart_point)
     # These change a System without changing the number of its particles, constraints or Forces.
-    _replace(openmm.System, "removeForce", _count_change)
+    for name in ("setParticleMass", "setConstraintParameters", "removeForce"):
+        _replace(openmm.System, name, _count_change)
     _replace(openmm.Force, "setForceGroup", _count_change)
     _replace(openmm.NonbondedForce, "setPMEParameters", _count_change)
     _replace(openmm.LocalEnergyMinimizer, "minimize", _keep_bodies)

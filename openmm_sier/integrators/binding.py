@@ -8,6 +8,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ class Binding:
         self.record = Record(integrator, given.ensemble.record)
         self._engine: Engine | None = None
         self._context: Callable[[], openmm.Context | None] = lambda: None
-        self._told_of_noise = False
+        self._stepping, self._told_of_noise = RLock(), False
 
     @property
     def _integrator(self) -> openmm.CustomIntegrator:
@@ -189,13 +190,23 @@ class Binding:
         self.record.keep()
 
     def step(self, steps: int) -> None:
-        """Advance by steps of the integrator; see `SIERIntegrator.step`."""
+        """Advance by steps of the integrator; see `SIERIntegrator.step`.
+
+        Raises:
+            openmm.OpenMMException: another thread is stepping the Context.
+        """
         engine, context = self.engine, self._context()
         if context is None:
             raise openmm.OpenMMException("The Context of this integrator no longer exists")
         self._system.check(context.getSystem())
         length, bath = self.settings.step * self.ensemble.steps, getattr(self.ensemble, "temperature", 0.0)
-        self.watch.advance(partial(self._advance, engine), steps, context, length, bath)
+        # To wait would hang a process that was forked while another thread had the lock.
+        if not self._stepping.acquire(blocking=False):
+            raise openmm.OpenMMException("Another thread is stepping this Context: give each a Context of its own")
+        try:
+            self.watch.advance(partial(self._advance, engine), steps, context, length, bath)
+        finally:
+            self._stepping.release()
 
     def _advance(self, engine: Engine, steps: int) -> None:
         with interrupts.deferred():

@@ -5,22 +5,21 @@ from typing import Any
 import openmm
 from openmm import unit
 
-#: Particles whose masses are looked at, at each call of `step`.
-LOOKED_AT = 3
+from openmm_sier.system import tables
 
 
 class UnchangedSystem:
     """The System of a Context, to be compared with what it was."""
 
-    #: How often a Force of any System was removed, or got another group or other PME parameters: `hooks` counts. A look
-    #: at every Force at each call of `step` would take 5 to 10 us for each of them.
+    #: How often a mass, a constraint or a Force of any System was changed in the ways that `hooks` counts. A look at
+    #: every Force at each call of `step` would take 5 to 10 us for each of them.
     changes = 0
 
     def __init__(self, system: openmm.System):
         self._then, self._seen = _outline(system), (self.changes, _glance(system))
 
     def check(self, system: openmm.System) -> None:
-        """Compare particles, a few masses, constraints, Forces, their groups and the parameters of PME.
+        """Compare masses, constraints, Forces, their groups and the parameters of PME.
 
         Raises:
             openmm.OpenMMException: the System was changed after its Context was made.
@@ -31,28 +30,26 @@ class UnchangedSystem:
         for name, value in self._then.items():
             if now.get(name) != value:
                 raise openmm.OpenMMException(
-                    "The System was changed after its Context was created, which OpenMM takes no notice of: its "
-                    f"{name} was {value} and is {now.get(name)}. Change a System, by prepare_system too, before the "
-                    "Context is created; or create a new one"
+                    "The System was changed after its Context was created, so that OpenMM does not see the change: its "
+                    f"{name} was {value} and is {now.get(name)}. Call prepare_system, and make other changes, before "
+                    "the Context or Simulation is made; or make a new one"
                 )
         self._seen = seen
 
 
-def _glance(system: openmm.System) -> dict[str, Any]:
-    """What is looked at, at each call of `step`, by names for messages: heavy hydrogens are seen in a few masses."""
-    found: dict[str, Any] = {
-        "number of particles": system.getNumParticles(),
-        "number of constraints": system.getNumConstraints(),
-        "number of Forces": system.getNumForces(),
-    }
-    for number in range(min(LOOKED_AT, system.getNumParticles())):
-        found[f"mass of particle {number}, in dalton,"] = system.getParticleMass(number).value_in_unit(unit.dalton)
-    return found
+def _glance(system: openmm.System) -> tuple[int, int, int]:
+    """What is looked at, at each call of `step`."""
+    return system.getNumParticles(), system.getNumConstraints(), system.getNumForces()
 
 
 def _outline(system: openmm.System) -> dict[str, Any]:
     """What is compared of a System, by names for messages."""
-    found = _glance(system)
+    names = "number of particles", "number of constraints", "number of Forces"
+    found: dict[str, Any] = dict(zip(names, _glance(system), strict=True))
+    found |= {f"mass of particle {i}, in dalton,": mass for i, mass in enumerate(tables.masses(system).tolist())}
+    for i in range(system.getNumConstraints()):
+        a, b, length = system.getConstraintParameters(i)
+        found[f"constraint {i}, atoms and length in nm,"] = a, b, length.value_in_unit(unit.nanometer)
     for number, force in enumerate(system.getForces()):
         found[f"Force {number}"] = kind = type(force).__name__
         found[f"force group of Force {number}, a {kind},"] = force.getForceGroup()

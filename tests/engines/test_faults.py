@@ -1,6 +1,7 @@
 """What goes wrong stops a run with a reason, and leaves Context and integrator where the run can go on."""
 
 import gc
+import threading
 
 import numpy as np
 import openmm
@@ -320,6 +321,42 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
     # The same molecules, read from the atoms once or twice: rounding.
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-12
     assert np.abs(phase_point(context)[0] - before[0]).max() > 1e-3
+
+
+def test_a_constraint_of_another_length_is_refused(cluster):
+    _, system, point = cluster
+    system = openmm.XmlSerializer.clone(system)
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, point, steps=0)
+    first, second, length = system.getConstraintParameters(5)
+    system.setConstraintParameters(5, first, second, 1.5 * length)
+    with pytest.raises(openmm.OpenMMException, match="constraint 5, atoms and length in nm, was"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+def test_another_thread_is_refused(cluster, monkeypatch):
+    _, system, point = cluster
+    integrator, said = SIER2Integrator(0.001), []
+    context = context_at(system, integrator, point, steps=0)
+
+    def advance(*_):
+        def step():
+            try:
+                integrator.step(1)
+            except openmm.OpenMMException as error:
+                said.append(str(error))
+
+        thread = threading.Thread(target=step)
+        thread.start()
+        thread.join(60)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(integrator.binding.watch, "advance", advance)
+        integrator.step(1)
+    assert said == ["Another thread is stepping this Context: give each a Context of its own"]
+    integrator.step(1)
+    assert context.getStepCount() == 1
 
 
 def test_bodies_of_other_masses_are_refused(cluster):
