@@ -6,9 +6,10 @@
     python -m studies.heat_bath dhfr --methods "SIER2, 9 fs" --time 20
 
 Temperatures are those that OpenMM's StateDataReporter shows, of water and solute apart: of velocities at the end of
-steps, and with SIER2 of those just after the bath. Hybrid Monte Carlo gives exact averages. Each run is kept in
-heat-bath.jsonl as soon as it is done and is not repeated; runs with other seeds add to the same averages. Runs take
-turns on `--processes` processes of one thread each. Writes heat-bath.json.
+steps, and with SIER2 of those just after the bath. Those of the translations and rotations of water tell how a bath is
+shared: a long step makes rotations warmer than translations, the more the weaker the bath. Hybrid Monte Carlo gives
+exact averages. Each run is kept in heat-bath.jsonl as soon as it is done and is not repeated; runs with other seeds add
+to the same averages. Runs take turns on `--processes` processes of one thread each. Writes heat-bath.json.
 
 The distributions of phi and psi are compared with those of hybrid Monte Carlo by Kolmogorov and Smirnov, with as many
 samples as are independent.
@@ -55,6 +56,8 @@ BONDED = {"bonds": "HarmonicBondForce", "angles": "HarmonicAngleForce", "torsion
 #: What is averaged, with its heading.
 AVERAGED = {
     "water": "T water, K",
+    "translation": "T translations, K",
+    "rotation": "T rotations, K",
     "solute": "T solute, K",
     "potential": "V, kJ/mol",
     "density": "density, g/cm³",
@@ -89,6 +92,9 @@ DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
 
 #: fs between samples.
 INTERVAL = 200.0
+
+#: 1/ps; rows of another friction say so.
+FRICTION = 5.0
 
 
 class Bath(NamedTuple):
@@ -172,11 +178,11 @@ class BathSettings(RunsSettings):
     time: float = 250.0
     equilibrate: float = 5.0
     temperature: float = 297.0
-    friction: float = 5.0
+    friction: float = FRICTION
     pressure: float | None = None
     tolerance: float = 1e-4
 
-    SHARED = ("temperature", "friction", "tolerance", "equilibrate")
+    SHARED = ("temperature", "tolerance", "equilibrate")
 
 
 class Observer:
@@ -188,6 +194,8 @@ class Observer:
         solute = np.array([atom.residue.name not in ("HOH", "WAT") for atom in box.topology.atoms()])
         pairs = tables.constraints(system).pairs
         held = np.bincount(solute[pairs[:, 0]].astype(int), minlength=2) if len(pairs) else np.zeros(2)
+        # Rigid water of three massive sites has as many degrees of freedom of translation as of rotation.
+        self._waters = np.flatnonzero(~solute & (self._masses > 0)).reshape(-1, 3)
         self._parts = {}
         for name, part, count in (("water", ~solute, held[0]), ("solute", solute, held[1])):
             if freedom := 3 * np.count_nonzero(part & (self._masses > 0)) - count:
@@ -215,11 +223,12 @@ class Observer:
     def _temperatures(self, integrator: openmm.Integrator, speeds: np.ndarray) -> dict[str, float]:
         if isinstance(integrator, SIERIntegrator):
             known = integrator.computeTemperatures()
-            # Rigid water of three massive sites has as many degrees of freedom of translation as of rotation.
-            found = {"water": (known.translation + known.rotation) / 2, "solute": known.flexible}
-            return {name: found[name] for name in self._parts}
+            return known._asdict() | {"water": (known.translation + known.rotation) / 2, "solute": known.flexible}
         twice = self._masses * (speeds**2).sum(axis=1)
-        return {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
+        found = {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
+        momenta = (self._masses[self._waters, None] * speeds[self._waters]).sum(axis=1)
+        translation = (momenta**2).mean() / (self._masses[self._waters[0]].sum() * GAS_CONSTANT)
+        return found | {"translation": translation, "rotation": 2 * found["water"] - translation}
 
 
 def _alone(system: openmm.System, kind: str) -> openmm.Context:
@@ -237,6 +246,7 @@ def tasks(settings: BathSettings) -> Iterator[Task]:
     """All runs that the settings ask for, seed by seed."""
     chosen(settings.methods, METHODS, "method")
     at = "constant volume" if settings.pressure is None else f"{settings.pressure:g} bar"
+    at += "" if settings.friction == FRICTION else f", {settings.friction:g}/ps"
     place = {"box": settings.box.stem, "at": at, "time": settings.time}
     seeds = range(settings.seed, settings.seed + settings.starts)
     for seed, name in product(seeds, settings.methods or METHODS):
@@ -263,7 +273,7 @@ def run(task: Task) -> dict[str, Any]:
         samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
-    series = pd.DataFrame(samples)
+    series = pd.DataFrame(samples).dropna(axis="columns")
     for key in AVERAGED.keys() & set(series):
         found |= {key: (of_key := mean_and_error(series[key].to_numpy())).value, f"{key}_error": of_key.error}
     found |= _distributions(series) | _costs(series, 1e3 * settings.time / method.step * method.forces)
