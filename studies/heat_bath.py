@@ -144,15 +144,13 @@ def _exact(step: float, steps: int) -> Method:
 
 
 METHODS = {
-    "LangevinMiddle, 2 fs, light": Method(2, 1, None, _middle),
-    "LangevinMiddle, 4 fs, light": Method(4, 1, None, _middle),
+    **{f"LangevinMiddle, {step} fs, light": Method(step, 1, None, _middle) for step in (2, 4)},
     **{f"LangevinMiddle, {step} fs": Method(step, 1, 3.0, _middle) for step in (4, 5)},
     "MTSLangevin, 8 fs": Method(8, 1, 4.0, _several_steps),
     **{f"SIER2, {step} fs, light": Method(step, 1, None, _own) for step in (4, 5, 6)},
     **{f"SIER2, {step} fs": Method(step, 1, 4.0, _own) for step in (8, 9, 10, 11)},
     **{f"SIER2, 9 fs, hydrogens of {mass:g}": Method(9, 1, mass, _own) for mass in (2.0, 3.0, 4.5)},
-    "SIER4G HMC, 8 fs": _exact(8, 5),
-    "SIER4G HMC, 9 fs": _exact(9, 4),
+    **{f"SIER4G HMC, {step} fs": _exact(step, steps) for step, steps in ((8, 5), (9, 4))},
 }
 
 
@@ -248,8 +246,7 @@ def tasks(settings: BathSettings) -> Iterator[Task]:
     at = "constant volume" if settings.pressure is None else f"{settings.pressure:g} bar"
     at += "" if settings.friction == FRICTION else f", {settings.friction:g}/ps"
     place = {"box": settings.box.stem, "at": at, "time": settings.time}
-    seeds = range(settings.seed, settings.seed + settings.starts)
-    for seed, name in product(seeds, settings.methods or METHODS):
+    for seed, name in product(range(settings.seed, settings.seed + settings.starts), settings.methods or METHODS):
         yield Task(settings, place | {"method": name, "seed": seed}, name)
 
 
