@@ -9,6 +9,9 @@ ENSEMBLES = ("nve", "nvt", "npt", "hmc")
 #: Dalton, from which hydrogens bear the usual steps of heavy ones.
 HEAVY = 3.0
 
+#: 1/ps, of a bath. In the long steps of heavy hydrogens a weaker one leaves rotations warmer than translations.
+FRICTION, HEAVY_FRICTION = 1.0, 5.0
+
 #: ps, of OpenMM's own integrators.
 STEP_OF_OPENMM = 0.002
 

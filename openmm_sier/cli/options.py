@@ -159,7 +159,7 @@ class Options:
     friction: float = _option(
         number("1/ps", 0, 1e5),
         "of the heat bath, or the rate of collisions of verlet",
-        otherwise="1; hmc draws all momenta for each trial without it",
+        otherwise="1, or 5 with heavy hydrogens; hmc draws all momenta for each trial without it",
     )
     pressure: float | None = _option(
         number("bar", -5000, 50000, hint=" (1 bar is 100000 Pa)"),

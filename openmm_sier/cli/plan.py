@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from openmm_sier.cli.methods import METHODS, Method
+from openmm_sier.cli.methods import FRICTION, HEAVY, HEAVY_FRICTION, METHODS, Method
 from openmm_sier.cli.options import CONTINUED, MAY_LACK, NOTED, OF_THE_SYSTEM, OPTIONS, RECOMMENDED, Options
 from openmm_sier.cli.values import WrongValueError
 from openmm_sier.measure.forcefields import Interactions
@@ -107,7 +107,8 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     ensemble = values.setdefault("ensemble", method.ensembles[0])
     _check_given(options, ensemble)
     values.setdefault("dt", method.usual_step(ensemble, values.get("hydrogen_mass")))
-    values.setdefault("friction", 0.0 if ensemble == "hmc" else 1.0)
+    of_bath = HEAVY_FRICTION if (values.get("hydrogen_mass") or 0) >= HEAVY else FRICTION
+    values.setdefault("friction", 0.0 if ensemble == "hmc" else of_bath)
     if ensemble == "npt":
         values.setdefault("pressure", 1.0)
     values.setdefault("steps_per_trial", TRIAL if ensemble == "hmc" else 1)

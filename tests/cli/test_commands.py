@@ -77,3 +77,4 @@ def test_schemes_and_steps_are_the_usual_ones(box, options, integrator, step):
     plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
     assert CATALOGUE[plan["scheme"]] == integrator.scheme.without_bath()
     assert plan["dt"] == pytest.approx(1000 * step)
+    assert plan["friction"] == (5 if "--hydrogen-mass" in options else 1)
