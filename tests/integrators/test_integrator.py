@@ -183,5 +183,5 @@ def test_a_scheme_may_be_given_by_its_name(make):
         assert make(name).scheme == make(SIER2P3).scheme
     with pytest.raises(ValueError, match=r"scheme must be one of SIER2, .*SIER4P, got 'verlet'"):
         make("verlet")
-    with pytest.raises(TypeError, match=r"scheme must be a Scheme.* or the name of one, got 4"):
+    with pytest.raises(TypeError, match=r"scheme must be a Scheme.* or its name, as in SIERIntegrator.*, got 4"):
         make(4)
