@@ -263,8 +263,8 @@ class RigidBodies:
             f"{self.describe(worst)} does not fit its rigid shape: an atom is {misfit[worst]:.4f} nm off, and up to "
             f"{tolerances[worst]:.4g} nm is corrected ({np.count_nonzero(torn)} of {self.n} bodies fail). {unit}"
             "(1) If the periodic boundary cuts the molecule, make it whole, by make_whole. (2) If constraints hold it, "
-            "context.applyConstraints(1e-6) may help. (3) If you named it, no constraint holds it: minimize in a Context "
-            "with this integrator, not with another, or start from the positions that it was made of"
+            "context.applyConstraints(1e-6) may help. (3) If you named it, no constraint holds it: minimize in a "
+            "Context with this integrator, not with another, or start from the positions that it was made of"
         )
 
     def momenta(self, velocities: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
