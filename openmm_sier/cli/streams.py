@@ -15,6 +15,8 @@ AS_OPTIONS = {
     vibrations.SHORTER_STEP: "Take a shorter step (--dt)",
     vibrations.MORE_SUBSTEPS: "Take a shorter step (--dt)",
     vibrations.CONSTRAIN: "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
+    vibrations.KEEP_HEAVY: "",
+    vibrations.HEAVY: "--hydrogen-mass 4",
 }
 
 

@@ -239,8 +239,8 @@ class RigidBodies:
         mirrored = species.are_mirrored(arms[suspects], misfit[suspects])
         if mirrored.any():
             raise RigidityError(
-                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} does not have the shape of its rigid "
-                f"body but that of its mirror image ({np.count_nonzero(mirrored)} bodies of this kind fail)"
+                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} does not fit its rigid shape "
+                f"but its mirror image ({np.count_nonzero(mirrored)} bodies of this kind fail)"
             )
 
     def _refuse_torn(self, misfit: np.ndarray) -> None:
@@ -252,12 +252,11 @@ class RigidBodies:
         extended = self.moments.any(axis=0)
         unit = "Are the positions in nanometres? Those in angstroms need their unit. " if torn[extended].all() else ""
         raise RigidityError(
-            f"{self.describe(worst)} does not have the shape of its rigid body: an atom is {misfit[worst]:.4f} nm from "
-            f"its place, at most {tolerances[worst]:.4g} nm can be mended ({np.count_nonzero(torn)} bodies fail). "
-            f"{unit}Is the molecule whole (not cut by the periodic boundary)? If constraints hold it, "
-            "context.applyConstraints(1e-6) may mend it. If it was named as a rigid body, no constraint holds it, and "
-            "its atoms must not be moved one by one: minimize the energy in a Context with this integrator, or start "
-            "from the positions that it was made of"
+            f"{self.describe(worst)} does not fit its rigid shape: an atom is {misfit[worst]:.4f} nm off, and up to "
+            f"{tolerances[worst]:.4g} nm is corrected ({np.count_nonzero(torn)} of {self.n} bodies fail). {unit}"
+            "(1) If the periodic boundary cuts the molecule, make it whole, by make_whole. (2) If constraints hold it, "
+            "context.applyConstraints(1e-6) may help. (3) If you named it, no constraint holds it: minimize in a "
+            "Context with this integrator, not with another, or start from the positions that it was made of"
         )
 
     def momenta(self, velocities: np.ndarray, A: np.ndarray) -> backend.Pair:

@@ -39,6 +39,9 @@ class Scheme:
     bath_step: float | None = field(default=None, compare=False)
     heavy_bath_step: float | None = field(default=None, compare=False)
 
+    def __repr__(self) -> str:
+        return self.name
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
         if not self.stages:

@@ -79,10 +79,9 @@ class Metropolis(ConstantTemperature):
     def check(self, system: openmm.System, engine: Engine) -> None:
         for force in system.getForces():
             if isinstance(force, OF_ENSEMBLES):
-                remedy = "leave it out" if isinstance(force, openmm.AndersenThermostat) else "give `pressure` instead"
                 raise openmm.OpenMMException(
-                    f"A {type(force).__name__} acts within trajectories, which hybrid Monte Carlo does not allow: "
-                    f"{remedy}"
+                    f"Remove the {type(force).__name__}: it acts within trajectories, which hybrid Monte Carlo does "
+                    "not allow. The integrator keeps the temperature, and the pressure if you give it pressure=1*bar"
                 )
         super().check(system, engine)
 

@@ -32,7 +32,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
             TypeError: it keeps no temperature.
         """
         if not isinstance(thermostat, ConstantTemperature):
-            raise TypeError(f"thermostat must be an ensemble of constant temperature, got {thermostat!r}")
+            raise TypeError(f"thermostat must be like VelocityRescaling(300*kelvin, 1/picosecond), got {thermostat!r}")
         super().__init__(stepSize, scheme, ensemble=thermostat, **options)
 
     def _change_ensemble(self, **changes: Any) -> None:
@@ -63,7 +63,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
 
     def setRandomNumberSeed(self, seed: int) -> None:
         """Set the seed of the noise for the next Context; as in OpenMM, 0 means a new one for every Context."""
-        super().setRandomNumberSeed(whole_number("seed", seed))
+        super().setRandomNumberSeed(whole_number("seed", seed, most=2**31 - 1))
 
     def getHeat(self) -> unit.Quantity:
         """Energy that the bath, moves of the volume and a CMMotionRemover have given to the bodies, a quantity.

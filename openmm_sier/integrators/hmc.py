@@ -22,13 +22,13 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     the start of the trial, with reversed velocities. A step that is too long lowers the acceptance, but causes no bias.
     Every state that the Context ever shows is a sample. An interrupt or an error leaves it at the last one.
 
-    `stepSize` is the step of the scheme; `getStepSize`, `setStepSize` and the Context's time are those of trials, which
-    are `stepsPerTrial` times as long. `getSchemeStepSize` and `setSchemeStepSize` are for the step of the scheme.
+    Note: the constructor takes the step of the scheme (9 fs); `getStepSize()` returns the length of a trial (90 fs with
+    10 steps), and `setStepSize` takes that. The Context's time is that of trials. `getSchemeStepSize` and
+    `setSchemeStepSize` are for the step of the scheme.
 
     A trajectory that cannot be followed to its end, because a force is not finite or constraints cannot be satisfied,
-    is rejected. Before the first trajectory counts, it is reversed and followed back to its start, once for each step
-    size and again when trials become longer. The integrator refuses to go on if it does not come back; `reversalError`
-    tells how close it came.
+    is rejected. As a check, the first trajectory at each step size, or of longer trials, is run backwards. If it misses
+    its start, the integrator stops; `reversalError` is the distance.
 
     With either engine, random numbers are a function of the seed and of the number of draws so far. Both travel in
     checkpoints, and a State brings the number alone. The total energy less the heat changes only by the energy errors

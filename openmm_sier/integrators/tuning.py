@@ -114,10 +114,11 @@ def tune(
 
     First comes the step: energy errors are measured in trials, and the step is changed until their standard deviation
     is that of the wanted acceptance. This uses the law that the deviation grows as the step to the power of the
-    scheme's order. Trajectories keep their length in time. Then trial lengths are compared at this step, each over the
-    same total number of steps, by the force evaluations per independent sample of the potential energy. The length with
-    the least sum of cost and standard error is taken. Costs that differ by less than their errors cannot be told apart;
-    take more samples.
+    scheme's order. Trajectories keep their length in time.
+
+    Then it compares trial lengths at this step, each with the same number of steps in all: how many forces does an
+    independent potential energy cost? It takes the length whose cost plus its error is smallest. If costs differ by
+    less than their errors, take more samples.
 
     No step is tried that resonates with fast forces.
 

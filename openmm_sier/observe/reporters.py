@@ -80,9 +80,8 @@ class ConservationReporter(_TableReporter):
     The columns are those of the log of `openmm-sier run`, `openmm_sier.observe.conservation.COLUMNS`, and those that
     the integrator adds, such as the acceptance of hybrid Monte Carlo; `row` in that module describes them.
 
-    At constant energy the conserved energy may differ from the total energy by a constant. It counts as heat what a
-    CMMotionRemover, which `createSystem` adds, takes in the first step: the kinetic energy of the centre of mass of the
-    velocities that were drawn, 3/2 kT on average.
+    At constant energy the conserved and the total energy may differ by a constant, 3/2 kT on average: `createSystem`
+    adds a CMMotionRemover, which stops the drift of the whole box in the first step, and that energy counts as heat.
     """
 
     COLUMNS = conservation.COLUMNS

@@ -80,7 +80,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         notify("hydrogenMass does nothing: the System has no hydrogens whose mass could be changed")
         return "There are no hydrogens whose mass could be changed."
     said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(given.items()))
-    return f"{said}: averages stay, motion changes."
+    return f"{said}: averages of positions do not change, motion is slower."
 
 
 def hydrogens(system: openmm.System) -> dict[int, list[int]]:

@@ -27,11 +27,11 @@ _METHODS = (openmm.NonbondedForce.PME, openmm.NonbondedForce.LJPME)
 def balance_pme(system: openmm.System) -> None:
     """Split electrostatics between the two sums of PME better than OpenMM does, with a mesh a tenth finer.
 
-    The direct sum ends at the cut-off, where the energy has a jump that the forces lack. By OpenMM's rule for
-    `ewaldErrorTolerance` this jump limits how well energy can be conserved, and most of the error is in the direct sum.
-    A larger Ewald parameter makes the jump some two hundred times smaller. It makes the error of the mesh two to three
-    times larger, and with it the small net force of PME on the whole box. Forces in water take as long and are four to
-    seven times as accurate (cut-off of 0.9 nm, tolerances from 1e-5 to 5e-4).
+    At the cut-off the energy jumps and the forces do not know it. By OpenMM's rule for `ewaldErrorTolerance` this
+    limits how well energy holds, and most of the error is in the direct sum. A larger Ewald parameter makes the jump
+    two hundred times smaller. In return the error of the mesh, and the small net force of PME on the box, are two to
+    three times larger. Forces in water take as long and are four to seven times as accurate (cut-off of 0.9 nm,
+    tolerances from 1e-5 to 5e-4).
 
     Call it after box, cut-off and tolerance of the System are set and before a Context is created, and again if they
     change. It calls `NonbondedForce.setPMEParameters`, which replaces earlier parameters. The Lennard-Jones part of
@@ -60,9 +60,9 @@ def tell_of_pme(system: openmm.System, scheme: str) -> None:
     loose = [each for each in meshed_forces(system) if not each.getPMEParameters()[0].value_in_unit(per_length)]
     if loose:
         notify(
-            f"PME is split as OpenMM does it, and its jump at the cut-off limits {scheme}: at OpenMM's defaults "
-            "the energy error of water within 1 ps is 1.2 to 1.6 %, hardly better than with Verlet. After "
-            "prepare_system(system) it is 0.1 % at the same cost "
+            "Call prepare_system(system) before the Context is made. Without it the jump of PME at the cut-off limits "
+            f"{scheme}: the energy error of water within 1 ps is 1.2 to 1.6 % at OpenMM's defaults, hardly better than "
+            "Verlet; with it 0.1 %, at the same cost "
             f"(this System has ewaldErrorTolerance={loose[0].getEwaldErrorTolerance():g})"
         )
 

@@ -15,9 +15,6 @@ from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
 from openmm_sier.system.find_bodies import Links
 
-#: Largest ewaldErrorTolerance that serves every scheme.
-TOLERANCE = 1e-4
-
 
 @dataclass(frozen=True)
 class Preparation:
@@ -46,8 +43,8 @@ def prepare_system(
 
     - The sums of PME are balanced, see `balance_pme`.
     - Bonds, angles and torsions of molecules that are not rigid get a force group of their own, in which every SIER
-      integrator finds them. A Force keeps its group if one of its terms joins a rigid body to another body or acts on a
-      virtual site, since fast forces move only points.
+      integrator finds them. Fast forces may move only atoms outside rigid bodies. So a Force with a term between a
+      rigid body and something else, or on a virtual site, stays slow.
     - If there are such forces, nonbonded interactions between atoms of these molecules up to four bonds apart are added
       to that group by one CustomBondForce and subtracted in the group of the NonbondedForce by another one. The
       NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
@@ -58,7 +55,7 @@ def prepare_system(
 
     >>> system = openmm.System()
     >>> print(prepare_system(system))
-    No bonded force acts on a molecule that is not rigid.
+    All molecules with bonded forces are rigid, so no force is fast.
 
     Args:
         system: openmm.System; its force groups and PME parameters are changed, and two Forces may be added.
@@ -66,9 +63,9 @@ def prepare_system(
         fastForceGroup: force group for the fast forces, from 0 to 31. None: 1 or, if that has other forces, the first
             that has none.
         hydrogenMass: of all hydrogens, in water too, a quantity or a number in dalton, see `set_hydrogen_masses`; None
-            leaves them as they are. Four dalton let steps be 1.6 times as long. Averages of positions do not change,
-            but motion does: diffusion and relaxation of water are some 10 to 20 % slower. Do not use it where dynamics
-            is what you want, as at constant energy.
+            leaves them as they are. With four dalton take 9 fs in place of 4 in a heat bath, and 9 in place of 6 by
+            hybrid Monte Carlo. Averages of positions do not change, but motion does: diffusion and relaxation of water
+            are some 10 to 20 % slower. Do not use it where dynamics is what you want, as at constant energy.
 
     Returns:
         The fast force groups, what was done, and what still limits the energy; print it.
@@ -80,9 +77,7 @@ def prepare_system(
         RigidityError: see `RigidBodies.from_system`; the System is unchanged then too.
     """
     system = checked_system(system)
-    group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup)
-    if group is not None and group >= GROUPS:
-        raise ValueError(f"fastForceGroup must be from 0 to {GROUPS - 1}, got {group}")
+    group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
     known = FastForces(system, checked_bodies(bodies))
     if group is None:
         group = known.free_group()
@@ -93,7 +88,7 @@ def prepare_system(
         )
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     if heavy is not None and isinstance(bodies, RigidBodies):
-        raise ValueError("hydrogenMass changes masses that these bodies have: prepare first, then make the bodies")
+        raise ValueError("Bodies hold old masses: call prepare_system(hydrogenMass=…) before RigidBodies.from_system")
     done = []
     if meshed_forces(system):
         balance_pme(system)
@@ -107,8 +102,8 @@ def prepare_system(
         force.setForceGroup(group)
     if fast:
         done += _add_close_pairs(system, known.points, fast, group)
-    else:
-        done.append("No bonded force acts on a molecule that is not rigid.")
+    elif not known.slow:
+        done.append("All molecules with bonded forces are rigid, so no force is fast.")
     if left := [force.getName() for force in known.slow]:
         why = "they act on rigid bodies, virtual sites or frozen atoms"
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
@@ -123,8 +118,8 @@ def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openm
     edges = edges[points[edges].all(axis=1)]
     if count := close_pairs.add_close_pairs(system, edges, group, periodic):
         done.append(
-            f"Nonbonded interactions of {count} pairs up to {close_pairs.REACH} bonds apart act there too, and are "
-            "subtracted in the kicks."
+            f"Nonbonded forces between {count} close pairs (up to {close_pairs.REACH} bonds apart) count as fast too; "
+            "the slow forces leave them out. The total energy is the same."
         )
     return done
 
@@ -139,11 +134,6 @@ def _energy_limits(system: openmm.System) -> tuple[str, ...]:
         if _jumps(force)
         for cutoff in [force.getCutoffDistance().value_in_unit(unit.nanometer)]
     ]
-    if any(force.getEwaldErrorTolerance() > TOLERANCE for force in meshed_forces(system)):
-        found.append(
-            f"This ewaldErrorTolerance serves SIER4G. For SIER4P take {TOLERANCE:g}, with which its energy error in "
-            "water at 6 fs is 0.0145 % in place of 0.056 % within 1 ps."
-        )
     return tuple(dict.fromkeys(found))
 
 

@@ -76,7 +76,7 @@ def checked_scheme(scheme: Any) -> Scheme:
     if isinstance(scheme, Scheme):
         return scheme
     if not isinstance(scheme, str):
-        raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, or the name of one, got {scheme!r}")
+        raise TypeError(f"scheme must be a Scheme or its name, as in SIERIntegrator(0.004, SIER4G), got {scheme!r}")
     if (found := CATALOGUE.get(scheme.lower())) is None:
         known = ", ".join(each.name for each in CATALOGUE.values())
         raise ValueError(f"scheme must be one of {known}, got {scheme!r}")
@@ -110,13 +110,15 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
     return value
 
 
-def whole_number(name: str, value: Any, least: int = 0) -> int:
-    """A nonnegative integer that is at least so large, from an int or a float without a fraction."""
+def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) -> int:
+    """A nonnegative integer within bounds, from an int or a float without a fraction."""
     whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
     if not whole or value < 0:
         raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value}")
+    if value > most:
+        raise ValueError(f"{name} must be at most {most}, got {value}")
     return int(value)
 
 

@@ -57,10 +57,10 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
         openmm.OpenMMException: it is not periodic, has a barostat of its own, or a particle that belongs to no body.
     """
     if not system.usesPeriodicBoundaryConditions():
-        raise openmm.OpenMMException("A pressure needs a System with periodic boundary conditions")
+        raise openmm.OpenMMException("A pressure needs a System that is periodic (nonbondedMethod=PME)")
     for force in barostats(system):
         raise openmm.OpenMMException(
-            f"The integrator keeps a pressure and so does a {type(force).__name__} of the System: one is enough"
+            f"Two barostats: pressure= of the integrator and a {type(force).__name__} in the System. Remove one"
         )
     for i in np.flatnonzero(bodies.owners < 0).tolist():
         if not system.isVirtualSite(i):

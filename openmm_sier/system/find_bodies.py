@@ -48,13 +48,13 @@ class RigidBodies(dynamics.RigidBodies):
     ) -> RigidBodies:
         """Find the bodies of a System.
 
-        Particles that the user names form bodies with their present geometry. Of the others, molecules in which every
-        distance is constrained form bodies whose geometry the constraint lengths define. Every remaining particle with
-        mass is a point body, joined to others by its constraints. Virtual sites follow their atoms. Massless particles
-        that are not virtual sites are frozen: they stay where they are, and constraints between them are ignored.
+        (1) What you name is rigid, in the shape of the given positions. (2) Molecules with all distances constrained,
+        such as water, are rigid too, in the shape of the constraints. (3) All other atoms are points with their
+        constraints. Virtual sites follow their atoms. Massless particles that are not virtual sites are frozen: they
+        stay where they are, and constraints between them are ignored.
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
-        geometry, and a warning says so.
+        geometry. A warning says so where they differ by more than a PDB file rounds.
 
         Args:
             system: openmm.System.
@@ -112,7 +112,7 @@ class BodyPlan:
         """
         if positions is None:
             if self.needs_positions:
-                raise RigidityError("the geometry of these bodies is known from positions only: give positions")
+                raise RigidityError("Named or chiral bodies take their shape from the positions: give positions=")
             positions = np.empty((0, 3))
         species: list[Species] = []
         shared = [Sharing(kind.clusters, kind.deviations) for kind in self.kinds if kind.model is not None]
@@ -137,11 +137,11 @@ class BodyPlan:
             return
         first = max(shared, key=lambda some: some.deviations.max())
         others = sum(len(some.clusters) for some in shared) - len(first.clusters)
-        more = f"; {others} bodies of {len(shared) - 1} more kinds do alike, with less deviation" if others else ""
+        more = f"; so do {others} bodies of {len(shared) - 1} more kinds, which differ less" if others else ""
         notify(
-            f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} share one geometry, the average of "
-            f"theirs, from which they differ by up to {first.deviations.max():.1g} nm "
-            f"({self._describe(first.clusters[first.deviations.argmax()])}){more}"
+            f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} get one shape, their average. They "
+            f"differ from it by up to {first.deviations.max():.1g} nm (most: "
+            f"{self._describe(first.clusters[first.deviations.argmax()])}){more}"
         )
 
     # --- which particles ---
@@ -226,16 +226,18 @@ def _named(
 ) -> Iterable[Iterable[int]]:
     if rigid is None:
         return []
-    if not isinstance(rigid, str | Mapping):
+    if not isinstance(rigid, str | Mapping) and not any(isinstance(each, str) for each in rigid):
         return rigid
-    if isinstance(rigid, str) and rigid != HYDROGEN_GROUPS:
-        raise ValueError(f'rigid must be lists of particles, a mapping or "{HYDROGEN_GROUPS}", got "{rigid}"')
+    values, known = (rigid.values(), "rigid") if isinstance(rigid, Mapping) else ([rigid], HYDROGEN_GROUPS)
+    if any(value != known for value in values):
+        raise ValueError(
+            "To make residues rigid by name give rigid={'NAME': 'rigid'}; rigid may also be lists of particles or "
+            f'"{HYDROGEN_GROUPS}", got {rigid!r}'
+        )
     if topology is None:
         raise ValueError("bodies by name need the topology: RigidBodies.from_system(system, topology, rigid)")
     if isinstance(rigid, str):
         return _hydrogen_groups(topology, _constrained_clusters(lengths, links))
-    if wrong := [value for value in rigid.values() if value != "rigid"]:
-        raise ValueError(f'bodies by residue name must be "rigid", got {wrong[0]!r}')
     if missing := [name for name in rigid if name not in {residue.name for residue in topology.residues()}]:
         raise ValueError(f"bodies name residue {missing[0]}, which the topology does not have")
     return [[atom.index for atom in residue.atoms()] for residue in topology.residues() if residue.name in rigid]

@@ -28,8 +28,8 @@ LENGTH_TOLERANCE = 3.5e-4
 #: hydrogen by 0.007 nm. A torsion that differs by 10 degrees moves one by 0.017 nm and makes another geometry.
 SHARING_TOLERANCE = 0.01
 
-#: Deviations of positions and lengths, in nm, that are rounding and cause no warning.
-ROUNDING = 1e-6
+#: Deviations of positions and lengths, in nm, that are the rounding of a PDB file and cause no warning: sqrt(3) 1e-4.
+ROUNDING = 1.74e-4
 
 Cluster = tuple[int, ...]
 

@@ -21,7 +21,7 @@ from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
 from openmm_sier.system.curvature import EXPRESSIONS, fastest_vibration
-from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
+from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
 from openmm_sier.system.notices import notify
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
@@ -102,9 +102,10 @@ KNOWN = (
 STIFFENED = 0.54
 
 #: Remedies, for messages.
-SHORTER_STEP = "Take a shorter step; or let bonds act within drifts, by prepare_system and fastForceGroups"
+SHORTER_STEP = "Call prepare_system(system) before making the Context, for inner steps of bonds; or take a shorter step"
 MORE_SUBSTEPS = "Take more substeps or a shorter step"
-HEAVIER = "make all hydrogens heavy, for averages alone, by prepare_system(system, hydrogenMass=4*dalton)"
+HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
+HEAVIER = f"for averages only, make all hydrogens heavy by {HEAVY}"
 CONSTRAIN = (
     "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
     f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)'
@@ -113,6 +114,7 @@ CONSTRAIN_HEAVY = (
     "hold the bond: by constraints=AllBonds in createSystem, or its molecule in a rigid body, by "
     "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)"
 )
+KEEP_HEAVY = f"; if createSystem made hydrogens heavy, call {HEAVY}, which leaves other atoms heavier"
 
 #: Dalton. Atoms up to this are hydrogens that have not been made heavy.
 LIGHT = 2.0
@@ -150,10 +152,11 @@ class Vibrations:
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
         self._bodies, self._mobility = bodies, mobilities(bodies)
-        self._constraints = tables.constraints(system)
+        links = Links(system)
+        self._constraints = links.constraints
         self._harmonic = tuple(_fastest_bonds(system, bodies, self._constraints, self._mobility))
         self._bonds = list(self._harmonic)
-        self._librations = list(_fastest_librations(system, bodies, self._constraints, self._mobility))
+        self._librations = list(_fastest_swings(system, bodies, links, self._mobility))
         self._is_measured = not any(map(_is_expression, system.getForces()))
         self._unknown = [force for force in system.getForces() if not isinstance(force, KNOWN)]
         self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
@@ -195,10 +198,11 @@ class Vibrations:
             return
         stable, accurate = _limits(scheme, libration.period)
         body = self._bodies.describe(int(self._bodies.owners[libration.atoms[0]]))
+        heavier = f"; or, {HEAVIER}" if self._has_atom_up_to(LIGHT, libration) else ""
         described = (
-            f"other molecules can make {body} swing with a period of {_fs(libration.period)}. {scheme.name} follows "
-            f"that accurately with steps of up to {_fs(accurate)}, and liquids heat up from about "
-            f"{_fs(max(accurate, HEATING * stable))} on. Take a shorter step, or {HEAVIER}"
+            f"{body}, and others like it, can swing with a period of {_fs(libration.period)} among other molecules. "
+            f"{scheme.name} is accurate up to {_fs(accurate)}; from about {_fs(max(accurate, HEATING * stable))} on "
+            f"liquids heat up. Take a shorter step{heavier}"
         )
         slip = f". A number is a time in ps: for {h:g} fs give {h:g}*unit.femtoseconds" if h >= SLIP else ""
         self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described + slip)
@@ -216,24 +220,22 @@ class Vibrations:
                 window, or beyond `DESTROYED` or, with a bath in its drift, `SHORTENED`.
         """
         self._check_bonds("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
+        bond = _fastest(self._bonds, groups)
+        if bond is not None and h > RESONANCE * bond.period:
+            # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
+            heavier = f"or, {HEAVIER}, " if self._has_atom_up_to(LIGHT, bond) else ""
+            message = (
+                f"for {self._name(bond)}: its period is {_fs(bond.period)}, and slow forces must act more than twice "
+                f"in it. Take up to {_fs(RESONANCE * bond.period)}, {heavier}or {self._hold(bond)}"
+            )
+            angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
+            stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
+            is_shortened = scheme.bath_divides_drift and self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond)
+            if h >= (SHORTENED if is_shortened else DESTROYED) * bond.period or not stable:
+                raise openmm.OpenMMException(f"A step of {_fs(h)} is too long {message}. More inner steps do not help")
+            self._tell_once(f"A step of {_fs(h)} is long {message}")
         if scheme.bath_divides_drift:
             self._tell_of_stiffness(h, groups)
-        bond = _fastest(self._bonds, groups)
-        if bond is None or h <= RESONANCE * bond.period:
-            return
-        # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
-        heavier = f"or {HEAVIER}, " if self._has_atom_up_to(LIGHT, bond) else ""
-        message = (
-            f"A step of {_fs(h)} resonates with fast forces: {self._name(bond)} has a period of "
-            f"{_fs(bond.period)}, of which kicks should come more than twice. Take a step of up to "
-            f"{_fs(RESONANCE * bond.period)}, {heavier}or {self._hold(bond)}"
-        )
-        angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
-        stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
-        is_shortened = scheme.bath_divides_drift and self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond)
-        if h >= (SHORTENED if is_shortened else DESTROYED) * bond.period or not stable:
-            raise openmm.OpenMMException(f"{message}. No number of inner steps helps")
-        self._tell_once(message)
 
     def _tell_of_stiffness(self, h: float, groups: int) -> None:
         """Say, once, where kicks come too seldom for slow forces to stretch a fast bond to hydrogen as they should.
@@ -246,8 +248,8 @@ class Vibrations:
             return
         left = max(0.0, x / math.tan(x)) if x < math.pi / 2 else 0.0
         self._tell_once(
-            f"With kicks every {_fs(h)} slow forces stretch {self._name(bond)}, of a period of {_fs(bond.period)}, by "
-            f"{100 * left:.0f} % of what they should, so that averages of its molecule are wrong. Take a step of up to "
+            f"At {_fs(h)} averages of this molecule are wrong: slow forces stretch {self._name(bond)} (period "
+            f"{_fs(bond.period)}) by only {100 * left:.0f} % of what they should. Take up to "
             f"{_fs(STIFFENED * bond.period / math.pi)}, or {CONSTRAIN}"
         )
 
@@ -266,9 +268,9 @@ class Vibrations:
             return
         error = AT_USUAL_STEP * math.exp(RESONANCE_DECAY * libration.period * (1 / good - 1 / h))
         self._tell_once(
-            f"At constant energy a step of {_fs(h)} makes the energy walk: expect rms(H)/rms(V) of some "
-            f"{_percent(min(error, 1.0))} over a whole run, where {scheme.name} at {_fs(good)} has "
-            f"{_percent(AT_USUAL_STEP)}. Take {_fs(good)}; in a heat bath or by hybrid Monte Carlo steps may be longer"
+            f"At {_fs(h)} the total energy wanders: its error over a whole run is some {_percent(min(error, 1.0))}, "
+            f"with {scheme.name} at {_fs(good)} {_percent(AT_USUAL_STEP)} (rms(H)/rms(V)). Take {_fs(good)}. Longer "
+            "steps are for a heat bath or hybrid Monte Carlo"
         )
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
@@ -293,9 +295,8 @@ class Vibrations:
         if bond := _fastest(self._bonds, groups):
             stable, accurate = _limits(scheme, bond.period)
             described = (
-                f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} follows "
-                f"it accurately with steps of up to {_fs(accurate)}, and is unstable from {_fs(stable)} on. {remedy}, "
-                f"or {self._hold(bond)}"
+                f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} is "
+                f"accurate up to {_fs(accurate)}, and unstable from {_fs(stable)} on. {remedy}, or {self._hold(bond)}"
             )
             self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
         unknown = [force for force in self._unknown if groups >> force.getForceGroup() & 1]
@@ -317,7 +318,9 @@ class Vibrations:
         return bool(self._mobility[list(bond.atoms)].max() * mass >= 1)
 
     def _hold(self, bond: Motion) -> str:
-        return CONSTRAIN if self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond) else CONSTRAIN_HEAVY
+        if not self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond):
+            return CONSTRAIN_HEAVY
+        return CONSTRAIN if self._has_atom_up_to(LIGHT, bond) else CONSTRAIN + KEEP_HEAVY
 
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels
@@ -392,14 +395,12 @@ def _slow_share(system: openmm.System, atoms: tuple[int, ...], strength: float, 
     return float(held @ moved**2 / (strength * moved.sum() ** 2))
 
 
-def _fastest_librations(
-    system: openmm.System, bodies: RigidBodies, constraints: tables.Constraints, mobility: np.ndarray
-) -> Iterator[Motion]:
-    """For each NonbondedForce the fastest swing that it causes; none where a molecule held by constraints is alone."""
-    if bodies.n <= SAMPLED and not tables.frozen_atoms(system).size:
-        molecules = joined(bodies.n_particles, constraints.pairs)[bodies.owners >= 0]
-        if bodies.n <= 1 or not np.ptp(molecules):
-            return
+def _fastest_swings(system: openmm.System, bodies: RigidBodies, links: Links, mobility: np.ndarray) -> Iterator[Motion]:
+    """For each NonbondedForce the fastest swing that it causes; none where a molecule is alone."""
+    joins = np.concatenate([links.constraints.pairs, links.bonds, links.terms, links.custom])
+    molecules = joined(bodies.n_particles, joins)[bodies.owners >= 0]
+    if len(np.unique(molecules)) <= 1 and not tables.frozen_atoms(system).size:
+        return
     sample = [atom for species in bodies.species for atom in species.atoms[:SAMPLED].T.ravel().tolist()]
     for force in system.getForces():
         if not isinstance(force, openmm.NonbondedForce) or not sample:

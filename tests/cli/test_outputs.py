@@ -115,7 +115,7 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
         (["--pressure-tensor-every", "1"], "--pressure-tensor-every needs --pressure-tensor"),
         # A root who overwrites it would lose the device.
         (["--report", "/dev/null", "--overwrite"], "/dev/null is no regular file"),
-        (["--out", "none/a.dcd"], "there is no directory none"),
+        (["--out", "none/a.dcd"], "there is no directory none for a.dcd"),
         (["--report", "full.csv"], "full.csv exists"),
         (["--report", "x.dcd", "--out", "y.dcd"], "x.dcd is to be a table: name a file that ends in .csv"),
         (["--report", "x.XTC", "--out", "y.XTC"], "x.XTC is to be a table: name a file that ends in .csv"),

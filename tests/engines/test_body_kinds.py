@@ -1,6 +1,7 @@
 """Rigid bodies of every kind: named or constrained, alone and mixed with what is not rigid."""
 
 import io
+import re
 from itertools import combinations
 
 import numpy as np
@@ -172,7 +173,10 @@ def test_mirror_images_in_one_system(constrained):
         ([[0, 1, 2, 3], []], "must name the particles of each, got an empty list in place 1"),
         ([[0, 1, 2, 12]], "name particle 12, the System has 12 particles"),
         ({"XYZ": "rigid"}, "name residue XYZ, which the topology does not have"),
-        ({"handed": "stiff"}, "must be \"rigid\", got 'stiff'"),
+        *(
+            (wrong, r"by name give rigid=\{'NAME': 'rigid'\}.*, got " + re.escape(repr(wrong)))
+            for wrong in ({"handed": "stiff"}, {"handed": True}, ["handed"], "handed")
+        ),
     ],
 )
 def test_bodies_that_cannot_be(rigid, message):

@@ -238,7 +238,7 @@ def test_bodies_that_are_no_longer_rigid(cluster):
     bent = positions.copy()
     bent[5] += [0.0, 0.08, 0.0]
     context.setPositions(bent)
-    message = r"residue HOH \d+ \(atoms 4, 5, 6\) does not have the shape of its rigid body"
+    message = r"residue HOH \d+ \(atoms 4, 5, 6\) does not fit its rigid shape"
     for ask in (lambda: integrator.step(1), integrator.getBodyState, integrator.computeSystemTemperature):
         with pytest.raises(RigidityError, match=message):
             ask()

@@ -166,6 +166,6 @@ def test_masses_that_are_refused(alanine, mass):
     with pytest.raises((ValueError, TypeError), match="hydrogenMass must be"):
         prepare_system(system, hydrogenMass=mass)
     assert openmm.XmlSerializer.serialize(system) == before
-    with pytest.raises(ValueError, match="prepare first, then make the bodies"):
+    with pytest.raises(ValueError, match="before RigidBodies"):
         prepare_system(system, RigidBodies.from_system(system), hydrogenMass=4)
     assert openmm.XmlSerializer.serialize(system) == before

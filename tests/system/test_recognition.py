@@ -88,7 +88,7 @@ def test_rounding_is_not_said():
 def test_exchanged_atoms_are_refused(rng):
     """Atoms in another order than the System's: an oxygen where a hydrogen is to be is 0.08 nm off its place."""
     bodies, x = waters_of("TIP3P", 3), turned_at_random(water("TIP3P"), rng, 3)
-    with pytest.raises(RigidityError, match=r"atoms 3, 4, 5 does not have the shape.*\(1 bodies fail\)"):
+    with pytest.raises(RigidityError, match=r"atoms 3, 4, 5 does not fit its rigid shape.*\(1 of 3 bodies fail\)"):
         bodies.fit(x[[0, 1, 2, 4, 3, 5, 6, 7, 8]])
 
 
@@ -99,7 +99,7 @@ def test_small_bodies_are_recognized_within_a_fraction_of_their_distances(rng):
     assert waters_of("TIP3P", 1).species[0].tolerance == FIT_TOLERANCE
     # Two particles at one place are not to be told apart, and a point has no place to miss.
     assert Species.from_coordinates([[0, 1]], [1.0, 1.0], np.zeros((2, 3))).tolerance == FIT_TOLERANCE
-    with pytest.raises(RigidityError, match=r"at most 0.005 nm can be mended"):
+    with pytest.raises(RigidityError, match=r"up to 0.005 nm is corrected"):
         RigidBodies([small], 2).fit(np.array([[0, 0, 0], [0.032, 0, 0]]))
 
 
@@ -118,7 +118,9 @@ def test_hands_are_told_apart_within_the_tolerance(height, rng):
     x = turned_at_random(shape, rng, 5)
     bodies.fit(x + rng.uniform(-1, 1, x.shape) * 0.05 * height)
     x[12:16] = x[12:16] * [1, 1, -1]
-    with pytest.raises(RigidityError, match=r"atoms 12, 13, 14, 15 does not have the shape .* mirror image \(1 bodies"):
+    with pytest.raises(
+        RigidityError, match=r"atoms 12, 13, 14, 15 does not fit its rigid shape but its mirror image \(1 bodies"
+    ):
         bodies.fit(x + rng.uniform(-1, 1, x.shape) * 0.05 * height)
 
 

@@ -62,7 +62,7 @@ class Outputs:
         for path, other in combinations(self.paths, 2):
             if same_file(path, other):
                 raise RunError(f"{path} and {other} are the same: outputs must be different files")
-        for path in self.paths:
+        for path in (*self._grown.values(), self.checkpoint):
             # For example a device: /dev/null would be replaced by a file.
             if path.exists() and not path.is_file():
                 raise RunError(f"{path} is no regular file")

@@ -201,6 +201,6 @@ class Constraints:
         if failed >= 0:
             bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
             raise ConstraintError(
-                f"the constraints of {self._name(*bodies)} have no solution near: they contradict each other, their "
-                "atoms are far from where they belong, or they move too fast for this time"
+                f"the constraints of {self._name(*bodies)} cannot be satisfied: atoms are far from where they "
+                "belong (overlap? minimize first), move too fast for the step, or the constraints contradict each other"
             )

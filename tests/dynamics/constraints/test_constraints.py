@@ -251,12 +251,12 @@ def test_contradictory_lengths_raise(executed_by):
     triangle = Constraints([(0, 1), (1, 2), (0, 2)], [0.1, 0.1, 0.3], [1.0, 2.0, 3.0], describe)
     x = np.array([[0, 0, 0], [0.1, 0.01, 0], [0.25, 0, 0.02]]).T
     with pytest.raises(
-        ConstraintError, match="constraints of atom 100, atom 101, atom 102 have no solution near: they contr"
+        ConstraintError, match=r"constraints of atom 100, atom 101, atom 102 cannot be satisfied.*contradict"
     ):
         triangle.satisfied(x)
     system = cage()
     system.lengths[0] *= 1.001
-    with pytest.raises(ConstraintError, match="body 5 have no solution near"):
+    with pytest.raises(ConstraintError, match="body 5 cannot be satisfied"):
         system.constraints().satisfied(system.x)
 
 
@@ -270,9 +270,9 @@ def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor, executed_b
     p = thermal(rng, constraints, q)
     wild = np.flatnonzero(constraints.groups == constraints.groups.max())
     p[:, wild] *= factor
-    with pytest.raises(ConstraintError, match="have no solution near") as error:
+    with pytest.raises(ConstraintError, match="cannot be satisfied") as error:
         constraints.drift(q, p, 0.003)
-    named = set(str(error.value).split(" have ")[0].removeprefix("the constraints of ").split(" and ")[0].split(", "))
+    named = set(str(error.value).split(" cannot ")[0].removeprefix("the constraints of ").split(" and ")[0].split(", "))
     assert named <= {describe(body) for body in wild}
 
 
