@@ -16,7 +16,7 @@ from openmm_sier.system.arguments import Bodies
 class SIERLangevinIntegrator(SIERThermostatIntegrator):
     """Averages at constant temperature, or pressure, by rigid-body Langevin dynamics.
 
-    Usual step: 9 fs with heavy hydrogens, 4 fs without.
+    Usual step: 9 fs with heavy hydrogens and a friction of 5/ps, 4 fs with light ones and 1/ps.
 
     The heat bath is exact, and placed so that averages keep the scheme's order (`Scheme.with_bath`). In SIER2 it acts
     in the middle of the step (kick, half drift, bath, half drift), as in OpenMM's LangevinMiddleIntegrator; in other
@@ -50,7 +50,8 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
         """
         Args:
             temperature: of the bath, a quantity or a number in K.
-            frictionCoeff: coupling to the bath, a quantity or a number in 1/ps.
+            frictionCoeff: coupling to the bath, a quantity or a number in 1/ps. The weaker it is and the longer the
+                step, the warmer are rotations than translations: with 9 fs by 3.5 to 4 K at 1/ps in water.
             stepSize: step, a time quantity or a number in ps. With SIER2 4 fs are usual for rigid water, and 9 fs on a
                 System with heavy hydrogens, `prepare_system(system, hydrogenMass=4)`.
             scheme: splitting scheme or its name; one without a bath gets one by `Scheme.with_bath`. SIER2 takes one
