@@ -51,7 +51,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
         Args:
             temperature: of the bath, a quantity or a number in K.
             frictionCoeff: coupling to the bath, a quantity or a number in 1/ps. The weaker it is and the longer the
-                step, the warmer are rotations than translations: with 9 fs by 3.5 to 4 K at 1/ps in water.
+                step, the warmer are rotations than translations: with 9 fs in water by 4 K at 1/ps, 2 at 5/ps.
             stepSize: step, a time quantity or a number in ps. With SIER2 4 fs are usual for rigid water, and 9 fs on a
                 System with heavy hydrogens, `prepare_system(system, hydrogenMass=4)`.
             scheme: splitting scheme or its name; one without a bath gets one by `Scheme.with_bath`. SIER2 takes one
