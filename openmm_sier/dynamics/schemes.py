@@ -126,7 +126,7 @@ class Scheme:
     @property
     def within_drifts(self) -> Scheme:
         """The scheme of inner steps, where there are fast forces in the drifts."""
-        return SIER2.with_bath() if self.bath_divides_drift else SIER4G
+        return _SIER2_WITH_BATH if self.bath_divides_drift else SIER4G
 
     def inner_fraction(self, substeps: int) -> float:
         """The longest inner step as a fraction of the step, with so many in the longest drift.
@@ -197,6 +197,9 @@ SIER2 = alternating(
     bath_step=0.004,
     heavy_bath_step=0.009,
 )
+
+#: Made once, since its limits are computed when they are first asked for.
+_SIER2_WITH_BATH = SIER2.with_bath()
 
 _H1, _H2, _H3 = 0.1720865590295143, 0.5915620307551568, -0.1616217622107222
 
