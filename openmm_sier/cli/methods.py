@@ -16,6 +16,11 @@ FRICTION, HEAVY_FRICTION = 1.0, 5.0
 STEP_OF_OPENMM = 0.002
 
 
+def is_heavy(hydrogen_mass: float | None) -> bool:
+    """Whether hydrogens of a mass in dalton bear long steps; those of the force field, None, do not."""
+    return hydrogen_mass is not None and hydrogen_mass >= HEAVY
+
+
 class Method(NamedTuple):
     """What moves the molecules of a run.
 
@@ -38,7 +43,7 @@ class Method(NamedTuple):
         if self.scheme is None:
             return 1000 * STEP_OF_OPENMM
         of_bath = self.scheme.bath_step
-        if hydrogen_mass is not None and hydrogen_mass >= HEAVY:
+        if is_heavy(hydrogen_mass):
             of_bath = self.scheme.heavy_bath_step or of_bath
         return 1000 * ((self.scheme.constant_energy_step if ensemble == "nve" else of_bath) or STEP_OF_OPENMM)
 

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from openmm_sier.cli.methods import FRICTION, HEAVY, HEAVY_FRICTION, METHODS, Method
+from openmm_sier.cli.methods import FRICTION, HEAVY_FRICTION, METHODS, Method, is_heavy
 from openmm_sier.cli.options import CONTINUED, MAY_LACK, NOTED, OF_THE_SYSTEM, OPTIONS, RECOMMENDED, Options
 from openmm_sier.cli.values import WrongValueError
 from openmm_sier.measure.forcefields import Interactions
@@ -107,7 +107,7 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     ensemble = values.setdefault("ensemble", method.ensembles[0])
     _check_given(options, ensemble)
     values.setdefault("dt", method.usual_step(ensemble, values.get("hydrogen_mass")))
-    of_bath = HEAVY_FRICTION if (values.get("hydrogen_mass") or 0) >= HEAVY else FRICTION
+    of_bath = HEAVY_FRICTION if is_heavy(values.get("hydrogen_mass")) else FRICTION
     values.setdefault("friction", 0.0 if ensemble == "hmc" else of_bath)
     if ensemble == "npt":
         values.setdefault("pressure", 1.0)

@@ -17,7 +17,7 @@ from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.files.records import read_log
-from openmm_sier.cli.methods import HEAVY
+from openmm_sier.cli.methods import is_heavy
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
@@ -69,7 +69,7 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     outputs = Outputs(plan, checkpoint)
     if 0 < plan.temperature < COLD:
         note(f"{plan.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
-    if plan.ensemble == "nve" and (plan.hydrogen_mass or 0) >= HEAVY:
+    if plan.ensemble == "nve" and is_heavy(plan.hydrogen_mass):
         note(f"hydrogens of {plan.hydrogen_mass:g} dalton slow motion; at constant energy leave their mass as it is")
     simulated = Simulated(options, plan)
     outputs.check([*simulated.box.sources.values(), *([options.start] if options.start else [])])

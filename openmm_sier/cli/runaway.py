@@ -17,10 +17,8 @@ from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.temperature import DegreesOfFreedom
 from openmm_sier.measure.observables import energy_error_within_1_ps
 from openmm_sier.measure.statistics import rms
+from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
 from openmm_sier.system.runaway import RunawayError, hottest
-
-#: Column of the log with H.
-ENERGY = "Conserved Energy (kJ/mole)"
 
 #: Exit code of a run that was stopped for this reason.
 EXIT_CODE = 3
@@ -87,7 +85,7 @@ def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None
         plan: of the run.
         log: its columns, see `openmm_sier.observe.conservation.COLUMNS`.
     """
-    t, H, V = (log[name] for name in ("Time (ps)", ENERGY, "Potential Energy (kJ/mole)"))
+    t, H, V = (log[name] for name in ("Time (ps)", CONSERVED, POTENTIAL))
     # Where the potential energy hardly changes, the ratio shows only rounding to single precision.
     if plan.ensemble != "nve" or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
         return None

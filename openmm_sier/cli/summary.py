@@ -7,9 +7,7 @@ import numpy as np
 from openmm_sier.measure.observables import energy_error
 from openmm_sier.measure.report import duration
 from openmm_sier.measure.statistics import Estimate, mean_and_error, rms, slope_and_error
-
-#: Columns of the log.
-CONSERVED, POTENTIAL = "Conserved Energy (kJ/mole)", "Potential Energy (kJ/mole)"
+from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
 
 
 def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:

@@ -13,6 +13,9 @@ from openmm_sier.engines.temperature import temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.stock import StockIntegrator
 
+#: Columns of the potential energy, and of the total energy less the heat.
+POTENTIAL, CONSERVED = "Potential Energy (kJ/mole)", "Conserved Energy (kJ/mole)"
+
 #: Columns of the temperatures of translation, of rotation and of flexible molecules.
 TEMPERATURES = ("Translational Temperature (K)", "Rotational Temperature (K)", "Flexible Temperature (K)")
 
@@ -20,10 +23,10 @@ TEMPERATURES = ("Translational Temperature (K)", "Rotational Temperature (K)", "
 COLUMNS = (
     "Step",
     "Time (ps)",
-    "Potential Energy (kJ/mole)",
+    POTENTIAL,
     "Kinetic Energy (kJ/mole)",
     "Total Energy (kJ/mole)",
-    "Conserved Energy (kJ/mole)",
+    CONSERVED,
     "Temperature (K)",
     *TEMPERATURES,
     *(f"Momentum {axis} (dalton nm/ps)" for axis in "xyz"),

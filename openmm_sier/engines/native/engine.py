@@ -84,7 +84,7 @@ class NativeEngine(Engine):
             self._found: Any = known_or_planned(system, bodies)
         except RigidityError as error:
             self._found = error
-        self._check_step = StepCheck(system, points, _inner_step)
+        self._check_step = StepCheck(system, points, self.inner_step)
         self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
         self._environment: Any = None
@@ -293,8 +293,10 @@ class NativeEngine(Engine):
 
     # --- what users ask ---
 
-    def inner_step(self, flow: Flow) -> float:
-        return _inner_step(flow)
+    @staticmethod
+    def inner_step(flow: Flow, borne: float = math.inf) -> float:
+        # Programs are written before bonds are known, so that what they bear does nothing.
+        return flow.step * longest_inner_step(flow.scheme, flow.substeps)
 
     @property
     def momentum_lag(self) -> float:
@@ -335,8 +337,3 @@ class NativeEngine(Engine):
         if not isinstance(self._found, RigidityError):
             return super().degrees_of_freedom()
         return self.movers.bodies.dof - len(self._constraints.pairs) - (3 if self.conserves_momentum() else 0)
-
-
-def _inner_step(flow: Flow, borne: float = math.inf) -> float:
-    """Length of the inner steps of a flow, ps. Programs are written before bonds are known: `borne` does nothing."""
-    return flow.step * longest_inner_step(flow.scheme, flow.substeps)
