@@ -83,7 +83,7 @@ def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) 
     if len(args) > 1:
         _refuse_parts(args[1])
         if isinstance(revived(args[1], SIERIntegrator), SIERIntegrator):
-            args[1].binding.prepare(args[0])
+            args[1].binding.prepare(args[0], args[2] if len(args) > 2 else None)
     method(context, *args, **kwargs)
     if binding := _binding_of(context):
         binding.bind(context)

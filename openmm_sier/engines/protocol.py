@@ -39,6 +39,7 @@ class Flow:
         bath: executes the scheme's bath; None for a scheme without one.
         constant_energy: whether the energy is to be conserved, so that a step at which it walks is worth a word.
         updates_context: whether Forces that change velocities, positions or the box act before each step.
+        counts_heat: whether the heat of the bath is counted; None leaves it to the engine.
     """
 
     scheme: Scheme
@@ -49,6 +50,7 @@ class Flow:
     bath: Thermostat | None = None
     constant_energy: bool = False
     updates_context: bool = True
+    counts_heat: bool | None = None
 
 
 class Clock(NamedTuple):

@@ -18,7 +18,7 @@ from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
-from openmm_sier.engines.native.program import V0, WORK, Program, longest_inner_step
+from openmm_sier.engines.native.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.step_check import StepCheck
@@ -34,6 +34,9 @@ TOLERANCE = 1e-9
 
 #: Positions in single precision cannot be constrained better.
 SINGLE_TOLERANCE = 1e-6
+
+#: Steps of one native step each in one call of OpenMM, after which signals are looked at.
+AT_ONCE = 10
 
 #: Atoms further than this off their constraints, in nm or nm/ps, were put there from outside and are moved onto them.
 #: OpenMM's own constraints leave errors of up to 5e-9 nm, since SETTLE works with lengths in single precision.
@@ -84,7 +87,7 @@ class NativeEngine(Engine):
             self._found: Any = known_or_planned(system, bodies)
         except RigidityError as error:
             self._found = error
-        self._check_step = StepCheck(system, points, self.inner_step)
+        self._check_step = StepCheck(system, points, lambda following, _: self.inner_step(following))
         self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
         self._environment: Any = None
@@ -119,6 +122,11 @@ class NativeEngine(Engine):
         self._context.setStepCount(clock.steps)
 
     def heat(self) -> float:
+        """See `Engine.heat`; NaN where the program does not count it."""
+        if not self._program.counts_heat:
+            return math.nan
+        if WORK not in self._program.vectors:
+            return self._variables[HEAT]
         return self._variables[HEAT] + float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
 
     @property
@@ -135,41 +143,60 @@ class NativeEngine(Engine):
         self._flow = flow
         self._check_step(flow, self._integrator.getIntegrationForceGroups(), self._context)
         set_variables(self._integrator, flow.bath, is_guarded=False)
+        if self._potential is not None and self._environment_now() != self._environment:
+            self._potential = None
+
+    def _environment_now(self) -> tuple[Any, dict[str, float]]:
+        """Return box, nm, and parameters of the Context, on which the potential energy depends."""
         state = self._context.getState(parameters=True)
-        environment = state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
-        if environment != self._environment:
-            self._environment, self._potential = environment, None
+        return state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
 
     def follow(self, steps: int) -> None:
-        clock, flow = self.clock, self._flow
-        if flow.step == 0:
+        if self._flow.step == 0:
             # Steps of zero length are only counted: the program would divide by zero.
-            self.clock = Clock(clock.time, clock.steps + steps)
+            time, count = self.clock
+            self.clock = Clock(time, count + steps)
             return
         if steps:
             self._settle()
         self._potential = None
-        evaluations = flow.scheme.force_evaluations
-        for _ in range(steps):
-            clock = self._one_step(clock)
-            self._follows_bath = True
-            self.evaluations += evaluations
+        advance = self._divided_step if len(self._program.parts) > 1 else self._whole_steps
+        while steps:
+            steps -= advance(steps)
             act_on_pending()
 
-    def _one_step(self, clock: Clock) -> Clock:
-        """Make one step, which OpenMM counts as several native ones."""
-        parts, after = len(self._program.parts), Clock(clock.time + self._flow.step, clock.steps + 1)
+    def _whole_steps(self, steps: int) -> int:
+        """Make some steps of one native step each, and return their number."""
+        count, done = min(steps, AT_ONCE), self._context.getStepCount()
         try:
-            openmm.CustomIntegrator.step(self._integrator, parts)
+            self._native_steps(count)
+        finally:
+            self._completed(self._context.getStepCount() - done)
+        return count
+
+    def _divided_step(self, _: int) -> int:
+        """Make one step, which OpenMM counts as several native ones, and return 1."""
+        clock, parts = self.clock, len(self._program.parts)
+        try:
+            self._native_steps(parts)
+        finally:
+            # Even after an error the clock must agree with the positions.
+            if self._context.getStepCount() == clock.steps + parts:
+                self.clock = Clock(clock.time + self._flow.step, clock.steps + 1)
+                self._completed(1)
+        return 1
+
+    def _native_steps(self, number: int) -> None:
+        try:
+            openmm.CustomIntegrator.step(self._integrator, number)
         except openmm.OpenMMException as error:
             if "nan" in str(error).lower():
                 raise TrajectoryError(str(error)) from error
             raise
-        finally:
-            # Even after an error the clock must agree with the positions.
-            if self._context.getStepCount() == clock.steps + parts:
-                self.clock = after
-        return after
+
+    def _completed(self, steps: int) -> None:
+        self._follows_bath = self._follows_bath or steps > 0
+        self.evaluations += steps * self._flow.scheme.force_evaluations
 
     def _publish(self) -> None:
         """Close the program to anyone else; the Context has the state at any time."""
@@ -242,6 +269,7 @@ class NativeEngine(Engine):
             groups = self._integrator.getIntegrationForceGroups()
             state = self._context.getState(energy=True, groups=groups)
             self._potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+            self._environment = self._environment_now()
         return self._potential
 
     @property
@@ -293,10 +321,8 @@ class NativeEngine(Engine):
 
     # --- what users ask ---
 
-    @staticmethod
-    def inner_step(flow: Flow, borne: float = math.inf) -> float:
-        # Programs are written before bonds are known, so that what they bear does nothing.
-        return flow.step * longest_inner_step(flow.scheme, flow.substeps)
+    def inner_step(self, flow: Flow) -> float:
+        return flow.step * self._program.inner_fraction
 
     @property
     def momentum_lag(self) -> float:
@@ -312,7 +338,7 @@ class NativeEngine(Engine):
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known.
 
-        Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
+        Flexible molecules have those just after the bath. After a step with several baths these are those at its end.
         """
         conserved, thermal = self.conserves_momentum(), self._velocities_after_bath()
         if not isinstance(self._found, RigidityError):
@@ -328,8 +354,9 @@ class NativeEngine(Engine):
         return Temperatures(temperature(kinetic, self.degrees_of_freedom()), math.nan, math.nan)
 
     def _velocities_after_bath(self) -> np.ndarray | None:
-        """Velocities of all particles just after the bath in the middle of the last step, if there was one, nm/ps."""
-        if self._follows_bath and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
+        """Return velocities of all particles just after the bath of the last step, nm/ps, where it has just one."""
+        has_one = self._flow.scheme.bath_divides_drift and self._program.counts_heat
+        if self._follows_bath and has_one and self._flow.fast_groups:
             return np.array(self._integrator.getPerDofVariableByName(V0))
         return None
 
