@@ -13,7 +13,7 @@ from openmm import unit
 from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import clock, note, progress_bar, table
-from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.files import checkpoints, cuts
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.files.records import read_log
@@ -79,6 +79,9 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     if notes:
         outputs.check_noted(notes)
         _check_unfinished(plan, checkpoint, notes["step"])
+        found = cuts.find_cuts(plan, notes)
+        if not options.overwrite:
+            cuts.refuse_to_lose(found, plan, checkpoint, notes["step"])
     context = _restored(simulated, state, notes) if notes else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
@@ -87,6 +90,8 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
     if notes:
         tell_of_another_platform(context, checkpoint, notes["platform"])
+        if found:
+            note(cuts.describe(found, plan, checkpoint, notes["step"]))
     outputs.open(simulated, context, notes)
     bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
