@@ -200,11 +200,10 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
     for force in meshed_forces(system):
         mesh = force.getPMEParameters()[1:]
         if math.prod(mesh) > MOST_MESH_POINTS:
-            vectors = system.getDefaultPeriodicBoxVectors()
-            edges = [vectors[axis][axis].value_in_unit(unit.nanometer) for axis in range(3)]
+            vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
             raise ForceFieldError(
-                f"the box of {' x '.join(f'{edge:.4g}' for edge in edges)} nm needs a mesh of "
-                f"{' x '.join(map(str, mesh))} points for PME, more than {MOST_MESH_POINTS}: is it in Angstrom?"
+                f"the box of {extent(np.array(vectors))} needs a mesh of {' x '.join(map(str, mesh))} points for PME, "
+                f"more than {MOST_MESH_POINTS}: is it in Angstrom?"
             )
 
 

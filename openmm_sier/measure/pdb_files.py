@@ -72,8 +72,18 @@ def box_vectors(topology: app.Topology) -> np.ndarray | None:
 
 
 def extent(vectors: np.ndarray) -> str:
-    """Lengths of the edges of a box, in words."""
-    return f"{' x '.join(f'{edge:.4f}' for edge in np.linalg.norm(vectors, axis=1))} nm"
+    """Lengths of the edges of a box, and the angles between them unless it is rectangular, in words.
+
+    Args:
+        vectors: of the box in rows, (3, 3), nm.
+    """
+    lengths = np.linalg.norm(vectors, axis=1)
+    edges = f"{' x '.join(f'{edge:.4f}' for edge in lengths)} nm"
+    a, b, c = vectors / lengths[:, None]
+    angles = [f"{np.degrees(np.arccos(one @ two)):.2f}" for one, two in ((b, c), (a, c), (a, b))]
+    if set(angles) == {"90.00"}:
+        return edges
+    return f"{edges} with angles of {angles[0]}, {angles[1]} and {angles[2]} degrees"
 
 
 def first_line(error: BaseException) -> str:

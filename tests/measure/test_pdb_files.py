@@ -2,7 +2,8 @@
 
 import pytest
 
-from openmm_sier.measure.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, read_box
+from openmm_sier.measure.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, describe, read_box
+from openmm_sier.measure.pdb_files import box_vectors, extent
 from tests.support.commands import SYSTEMS, write_lattice
 from tests.support.waters import force_of
 
@@ -45,6 +46,23 @@ def test_boxes_that_are_refused(tmp_path, lines, change, message):
         read_box(path)
     assert str(path) in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("angles", "expected"),
+    [
+        ((90, 90, 90), "1.4000 x 1.4000 x 1.4000 nm"),
+        # A truncated octahedron.
+        ((109.47, 109.47, 109.47), "1.4000 x 1.4000 x 1.4000 nm with angles of 109.47, 109.47 and 109.47 degrees"),
+        ((90, 90, 120), "1.4000 x 1.4000 x 1.4000 nm with angles of 90.00, 90.00 and 120.00 degrees"),
+    ],
+)
+def test_a_box_that_is_not_rectangular_is_told_with_its_angles(tmp_path, lines, angles, expected):
+    path, shown = tmp_path / "box.pdb", "".join(f"{angle:7.2f}" for angle in angles)
+    path.write_text("".join([lines[0], f"CRYST1{14:9.3f}{14:9.3f}{14:9.3f}{shown} P 1           1\n", *lines[2:]]))
+    box = read_box(path)
+    assert extent(box_vectors(box.topology)) == expected
+    assert f"residues in {expected}, PME" in describe(box)
 
 
 @pytest.mark.slow
