@@ -38,7 +38,7 @@ class Outputs:
         for name, path in self._grown.items():
             is_trajectory = path.suffix.lower() in FORMATS
             if name == "trajectory" and not is_trajectory:
-                raise records.RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
+                raise records.RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path}")
             if name != "trajectory" and is_trajectory:
                 raise records.RecordError(f"{path} is to be a table: name a file that ends in .csv")
 
