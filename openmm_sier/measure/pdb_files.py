@@ -10,7 +10,9 @@ from openmm import Vec3, app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
+from openmm_sier.measure.alternates import find_alternates
 from openmm_sier.measure.file_kinds import MMCIF, PDB, kind_of
+from openmm_sier.system.notices import notify
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom "
@@ -33,7 +35,8 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         edges: of its periodic box, see `box_of`.
 
     Raises:
-        ForceFieldError: it is none, has an atom twice, two atoms in one place, or a box that cannot hold its atoms.
+        ForceFieldError: it is none, has an atom twice, two atoms in one place, the rarer one of two alternate places
+            first, or a box that cannot hold its atoms.
         OSError: the file cannot be read.
     """
     kind = kind_of(path)
@@ -41,6 +44,7 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         raise ForceFieldError(f"{path} is no PDB file with atoms")
     if kind == PDB:
         _check_edges(path)
+    _check_alternates(path, kind)
     with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
         warnings.filterwarnings("error", TWICE)
         try:
@@ -137,6 +141,21 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
             f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
             "where there is none, in a PDB file the record CRYST1"
         )
+
+
+def _check_alternates(path: str | Path, kind: str) -> None:
+    """Warn of atoms in alternate places, of which OpenMM takes the first, and refuse those whose first is rarer."""
+    found = find_alternates(path, kind)
+    column = "column 17" if kind == PDB else "label_alt_id"
+    for each in found:
+        if each.is_rarer:
+            raise ForceFieldError(
+                f"{path}: {each.residue} has alternate places with the occupancies {each}, and the first, which OpenMM "
+                f"takes, is a rarer one: keep the atoms of one place, by the letter in {column}"
+            )
+    if found:
+        some = "has" if len(found) == 1 else f"and {len(found)} residues in all have"
+        notify(f"{path}: {found[0].residue} {some} alternate places; the first is taken, of the occupancies {found[0]}")
 
 
 def _check_edges(path: str | Path) -> None:
