@@ -20,6 +20,9 @@ TWICE = "WARNING: duplicate atom "
 #: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
 
+#: The last column of the coordinates of an atom in a PDB file.
+COORDINATES_END = 54
+
 READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
 
 
@@ -35,8 +38,8 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         edges: of its periodic box, see `box_of`.
 
     Raises:
-        ForceFieldError: it is none, has an atom twice, two atoms in one place, the rarer one of two alternate places
-            first, or a box that cannot hold its atoms.
+        ForceFieldError: it is none, is cut off, has an atom twice, two atoms in one place, the rarer one of two alternate
+            places first, or a box that cannot hold its atoms.
         OSError: the file cannot be read.
     """
     kind = kind_of(path)
@@ -44,6 +47,7 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         raise ForceFieldError(f"{path} is no PDB file with atoms")
     if kind == PDB:
         _check_edges(path)
+        _check_lines(path)
     _check_alternates(path, kind)
     with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
         warnings.filterwarnings("error", TWICE)
@@ -141,6 +145,21 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
             f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
             "where there is none, in a PDB file the record CRYST1"
         )
+
+
+def has_end(path: str | Path) -> bool:
+    """Return whether a PDB file has the record that is its last one."""
+    return any(record.split() == ["END"] for record in Path(path).read_text(errors="replace").splitlines())
+
+
+def _check_lines(path: str | Path) -> None:
+    """Refuse a file that ends within a coordinate, of which OpenMM would read the digits that are left."""
+    for number, line in enumerate(Path(path).read_text(errors="replace").splitlines(), 1):
+        if line.startswith(("ATOM", "HETATM")) and len(line) < COORDINATES_END:
+            raise ForceFieldError(
+                f"{path}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
+                "file is cut off, or is no PDB file"
+            )
 
 
 def _check_alternates(path: str | Path, kind: str) -> None:
