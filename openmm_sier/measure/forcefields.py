@@ -13,6 +13,7 @@ from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.measure.file_kinds import PDB, kind_of
+from openmm_sier.measure.listed_bonds import tell_stale_bonds
 from openmm_sier.measure.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
 from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
@@ -102,17 +103,25 @@ def locate(name: str, beside: Path) -> str:
 
 
 def add_virtual_sites(
-    topology: app.Topology, positions: np.ndarray, forcefield: app.ForceField
+    topology: app.Topology, positions: Quantity, forcefield: app.ForceField
 ) -> tuple[app.Topology, Quantity]:
     """Topology and positions (a Quantity) with the virtual sites that the force field has and the file lacks.
 
     Raises:
         ForceFieldError: the force field has no template for a residue.
     """
-    modeller = app.Modeller(topology, positions)
-    with refusing():
-        modeller.addExtraParticles(forcefield)
-    return modeller.topology, modeller.positions
+
+    def completed(topology: app.Topology) -> app.Modeller:
+        modeller = app.Modeller(topology, positions)
+        with refusing():
+            modeller.addExtraParticles(forcefield)
+        return modeller
+
+    try:
+        found = completed(topology)
+    except ForceFieldError as error:
+        raise ForceFieldError(f"{error}{tell_stale_bonds(error, topology, positions, completed)}") from error
+    return found.topology, found.positions
 
 
 def pme_system(

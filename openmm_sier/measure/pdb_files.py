@@ -38,7 +38,7 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         edges: of its periodic box, see `box_of`.
 
     Raises:
-        ForceFieldError: it is none, is cut off, has an atom twice, two atoms in one place, the rarer one of two alternate
+        ForceFieldError: it is none, is cut off, has an atom twice, two atoms in one place, the rarer of two alternate
             places first, or a box that cannot hold its atoms.
         OSError: the file cannot be read.
     """
