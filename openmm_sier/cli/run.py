@@ -77,11 +77,9 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     if not (notes or options.overwrite):
         outputs.refuse_existing()
     if notes:
-        outputs.check_noted(notes)
-        _check_unfinished(plan, checkpoint, notes["step"])
-        found = cuts.find_cuts(plan, notes)
-        if not options.overwrite:
-            cuts.refuse_to_lose(found, plan, checkpoint, notes["step"])
+        found = _cuts(plan, outputs, notes, may_lose=bool(options.overwrite))
+        # Checkpoints of earlier versions say nothing of it.
+        simulated.unsettled = notes.get("unsettled")
     context = _restored(simulated, state, notes) if notes else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
@@ -96,7 +94,7 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
     outputs.close()
-    _report(plan, cost)
+    _report(plan, cost, simulated.unsettled)
     note(f"wrote {outputs}")
 
 
@@ -104,15 +102,27 @@ def _length(plan: Plan, steps: int) -> str:
     return f"{steps} ({steps * plan.step_time:g} ps)"
 
 
-def _report(plan: Plan, cost: list[tuple[str, str]]) -> None:
+def _report(plan: Plan, cost: list[tuple[str, str]], unsettled: str | None) -> None:
     log = read_log(plan.report)
     warning = runaway.fluctuation_warning(plan, log)
     rows = summary.rows(log, plan.ensemble, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
+    rows += [("WARNING: not equilibrated", f"after {unsettled}")] if unsettled else []
     table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost)
 
 
 # --- the continuation ---
+
+
+def _cuts(plan: Plan, outputs: Outputs, notes: dict[str, Any], may_lose: bool) -> list[cuts.Cut]:
+    """Return what is cut from the files of a run that goes on, after all reasons to refuse that."""
+    checkpoint, step = outputs.checkpoint, notes["step"]
+    outputs.check_noted(notes)
+    _check_unfinished(plan, checkpoint, step)
+    found = cuts.find_cuts(plan, notes)
+    if not may_lose:
+        cuts.refuse_to_lose(found, plan, checkpoint, step)
+    return found
 
 
 def _check_unfinished(plan: Plan, checkpoint: Path, step: int) -> None:
