@@ -14,7 +14,8 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `System.setParticleMass`, `setConstraintParameters` and `removeForce`, `Force.setForceGroup` and
   `NonbondedForce.setPMEParameters` are counted, so that an integrator looks for changes of its System only after one
   of them.
-- `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them.
+- `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them, and warns of overlaps that it
+  leaves.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
 
@@ -26,6 +27,7 @@ from typing import Any
 
 import openmm
 
+from openmm_sier.engines.overlaps import tell_of_overlaps
 from openmm_sier.integrators.binding import Binding, revived
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
@@ -195,5 +197,6 @@ def _keep_bodies(
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     if binding := _binding_of(context):
         binding.engine.minimize(by_openmm, tolerance, maxIterations, reporter)
+        tell_of_overlaps(context, binding.engine.bodies)
     else:
         by_openmm()
