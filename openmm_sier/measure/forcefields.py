@@ -15,6 +15,7 @@ from openmm.unit import Quantity
 from openmm_sier.measure.pdb_files import ForceFieldError, box_vectors, extent, read_pdb, refusing
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.molecules import Bonds, joined_by, make_whole
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
@@ -278,7 +279,7 @@ def describe(box: Box) -> str:
 
 
 def _described_interactions(system: openmm.System) -> str:
-    force = next((force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)), None)
+    force = next((part.force for part in parts(system) if isinstance(part.force, openmm.NonbondedForce)), None)
     if force is None or force.getNonbondedMethod() == force.NoCutoff:
         return "no cut-off"
     names = ("NoCutoff", "CutoffNonPeriodic", "CutoffPeriodic", "Ewald", "PME", "LJPME")

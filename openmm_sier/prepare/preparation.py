@@ -14,6 +14,7 @@ from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
 from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.inner_forces import parts
 
 
 @dataclass(frozen=True)
@@ -41,10 +42,10 @@ def prepare_system(
 
     The potential energy stays what it is, but for the accuracy of PME:
 
-    - The sums of PME are balanced, see `balance_pme`.
+    - The sums of PME are balanced, also of Forces within an ATMForce or a CustomCVForce, see `balance_pme`.
     - Bonds, angles and torsions of molecules that are not rigid get a force group of their own, in which every SIER
       integrator finds them. Fast forces may move only atoms outside rigid bodies. So a Force with a term between a
-      rigid body and something else, or on a virtual site, stays slow.
+      rigid body and something else, or on a virtual site, stays slow, and so does a Force within another one.
     - If there are such forces, nonbonded interactions between atoms of these molecules up to four bonds apart are added
       to that group by one CustomBondForce and subtracted in the group of the NonbondedForce by another one. The
       NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
@@ -102,11 +103,16 @@ def prepare_system(
         force.setForceGroup(group)
     if fast:
         done += _add_close_pairs(system, known.points, fast, group)
-    elif not known.slow:
+    elif not known.slow and not known.inner:
         done.append("All molecules with bonded forces are rigid, so no force is fast.")
     if left := [force.getName() for force in known.slow]:
         why = "they act on rigid bodies, virtual sites or frozen atoms"
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
+    if known.inner:
+        done.append(
+            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Where that does "
+            "not change them, add them to the System itself: then they are fast."
+        )
     return Preparation(frozenset({group} if fast else ()), tuple(done), _energy_limits(system))
 
 
@@ -127,12 +133,12 @@ def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openm
 def _energy_limits(system: openmm.System) -> tuple[str, ...]:
     """A sentence for each limit that another way to create the System would remove."""
     found = [
-        f"{force.getName()} ends with a jump of the energy at {cutoff:.3g} nm, "
+        f"{part.name} ends with a jump of the energy at {cutoff:.3g} nm, "
         "which in water at 0.9 nm leaves SIER4G an energy error of 0.2 to 0.3 % within 1 ps in place of 0.1 %: create "
         f"the System with switchDistance={5 / 6 * cutoff:.2g}*nanometer."
-        for force in system.getForces()
-        if _jumps(force)
-        for cutoff in [force.getCutoffDistance().value_in_unit(unit.nanometer)]
+        for part in parts(system)
+        if _jumps(part.force)
+        for cutoff in [part.force.getCutoffDistance().value_in_unit(unit.nanometer)]
     ]
     return tuple(dict.fromkeys(found))
 
