@@ -101,7 +101,8 @@ class RunawayWatch:
             raise RunawayError(
                 f"Steps of {1000 * step:.3g} fs have raised the temperature to {now:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
-                "start? Take a shorter step, or minimize the energy first"
+                "start? Take a shorter step, or minimize the energy first. If neither helps, print("
+                "check_forces(context)) tells which Force is not the gradient of its energy"
             )
         return None
 

@@ -286,7 +286,8 @@ class Vibrations:
         if names and h > accurate_step(scheme, FASTEST_BOND):
             self._tell_once(
                 f"{what} of {_fs(h)} cannot be judged: of {', '.join(names)} no stiffness is known. If the energy "
-                "changes with half the step, or the temperature is too high, the step is too long for it"
+                "changes with half the step, or the temperature is too high, the step is too long for it. If it "
+                "drifts alike with both, print(check_forces(context))"
             )
 
     def _judge(self, what: str, h: float, refused: float, accurate: float, described: str) -> None:
