@@ -166,6 +166,7 @@ def test_derivatives_that_are_constant():
         ("U*factor", 2),
         ("max(U, 0)", None),
         ("log(U)", None),
+        ("table(U-0.4)", None),
     ):
         force = scaled(openmm.NonbondedForce(), 2.0, energy)
         force.addTabulatedFunction("table", openmm.Continuous1DFunction([0, 1, 4, 9], 0, 3))
