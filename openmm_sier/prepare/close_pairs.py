@@ -113,7 +113,7 @@ def _interactions(force: openmm.Force, close: list[tuple[int, int]]) -> Iterator
 
 
 def _of_charges(force: openmm.ConstantPotentialForce) -> openmm.NonbondedForce:
-    """A NonbondedForce of the charges and exceptions of a ConstantPotentialForce."""
+    """Make a NonbondedForce of the charges and exceptions of a ConstantPotentialForce."""
     charges = openmm.NonbondedForce()
     for i in range(force.getNumParticles()):
         charges.addParticle(force.getParticleParameters(i), 1, 0)

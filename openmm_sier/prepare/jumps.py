@@ -110,14 +110,22 @@ def _of_expression(force: openmm.CustomNonbondedForce) -> Iterator[Jump]:
 def _interacting(force: openmm.CustomNonbondedForce, one: list[int], other: list[int]) -> tuple[int, int] | None:
     """Return an atom of each list that interact with each other; None where a Force lets none do so."""
     if not force.getNumInteractionGroups():
-        first = one[0]
-        return next(((first, i) for i in other if i != first), None)
+        return _pair(one, other)
     for number in range(force.getNumInteractionGroups()):
-        here, there = force.getInteractionGroupParameters(number)
-        for group, opposite in ((set(here), set(there)), (set(there), set(here))):
-            for first in [i for i in one if i in group][:1]:
-                for second in [i for i in other if i in opposite and i != first][:1]:
-                    return first, second
+        here, there = map(set, force.getInteractionGroupParameters(number))
+        for group, opposite in ((here, there), (there, here)):
+            found = _pair([i for i in one if i in group], [i for i in other if i in opposite])
+            if found is not None:
+                return found
+    return None
+
+
+def _pair(one: list[int], other: list[int]) -> tuple[int, int] | None:
+    """Return an atom of each list, not twice the same; None where there are none."""
+    for first in one[:2]:
+        for second in other[:2]:
+            if first != second:
+                return first, second
     return None
 
 
