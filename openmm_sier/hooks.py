@@ -11,9 +11,8 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `Context.createCheckpoint`, and `XmlSerializer.serialize` of a State with the integrator's parameters, make the run
   continue exactly as a restart from their result would. `Context.getState` marks such a State and changes nothing.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
-- `System.setParticleMass`, `setConstraintParameters` and `removeForce`, `Force.setForceGroup` and
-  `NonbondedForce.setPMEParameters` are counted, so that an integrator looks for changes of its System only after one
-  of them.
+- `System.setParticleMass`, `setConstraintParameters` and `removeForce`, `Force.setForceGroup` and `setPMEParameters` of
+  every Force are counted, so that an integrator looks for changes of its System only after one of them.
 - `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them, and warns of overlaps that it
   leaves.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
@@ -49,10 +48,10 @@ def install() -> None:
     for name in ("setParticleMass", "setConstraintParameters", "removeForce"):
         _replace(openmm.System, name, _count_change)
     _replace(openmm.Force, "setForceGroup", _count_change)
-    _replace(openmm.NonbondedForce, "setPMEParameters", _count_change)
     _replace(openmm.LocalEnergyMinimizer, "minimize", _keep_bodies)
     for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
         _replace(cls, "updateParametersInContext", _tell_of_new_forces)
+        _replace(cls, "setPMEParameters", _count_change)
     for name in ("_deserializeIntegrator", "_cloneIntegrator"):
         _replace(openmm.XmlSerializer, name, _revive)
 

@@ -19,6 +19,7 @@ from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
+from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.molecules import Bonds, joined_by, make_whole
 from openmm_sier.system.notices import notify
 
@@ -319,7 +320,7 @@ def tell_of_thin_box(path: str | Path, box: Box) -> None:
 
 
 def _described_interactions(system: openmm.System) -> str:
-    force = next((force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)), None)
+    force = next((part.force for part in parts(system) if isinstance(part.force, openmm.NonbondedForce)), None)
     if force is None or force.getNonbondedMethod() == force.NoCutoff:
         return "no cut-off"
     names = ("NoCutoff", "CutoffNonPeriodic", "CutoffPeriodic", "Ewald", "PME", "LJPME")

@@ -11,6 +11,7 @@ from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES, TERMS
 from openmm_sier.system.geometries import RESOLUTION
+from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
 
 #: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
@@ -41,10 +42,10 @@ def refuse_drude_particles(system: openmm.System) -> None:
     Raises:
         openmm.OpenMMException: there is one.
     """
-    for force in system.getForces():
-        if isinstance(force, openmm.DrudeForce):
+    for part in parts(system):
+        if isinstance(part.force, openmm.DrudeForce):
             raise openmm.OpenMMException(
-                f"{force.getName()} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
+                f"{part.name} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
                 "them from 1 K to hundreds, with a wrong polarization. Take openmm.DrudeLangevinIntegrator, "
                 "DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
             )

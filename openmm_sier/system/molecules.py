@@ -14,6 +14,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.arguments import checked_positions, checked_system
 from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.boxes import wrapped
+from openmm_sier.system.inner_forces import parts
 
 #: kJ/mol. A bond that is longer than its own length and has more energy than this is broken: bonds dissociate with 400.
 BREAKING = 1000.0
@@ -67,7 +68,7 @@ class Bonds(NamedTuple):
         """Constraints, HarmonicBondForces that do work, and those of virtual sites to the first of their particles."""
         pairs, lengths = tables.constraints(system)
         found = [cls.joined(pairs, lengths, lengths + STRETCH)]
-        for force in system.getForces():
+        for force in (part.force for part in parts(system)):
             if isinstance(force, openmm.HarmonicBondForce):
                 ends, lengths, strengths = harmonic_bonds(force)
                 acts = strengths > 0
