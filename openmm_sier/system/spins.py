@@ -49,6 +49,12 @@ class Spins:
         self._groups = 0 if slim is None else _field_groups(system, slim.atoms.shape[1])
         self._told = False
 
+    def longest_step(self, scheme: Scheme, groups: int, temperature: float) -> float:
+        """The longest step without a warning, ps; infinite where nothing turns bodies. For arguments see `check`."""
+        if not groups & self._groups or not temperature:
+            return math.inf
+        return scheme.accuracy_limit / (FAST * math.sqrt(GAS_CONSTANT * temperature / self._moment))
+
     def check(self, scheme: Scheme, h: float, groups: int, temperature: float = ROOM_TEMPERATURE) -> None:
         """Refuse a step in which bodies turn too far between two kicks; warn, once, if it is inaccurate.
 
@@ -61,19 +67,17 @@ class Spins:
         Raises:
             openmm.OpenMMException: the step is too long.
         """
-        if not groups & self._groups:
-            return
-        spin = math.sqrt(GAS_CONSTANT * temperature / self._moment)
-        accurate = scheme.accuracy_limit / (FAST * spin) if spin else math.inf
+        accurate = self.longest_step(scheme, groups, temperature)
         if h <= accurate:
             return
+        turned = h * math.sqrt(GAS_CONSTANT * temperature / self._moment)
         described = (
             f"{self._name}, and others like it, have a moment of inertia of only {self._moment:.2g} dalton nm^2, and "
-            f"at {temperature:g} K turn about that axis by {spin * h:.2g} radians from one kick to the next. "
+            f"at {temperature:g} K turn about that axis by {turned:.2g} radians from one kick to the next. "
             f"{scheme.name} is accurate up to {1000 * accurate:.2g} fs. Take a shorter step; or put the atoms of a "
             "body that is nearly a line on the line, which has no such spin"
         )
-        if spin * h >= ALIASED:
+        if turned >= ALIASED:
             raise openmm.OpenMMException(f"A step of {1000 * h:.3g} fs is too long: {described}")
         if not self._told:
             self._told = True

@@ -165,6 +165,15 @@ def test_integrators_of_openmm_are_not_given_them():
         make_stock(system, "verlet", 0.002)
 
 
+def test_surplus_constraints_make_nothing_hotter():
+    """A bath heats benzene, whose constraints are more than its coordinates, from rest: that is no runaway."""
+    context, positions = context_of(benzene(), SIERLangevinIntegrator(300, 50, 0.002), edge=3)
+    openmm.LocalEnergyMinimizer.minimize(context, 1.0, 20)
+    context.setVelocities(0 * positions)
+    context.getIntegrator().step(20)
+    assert context.getIntegrator().computeTemperatures().total > 100
+
+
 def test_water_is_left_to_openmm():
     """Velocities for a seed are OpenMM's, bit for bit."""
     context, _ = context_of(triangle([16.0, 1.0, 1.0]))
