@@ -19,6 +19,7 @@ import openmm
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
+from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES
 from openmm_sier.system.notices import notify
 
@@ -87,10 +88,20 @@ class Spins:
 def _field_groups(system: openmm.System, atoms: int) -> int:
     """Bit mask of the groups of Forces that may turn a body of so many atoms: an external one, where it is alone."""
     particles = sum(not system.isVirtualSite(i) for i in range(system.getNumParticles()))
-    acting = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES)]
+    acting = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES) and not _is_empty(force)]
     if particles == atoms:
         acting = [force for force in acting if isinstance(force, openmm.CustomExternalForce)]
     groups = 0
     for force in acting:
         groups |= 1 << force.getForceGroup()
     return groups
+
+
+def _is_empty(force: openmm.Force) -> bool:
+    """Whether a Force is a NonbondedForce between particles without charges and van der Waals interactions."""
+    if not isinstance(force, openmm.NonbondedForce):
+        return False
+    parameters = (
+        tables.numbers(force.getParticleParameters(i), tables.ATOM_UNITS) for i in range(force.getNumParticles())
+    )
+    return not any(charge or epsilon for charge, _, epsilon in parameters)

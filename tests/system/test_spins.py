@@ -67,6 +67,10 @@ def test_where_nothing_turns_them():
     without, _ = trimers(178)
     without.removeForce(0)
     made(without, SIER2Integrator(0.006))
+    empty = openmm.NonbondedForce()
+    for _ in range(without.getNumParticles()):
+        empty.addParticle(0, 0.3, 0)
+    made(with_forces(without, empty), SIER2Integrator(0.006))
     with pytest.warns(UserWarning, match="is long: the body of atoms 0, 1, 2"):
         made(with_forces(alone, field("100*y^2", range(3))), SIER2Integrator(0.006), silently=False)
 
