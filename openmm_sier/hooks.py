@@ -8,13 +8,15 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `Context.setState` accepts a State of any other integrator, and does not let a State bring back noise that was used.
 - `Context.setPositions`, `setVelocities`, `setVelocitiesToTemperature` and `loadCheckpoint` tell the integrator that
   atoms were moved, which the native engine would not notice by itself.
+- `Context.setVelocitiesToTemperature`, `applyConstraints` and `applyVelocityConstraints` are this package's where
+  OpenMM's solvers cannot satisfy the constraints.
 - `Context.createCheckpoint`, and `XmlSerializer.serialize` of a State with the integrator's parameters, make the run
   continue exactly as a restart from their result would. `Context.getState` marks such a State and changes nothing.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
 - `System.setParticleMass`, `setConstraintParameters` and `removeForce`, `Force.setForceGroup` and `setPMEParameters` of
   every Force are counted, so that an integrator looks for changes of its System only after one of them.
-- `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them, and warns of overlaps that it
-  leaves.
+- `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them, or OpenMM's solvers cannot, and
+  warns of overlaps that it leaves.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
 
@@ -39,8 +41,11 @@ def install() -> None:
     _replace(openmm.Context, "reinitialize", _bind_again)
     _replace(openmm.Context, "setState", _set_state)
     _replace(openmm.Context, "getState", _mark_state)
-    for name in ("setPositions", "setVelocities", "setVelocitiesToTemperature"):
+    for name in ("setPositions", "setVelocities"):
         _replace(openmm.Context, name, functools.partial(_pass_on, Binding.moved))
+    _replace(openmm.Context, "setVelocitiesToTemperature", _draw_velocities)
+    _replace(openmm.Context, "applyConstraints", functools.partial(_satisfy, False))
+    _replace(openmm.Context, "applyVelocityConstraints", functools.partial(_satisfy, True))
     _replace(openmm.Context, "loadCheckpoint", functools.partial(_pass_on, Binding.take_over))
     _replace(openmm.Context, "createCheckpoint", functools.partial(_pass_on, Binding.start_anew))
     _replace(openmm.XmlSerializer, "serialize", _write_restart_point)
@@ -177,6 +182,22 @@ def _pass_on(news: Callable, method: Callable, context: openmm.Context, *args: A
     if binding := _binding_of(context):
         news(binding)
     return found
+
+
+def _draw_velocities(method: Callable, context: openmm.Context, *args: Any) -> None:
+    by_openmm = functools.partial(method, context, *args)
+    if args and (binding := _binding_of(context)):
+        binding.draw_velocities(by_openmm, *args)
+    else:
+        by_openmm()
+
+
+def _satisfy(velocities: bool, method: Callable, context: openmm.Context, tol: float) -> None:
+    by_openmm = functools.partial(method, context, tol)
+    if binding := _binding_of(context):
+        binding.satisfy(by_openmm, velocities)
+    else:
+        by_openmm()
 
 
 def _tell_of_new_forces(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:

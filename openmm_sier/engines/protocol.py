@@ -20,6 +20,7 @@ from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
+from openmm_sier.system.solver_trial import SolverTrial
 
 
 class TrajectoryError(openmm.OpenMMException):
@@ -310,13 +311,35 @@ class Engine(ABC):
         """Number of degrees of freedom that share the heat, see `engines.temperature`."""
         return sum(degrees_of_freedom(self.bodies, self.conserves_momentum()))
 
+    # --- what OpenMM does in the Context, and cannot do for all constraints ---
+
+    @cached_property
+    def _trial(self) -> SolverTrial:
+        return SolverTrial(self._context.getSystem())
+
+    def _let_openmm_solve(self, by_openmm: Callable[[], None]) -> None:
+        """Let OpenMM do something for which it solves constraints."""
+        by_openmm()
+
+    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
+        """Draw velocities of all atoms; see `Context.setVelocitiesToTemperature`, which `by_openmm` calls."""
+        self._let_openmm_solve(by_openmm)
+
+    def satisfy_positions(self, by_openmm: Callable[[], None]) -> None:
+        """Move atoms onto the constraints; see `Context.applyConstraints`, which `by_openmm` calls."""
+        self._let_openmm_solve(by_openmm)
+
+    def satisfy_velocities(self, by_openmm: Callable[[], None]) -> None:
+        """Take away velocities along constraints; see `Context.applyVelocityConstraints`, which `by_openmm` calls."""
+        self._let_openmm_solve(by_openmm)
+
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         """Minimize the energy and keep bodies rigid; see `openmm.LocalEnergyMinimizer` for the arguments.
 
         Args:
             by_openmm: does it with OpenMM's minimizer, which keeps nothing but constraints.
         """
-        by_openmm()
+        self._let_openmm_solve(by_openmm)
         self.atoms_moved()
 
     # --- news from outside ---

@@ -236,6 +236,23 @@ class Binding:
             self.watch.forget()
             self._engine.atoms_moved()
 
+    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
+        """Somebody asks for velocities of a temperature; see `Engine.draw_velocities`."""
+        if self._engine is None:
+            by_openmm()
+        else:
+            self._engine.draw_velocities(by_openmm, temperature, seed)
+        self.moved()
+
+    def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
+        """Somebody asks for positions that satisfy constraints, or for velocities; see `Engine.satisfy_positions`."""
+        if self._engine is None:
+            by_openmm()
+        elif velocities:
+            self._engine.satisfy_velocities(by_openmm)
+        else:
+            self._engine.satisfy_positions(by_openmm)
+
     def forces_changed(self) -> None:
         """Somebody changed the potential."""
         if self._engine is not None:

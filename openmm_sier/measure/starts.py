@@ -18,6 +18,7 @@ from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrato
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.measure.report import SILENT, Advance, Report
 from openmm_sier.system import tables
+from openmm_sier.system.spins import Spins
 from openmm_sier.system.vibrations import Vibrations
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized, over the root of the number of its bodies, as
@@ -200,7 +201,7 @@ def equilibrate(
     dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
     step = integrator.getStepSize().value_in_unit(unit.picosecond)
     if step < STEP:
-        report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds vibrate that no constraint holds")
+        report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds or spins are too fast for longer ones")
     steps = round((LONGEST if time is None else time) / step)
     # Windows have nearly equal lengths, so that no short one counts as much as a long one.
     each = math.ceil(steps / max(1, round(steps * step / WINDOW)))
@@ -227,7 +228,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     """A copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
     pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
-    fast, step = integrator.fastForceGroups, _step_of(context)
+    fast, step = integrator.fastForceGroups, _step_of(context, temperature)
     langevin = SIERLangevinIntegrator(
         temperature, FRICTION, step, SCHEME, integrator.bodies, pressure=pressure, fastForceGroups=fast
     )
@@ -239,13 +240,15 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     return bath
 
 
-def _step_of(context: openmm.Context) -> float:
-    """Step of an equilibration, ps: the usual one, or one short enough for the bonds of a System."""
+def _step_of(context: openmm.Context, temperature: float) -> float:
+    """Step of an equilibration, ps: the usual one, or one short enough for the bonds and spins of a System."""
     integrator = context.getIntegrator()
+    system, bodies = context.getSystem(), integrator.bodies
     groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
-    vibrations = Vibrations(context.getSystem(), integrator.bodies)
+    vibrations, spins = Vibrations(system, bodies), Spins(system, bodies.species, bodies.describe_atoms)
     vibrations.measure(context)
-    return min(STEP, SHARE_OF_LONGEST * vibrations.longest_step(SCHEME, groups & ~fast, groups & fast))
+    longest = vibrations.longest_step(SCHEME, groups & ~fast, groups & fast)
+    return min(STEP, SHARE_OF_LONGEST * min(longest, spins.longest_step(SCHEME, groups & ~fast, temperature)))
 
 
 def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> Means:

@@ -96,6 +96,11 @@ class BodyPlan:
         self.kinds = geometries.kinds(self._clusters(named, lengths), self._masses.tolist(), self._describe)
 
     @property
+    def species(self) -> tuple[Species, ...]:
+        """The kinds of body whose geometry constraints define, of some of which there may also be mirror images."""
+        return tuple(kind.model for kind in self.kinds if kind.model is not None)
+
+    @property
     def needs_positions(self) -> bool:
         """Whether the geometry of some body is known from positions only."""
         return any(kind.needs_positions for kind in self.kinds)

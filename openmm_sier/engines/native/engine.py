@@ -76,6 +76,7 @@ class NativeEngine(Engine):
         system, integrator = context.getSystem(), context.getIntegrator()
         self._program, self._variables = program, Record(integrator)
         refusals.refuse(flow, bodies, program, system)
+        refusals.refuse_unsolved(self._trial.unsolved())
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
         self._constraints = tables.constraints(system)
@@ -87,7 +88,8 @@ class NativeEngine(Engine):
             self._found: Any = known_or_planned(system, bodies)
         except RigidityError as error:
             self._found = error
-        self._check_step = StepCheck(system, points, lambda following, _: self.inner_step(following))
+        rigid = () if isinstance(self._found, RigidityError) else self._found.species
+        self._check_step = StepCheck(system, points, lambda following, _: self.inner_step(following), rigid)
         self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
         self._environment: Any = None
@@ -226,9 +228,11 @@ class NativeEngine(Engine):
 
         Raises:
             RigidityError: OpenMM cannot satisfy them.
+            openmm.OpenMMException: it never could, see `SolverTrial`.
         """
         if not len(self._constraints.pairs):
             return
+        refusals.refuse_unsolved(self._trial.unsolved(self.positions))
         context, tolerance = self._context, self._integrator.getConstraintTolerance()
         errors, speeds = self._constraint_errors()
         if not errors.max() <= OFF:
@@ -244,6 +248,10 @@ class NativeEngine(Engine):
                 )
         if not speeds.max() <= OFF:
             context.applyVelocityConstraints(tolerance)
+
+    def _let_openmm_solve(self, by_openmm: Callable[[], None]) -> None:
+        refusals.refuse_unsolved(self._trial.unsolved(self.positions))
+        by_openmm()
 
     def _constraint_errors(self) -> tuple[np.ndarray, np.ndarray]:
         """Errors of the distances, nm, and velocities along the constraints, nm/ps, each (c,)."""
