@@ -168,6 +168,16 @@ class Engine(ABC):
         """After an error: write the last completed step to the Context as far as the engine still has it."""
         self._publish()
 
+    @abstractmethod
+    def check_step(self, flow: Flow) -> None:
+        """Refuse a flow whose step is too long, by what is known before there are positions.
+
+        Every step is checked when it is made; this tells it earlier.
+
+        Raises:
+            openmm.OpenMMException: the step is too long.
+        """
+
     # --- the phase point ---
 
     @property

@@ -167,7 +167,7 @@ class Binding:
                 of a Context that is reinitialized without its state, but not the global ones.
 
         Raises:
-            RigidityError, openmm.OpenMMException: the System or the step is refused, as the message says. There is no
+            RigidityError, openmm.OpenMMException: the System is refused, as the message says. There is no
                 engine then: if a Context is reinitialized, the old System's bodies must not remain.
         """
         if not keeps_record:
@@ -207,6 +207,14 @@ class Binding:
             self.watch.advance(partial(self._advance, engine), steps, context, length, bath)
         finally:
             self._stepping.release()
+
+    def check_step(self) -> None:
+        """Refuse a step that is too long, as the first call of `step` would, before a start is made for it.
+
+        Raises:
+            openmm.OpenMMException: the step is too long.
+        """
+        self.engine.check_step(self._flow())
 
     def _advance(self, engine: Engine, steps: int) -> None:
         with interrupts.deferred():

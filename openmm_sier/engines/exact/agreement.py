@@ -76,7 +76,7 @@ class Agreement:
         moved = known is None or not now.same_positions(before)
         if moved:
             moving.start_anew()
-            moving.settle_by(now.positions, flow)
+            moving.settle_by(now.positions)
         state = known
         if state is None or moved or not now.same_velocities(before):
             state = self._found(now, known, moved)

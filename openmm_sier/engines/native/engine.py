@@ -85,7 +85,6 @@ class NativeEngine(Engine):
         except RigidityError as error:
             self._found = error
         self._check_step = StepCheck(system, points, self.inner_step)
-        self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
         self._environment: Any = None
         self._is_guarded = bool(self._variables[EXACT_ONLY])
@@ -170,6 +169,9 @@ class NativeEngine(Engine):
             if self._context.getStepCount() == clock.steps + parts:
                 self.clock = after
         return after
+
+    def check_step(self, flow: Flow) -> None:
+        self._check_step(flow, self._integrator.getIntegrationForceGroups())
 
     def _publish(self) -> None:
         """Close the program to anyone else; the Context has the state at any time."""
