@@ -237,7 +237,7 @@ def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> Me
         taken = min(EVERY, steps - begin)
         integrator.step(taken)
         potential = bath.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-        samples.append((*integrator.computeTemperatures()[1:], potential))
+        samples.append((*integrator.computeTemperatures().in_kelvin()[1:], potential))
         advance(done + begin + taken)
     return Means(*np.mean(samples, axis=0).tolist())
 

@@ -88,7 +88,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     if isinstance(integrator, StockIntegrator):
         found = temperatures(bodies, motion, integrator.conservesMomentum)
     else:
-        found = integrator.computeTemperatures()
+        found = integrator.computeTemperatures().in_kelvin()
         if integrator.scheme.momentum_lag:
             conserved = sum(bodies.kinetic_energies(integrator.getWholeStepState()))
     momentum, angular_momentum = bodies.total_momenta(motion)

@@ -104,7 +104,7 @@ def test_temperatures_of_what_is_rigid_and_what_is_not():
     kinetic = context.getState(energy=True).getKineticEnergy()._value
     # The field acts on absolute positions, so that the centre of mass has its heat.
     total = 2 * kinetic / (bodies.dof * GAS_CONSTANT)
-    found = integrator.computeTemperatures()
+    found = integrator.computeTemperatures().in_kelvin()
     # Velocities drawn by OpenMM satisfy the constraints to 1e-5.
     assert found.total == pytest.approx(total, rel=1e-4)
     weights = 6 * 3, 4 * 3, 18 * 3 - 12
