@@ -278,8 +278,9 @@ def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time:
 def stop_centre_of_mass(context: openmm.Context) -> None:
     """Bring the centre of mass of a Context to rest."""
     masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
-    velocities[masses > 0] -= masses @ velocities / masses.sum()
-    context.setVelocities(velocities)
+    if masses.any():
+        velocities[masses > 0] -= masses @ velocities / masses.sum()
+        context.setVelocities(velocities)
 
 
 def _set_energy(context: openmm.Context, temperature: float, potential: float) -> None:

@@ -160,7 +160,7 @@ def domains(chains=4, field_of=0.0):
 
     def triangle(x):
         bodies.append([system.addParticle(mass) for mass in (30.0, 12.0, 16.0)])
-        positions.extend(TRIANGLE + [x, 0, 0])
+        positions.extend(TRIANGLE + np.array([x, 0, 0]))
         return bodies[-1]
 
     # Molecules do not interact, and begin on one place.
