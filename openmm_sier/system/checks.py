@@ -35,6 +35,16 @@ def barostats(system: openmm.System) -> list[openmm.Force]:
     return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
 
 
+def gives_uncounted_heat(context: openmm.Context) -> bool:
+    """Tell whether a thermostat or barostat of OpenMM acts in a Context: nobody counts the energy that it gives."""
+    for force in context.getSystem().getForces():
+        if isinstance(force, BAROSTATS) and force.getFrequency() > 0:
+            return True
+        if isinstance(force, openmm.AndersenThermostat) and context.getParameter(force.CollisionFrequency()) > 0:
+            return True
+    return False
+
+
 def refuse_drude_particles(system: openmm.System) -> None:
     """Refuse a DrudeForce, whose particles need a cold heat bath of their own.
 
