@@ -20,7 +20,8 @@ from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
-from openmm_sier.system.curvature import EXPRESSIONS, fastest_vibration
+from openmm_sier.system.collective import fastest_motion, is_collective
+from openmm_sier.system.curvature import EXPRESSIONS, Vibration, fastest_vibration
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
 from openmm_sier.system.notices import notify
 
@@ -143,27 +144,30 @@ class Vibrations:
 
     Bonds inside bodies do not count, nor do those that constraints hold. The periods of HarmonicBondForces are read
     from the System, as it is when the Context is created. Those of the terms of CustomBondForces,
-    CustomCompoundBondForces and CustomExternalForces, which are expressions, are found by `measure`, once there are
-    positions. Each bond is treated on its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms
-    that share an atom (CO2) vibrate up to a quarter faster. Angles are ignored: those of hydrogens are slower than
-    bonds by a factor of two. Of forces between molecules only the NonbondedForces are looked at. Of Forces of which
+    CustomCompoundBondForces and CustomExternalForces, which are expressions, and those of collective variables of
+    bonded Forces, of centroids and of an RMSD are found by `measure`, once there are positions. Each bond is treated on
+    its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up
+    to a quarter faster. Angles are ignored: those of hydrogens are slower than bonds by a factor of two. Of forces
+    between molecules only the NonbondedForces are looked at. Of Forces of which
     nothing is known `check` says so.
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
         self._bodies, self._mobility = bodies, mobilities(bodies)
-        links = Links(system)
+        self._links = links = Links(system)
         self._constraints = links.constraints
         self._harmonic = tuple(_fastest_bonds(system, bodies, self._constraints, self._mobility))
         self._bonds = list(self._harmonic)
         self._librations = list(_fastest_swings(system, bodies, links, self._mobility))
-        self._is_measured = not any(map(_is_expression, system.getForces()))
-        self._unknown = [force for force in system.getForces() if not isinstance(force, KNOWN)]
+        self._is_measured = not any(_is_expression(force) or is_collective(force) for force in system.getForces())
+        self._unknown = [
+            force for force in system.getForces() if not isinstance(force, KNOWN) and not is_collective(force)
+        ]
         self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
         self._told: set[str] = set()
 
     def measure(self, context: openmm.Context) -> bool:
-        """Measure, once, how fast the terms are that are expressions; returns whether anything was measured.
+        """Measure, once, how fast expressions and collective variables are; returns whether anything was measured.
 
         They are looked at where their atoms are. What is far from its minimum there, by `curvature.FAR`, does not
         count.
@@ -174,14 +178,19 @@ class Vibrations:
         if self._is_measured:
             return False
         self._is_measured, system = True, context.getSystem()
-        held = self._constraints.by_pair()
-        for force in filter(_is_expression, system.getForces()):
-            if found := fastest_vibration(force, context, self._bodies, self._mobility, held):
+        for force in system.getForces():
+            if found := self._measured(force, context):
                 strength = found.square / self._mobility[list(found.atoms)].sum()
                 share = _slow_share(system, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
                 self._bonds.append(Motion(period, found.atoms, force.getForceGroup(), share, force.getName()))
         return True
+
+    def _measured(self, force: openmm.Force, context: openmm.Context) -> Vibration | None:
+        """The fastest motion that a Force causes, if it is one that is measured."""
+        if _is_expression(force):
+            return fastest_vibration(force, context, self._bodies, self._mobility, self._constraints.by_pair())
+        return fastest_motion(force, context, self._links.link(self._bodies)) if is_collective(force) else None
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
         """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.

@@ -102,10 +102,10 @@ def test_the_conserved_energy_is_unknown_where_openmm_gives_heat(tmp_path, box, 
 @pytest.mark.parametrize(
     ("pressure", "forces"),
     [
-        (None, lambda: []),
+        (None, list),
         (None, lambda: [openmm.MonteCarloBarostat(1, 297, 0)]),
         (None, lambda: [openmm.CMMotionRemover(2)]),
-        (1.0, lambda: []),
+        (1.0, list),
     ],
     ids=["bath", "a barostat that does not act", "motion that is removed", "pressure="],
 )

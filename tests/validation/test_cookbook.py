@@ -161,6 +161,29 @@ def test_restraints_and_external_forces(chain, held, make, engine):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+def test_a_distance_is_pulled_by_a_collective_variable(chain, held, engine):
+    """Steered dynamics: the Force is added to a Context that has run, and its parameter moved every few steps."""
+    topology, positions = chain
+    with silence(r"\d+ of \d+ bodies are not quite"):
+        simulation = simulation_with(topology, held, langevin(engine), positions)
+        simulation.context.setVelocitiesToTemperature(300 * KELVIN, 1)
+        simulation.step(5)
+        distance = openmm.CustomBondForce("r")
+        distance.addBond(1, len(positions) - 1)
+        pulling = openmm.CustomCVForce("0.5 * fc_pull * (cv-r0)^2")
+        pulling.addGlobalParameter("fc_pull", 1000.0)
+        pulling.addGlobalParameter("r0", 1.0)
+        pulling.addCollectiveVariable("cv", distance)
+        held.addForce(pulling)
+        simulation.context.reinitialize(preserveState=True)
+        for shift in range(3):
+            simulation.context.setParameter("r0", 1.0 + 0.01 * shift)
+            simulation.step(5)
+    assert simulation.context.getStepCount() == 20
+    assert len(pulling.getCollectiveVariableValues(simulation.context)) == 1
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 def test_atoms_are_held_by_having_no_mass(engine):
     topology, positions = capped_alanine_box(6)
     system = forcefield().createSystem(topology, constraints=app.HBonds)
