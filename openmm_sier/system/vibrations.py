@@ -18,11 +18,11 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stability import nested_is_stable
-from openmm_sier.system import tables
+from openmm_sier.system import advice, tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
 from openmm_sier.system.collective import fastest_motion, is_collective
 from openmm_sier.system.curvature import EXPRESSIONS, Vibration, fastest_vibration
-from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
+from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.notices import notify
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
@@ -99,26 +99,11 @@ KNOWN = (
     *(openmm.AmoebaWcaDispersionForce, openmm.AmoebaTorsionTorsionForce, openmm.HippoNonbondedForce),
 )
 
+#: Forces whose terms of two atoms are bonds.
+BONDS = (openmm.CustomBondForce, openmm.CustomCompoundBondForce)
+
 #: x = pi h/T up to which x/tan(x) is 0.9 or more: slow forces stretch a bond of period T by at least that share.
 STIFFENED = 0.54
-
-#: Remedies, for messages.
-SHORTER_STEP = "Call prepare_system(system) before making the Context, for inner steps of bonds; or take a shorter step"
-MORE_SUBSTEPS = "Take more substeps or a shorter step"
-HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
-HEAVIER = f"for averages only, make all hydrogens heavy by {HEAVY}"
-CONSTRAIN = (
-    "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
-    f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)'
-)
-CONSTRAIN_HEAVY = (
-    "hold the bond: by constraints=AllBonds in createSystem, or its molecule in a rigid body, by "
-    "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)"
-)
-KEEP_HEAVY = f"; if createSystem made hydrogens heavy, call {HEAVY}, which leaves other atoms heavier"
-
-#: Dalton. Atoms up to this are hydrogens that have not been made heavy.
-LIGHT = 2.0
 
 
 class Motion(NamedTuple):
@@ -130,6 +115,8 @@ class Motion(NamedTuple):
         group: the force group that moves them.
         share: stiffness of the surroundings over that of the bond.
         force: name of the Force, where it is an expression.
+        is_bond: whether it stretches a bond.
+        can_be_fast: whether inner steps could follow it, once the System is prepared.
     """
 
     period: float
@@ -137,6 +124,8 @@ class Motion(NamedTuple):
     group: int
     share: float = 0.0
     force: str = ""
+    is_bond: bool = True
+    can_be_fast: bool = False
 
 
 class Vibrations:
@@ -156,7 +145,8 @@ class Vibrations:
         self._bodies, self._mobility = bodies, mobilities(bodies)
         self._links = links = Links(system)
         self._constraints = links.constraints
-        self._harmonic = tuple(_fastest_bonds(system, bodies, self._constraints, self._mobility))
+        self._remedies = advice.Remedies(system, bodies)
+        self._harmonic = tuple(_fastest_bonds(system, bodies, self._constraints, self._mobility, self._remedies))
         self._bonds = list(self._harmonic)
         self._librations = list(_fastest_swings(system, bodies, links, self._mobility))
         self._is_measured = not any(_is_expression(force) or is_collective(force) for force in system.getForces())
@@ -183,7 +173,9 @@ class Vibrations:
                 strength = found.square / self._mobility[list(found.atoms)].sum()
                 share = _slow_share(system, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
-                self._bonds.append(Motion(period, found.atoms, force.getForceGroup(), share, force.getName()))
+                is_bond = isinstance(force, BONDS) and len(found.atoms) == 2
+                kind = force.getName(), is_bond, self._remedies.can_be_fast(force)
+                self._bonds.append(Motion(period, found.atoms, force.getForceGroup(), share, *kind))
         return True
 
     def _measured(self, force: openmm.Force, context: openmm.Context) -> Vibration | None:
@@ -201,13 +193,14 @@ class Vibrations:
         Raises:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
         """
-        self._check_bonds("A step", scheme, h, groups, SHORTER_STEP)
+        self._check_bonds("A step", scheme, h, groups)
         libration = _fastest(self._librations, groups)
         if libration is None:
             return
         stable, accurate = _limits(scheme, libration.period)
-        body = self._bodies.describe(int(self._bodies.owners[libration.atoms[0]]))
-        heavier = f"; or, {HEAVIER}" if self._has_atom_up_to(LIGHT, libration) else ""
+        number = int(self._bodies.owners[libration.atoms[0]])
+        body = self._bodies.describe(number)
+        heavier = f"; or, {advice.HEAVIER}" if self._remedies.heavier(self._bodies.atoms_of(number)) else ""
         described = (
             f"{body}, and others like it, can swing with a period of {_fs(libration.period)} among other molecules. "
             f"{scheme.name} is accurate up to {_fs(accurate)}; from about {_fs(max(accurate, HEATING * stable))} on "
@@ -228,18 +221,18 @@ class Vibrations:
             openmm.OpenMMException: the inner step is beyond the inner scheme's stability limit, or the step is in a
                 window, or beyond `DESTROYED` or, with a bath in its drift, `SHORTENED`.
         """
-        self._check_bonds("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
+        self._check_bonds("An inner step", inner, inner_step, groups, advice.MORE_SUBSTEPS)
         bond = _fastest(self._bonds, groups)
         if bond is not None and h > RESONANCE * bond.period:
             # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
-            heavier = f"or, {HEAVIER}, " if self._has_atom_up_to(LIGHT, bond) else ""
+            heavier = f"or, {advice.HEAVIER}, " if self._remedies.has_hydrogen(bond.atoms, advice.LIGHT) else ""
             message = (
                 f"for {self._name(bond)}: its period is {_fs(bond.period)}, and slow forces must act more than twice "
                 f"in it. Take up to {_fs(RESONANCE * bond.period)}, {heavier}or {self._hold(bond)}"
             )
             angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
             stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
-            is_shortened = scheme.bath_divides_drift and self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond)
+            is_shortened = scheme.bath_divides_drift and self._moves_like_hydrogen(bond)
             if h >= (SHORTENED if is_shortened else DESTROYED) * bond.period or not stable:
                 raise openmm.OpenMMException(f"A step of {_fs(h)} is too long {message}. More inner steps do not help")
             self._tell_once(f"A step of {_fs(h)} is long {message}")
@@ -252,14 +245,14 @@ class Vibrations:
         A constant force in kicks every h, beside a spring that is followed exactly, moves the mean length of the bond
         by x/tan(x) of what it should, x = pi h/T with the period T: averages shift, at the right temperature.
         """
-        bond = _fastest([bond for bond in self._bonds if self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond)], groups)
+        bond = _fastest([bond for bond in self._bonds if bond.is_bond and self._moves_like_hydrogen(bond)], groups)
         if bond is None or (x := math.pi * h / bond.period) <= STIFFENED:
             return
         left = max(0.0, x / math.tan(x)) if x < math.pi / 2 else 0.0
         self._tell_once(
             f"At {_fs(h)} averages of this molecule are wrong: slow forces stretch {self._name(bond)} (period "
             f"{_fs(bond.period)}) by only {100 * left:.0f} % of what they should. Take up to "
-            f"{_fs(STIFFENED * bond.period / math.pi)}, or {CONSTRAIN}"
+            f"{_fs(STIFFENED * bond.period / math.pi)}, or {self._hold(bond)}"
         )
 
     def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
@@ -299,9 +292,10 @@ class Vibrations:
         bond = _fastest(self._harmonic, groups)
         return accurate_step(inner, bond.period) if bond else math.inf
 
-    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
+    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str = "") -> None:
         """Judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
         if bond := _fastest(self._bonds, groups):
+            remedy = remedy or (advice.PREPARE if bond.can_be_fast else advice.SHORTER_STEP)
             stable, accurate = _limits(scheme, bond.period)
             described = (
                 f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} is "
@@ -322,19 +316,17 @@ class Vibrations:
         if h > accurate:
             self._tell_once(f"{what} is long: {described}")
 
-    def _has_atom_up_to(self, mass: float, bond: Motion) -> bool:
-        """Whether an end of a bond moves like an atom of this mass, dalton, or less."""
-        return bool(self._mobility[list(bond.atoms)].max() * mass >= 1)
+    def _moves_like_hydrogen(self, bond: Motion) -> bool:
+        """Tell whether an end of a bond moves like a hydrogen, which may have been made heavy."""
+        return bool(self._mobility[list(bond.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1)
 
-    def _hold(self, bond: Motion) -> str:
-        if not self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond):
-            return CONSTRAIN_HEAVY
-        return CONSTRAIN if self._has_atom_up_to(LIGHT, bond) else CONSTRAIN + KEEP_HEAVY
+    def _hold(self, motion: Motion) -> str:
+        return self._remedies.hold(motion.atoms) if motion.is_bond else f"make {motion.force} softer"
 
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels
         residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in bond.atoms))})"
-        if len(bond.atoms) == 2:
+        if bond.is_bond:
             by = f" by {bond.force}" if bond.force else ""
             return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}{by}"
         plural = "s" if len(bond.atoms) > 1 else ""
@@ -378,7 +370,11 @@ def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
 
 
 def _fastest_bonds(
-    system: openmm.System, bodies: RigidBodies, constraints: tables.Constraints, mobility: np.ndarray
+    system: openmm.System,
+    bodies: RigidBodies,
+    constraints: tables.Constraints,
+    mobility: np.ndarray,
+    remedies: advice.Remedies,
 ) -> Iterator[Motion]:
     """Of each HarmonicBondForce the bond of shortest period between two bodies that no constraint holds."""
     for force in system.getForces():
@@ -393,7 +389,7 @@ def _fastest_bonds(
             period = 2 * math.pi / math.sqrt(squares[fastest])
             atoms = tuple(ends[fastest].tolist())
             share = _slow_share(system, atoms, strength[fastest], mobility)
-            yield Motion(period, atoms, force.getForceGroup(), share)
+            yield Motion(period, atoms, force.getForceGroup(), share, can_be_fast=remedies.can_be_fast(force))
 
 
 def _slow_share(system: openmm.System, atoms: tuple[int, ...], strength: float, mobility: np.ndarray) -> float:

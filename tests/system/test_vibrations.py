@@ -22,7 +22,7 @@ from openmm_sier import (
 from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system.vibrations import Vibrations
 from tests.support.silence import silence
-from tests.support.systems import assembled
+from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, judged, phase_point, platform
 
 #: Of O-H in OpenMM's flexible TIP3P, 462750.4 kJ/mol/nm^2.
@@ -151,6 +151,92 @@ def test_remedies_are_those_that_help(masses, named, left_out):
     for remedy in named:
         assert remedy in str(refused.value)
     assert left_out not in str(refused.value)
+
+
+def group_of_methyl():
+    """A carbon that heavy hydrogens have made as light as they are, bonded to nitrogen, in vacuum."""
+    bonds = openmm.HarmonicBondForce()
+    bonds.addBond(0, 1, 0.147, 2.8e5)
+    system = assembled([14.0, 4.0, 3.7, 3.7, 3.7], bonds, constraints=[(1, i, 0.109) for i in (2, 3, 4)])
+    return system, None, None
+
+
+def restrained():
+    """An atom that a field holds tightly."""
+    return assembled([12.0], field("k*x^2/2", [0], k=1e6)), None, np.zeros((1, 3))
+
+
+def coupled():
+    """A bond as a term of two atoms that is no bonded Force, so that inner steps cannot follow it."""
+    force = openmm.CustomCompoundBondForce(2, "2e5*(distance(p1,p2)-0.1)^2")
+    force.addBond([0, 1], [])
+    return assembled([12.0, 12.0], force), None, np.array([[0, 0, 0], [0.1, 0, 0]])
+
+
+def biased():
+    distance = openmm.CustomBondForce("r")
+    distance.addBond(0, 1)
+    force = openmm.CustomCVForce("2e5*(d-0.1)^2")
+    force.addCollectiveVariable("d", distance)
+    force.setName("bias")
+    return assembled([12.0, 12.0], force), None, np.array([[0, 0, 0], [0.1, 0, 0]])
+
+
+def between_bodies():
+    """Two rigid triangles that a stiff bond joins."""
+    bonds = openmm.HarmonicBondForce()
+    bonds.addBond(0, 3, 0.15, 4e5)
+    x = np.array([[0, 0, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0], [0.15, 0, 0], [0.25, 0.1, 0], [0.25, -0.1, 0]])
+    return assembled(6 * [12.0], bonds), [[0, 1, 2], [3, 4, 5]], x
+
+
+def beside_a_body():
+    """A stiff bond of two beads at a rigid triangle: constraints could not join it."""
+    bonds = openmm.HarmonicBondForce()
+    bonds.addBond(0, 3, 0.15, 2e3)
+    bonds.addBond(3, 4, 0.15, 4e5)
+    x = np.array([[0, 0, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0], [0.15, 0, 0], [0.3, 0, 0]])
+    return assembled(5 * [12.0], bonds), [[0, 1, 2]], x
+
+
+FAST, SLOW = "Call prepare_system(system)", "Take a shorter step, or"
+
+#: What limits a step, how the remedy begins, and what else it says or leaves out.
+ADVICE = {
+    "a bond to hydrogen": (lambda: (diatomic(4e5), None, None), FAST, "constraints=HBonds", "AllBonds"),
+    "a bond of light carbon": (group_of_methyl, FAST, "constraints=AllBonds", "HBonds"),
+    "a restraint": (restrained, SLOW, "make CustomExternalForce softer", "hold the bond"),
+    "a term of two atoms": (coupled, SLOW, "constraints=AllBonds", "prepare_system"),
+    "a collective variable": (biased, SLOW, "make bias softer", "hold the bond"),
+    "a bond of two bodies": (between_bodies, SLOW, "into one rigid body", "constraints="),
+    "a bond beside a body": (beside_a_body, SLOW, "into one rigid body", "constraints="),
+}
+
+
+@pytest.mark.parametrize("prepared", [False, True])
+@pytest.mark.parametrize("kind", ADVICE)
+def test_a_remedy_is_one_that_helps(kind, prepared):
+    """Inner steps for what they can follow, and no preparation where it was done or does nothing."""
+    make, begins, says, leaves_out = ADVICE[kind]
+    system, bodies, x = make()
+    if prepared:
+        prepare_system(system, bodies)
+        # What can be fast is judged by its kicks and inner steps then.
+        begins = SLOW if begins == SLOW else ""
+    integrator = SIERIntegrator(0.03, SIER4G, bodies=bodies, substeps=20)
+    context = openmm.Context(system, integrator, platform())
+    judge = integrator.binding.check_step
+    if x is not None:
+        context.setPositions(x)
+        judge = partial(integrator.step, 1)
+    with pytest.raises(openmm.OpenMMException, match="is too long") as refused:
+        judge()
+    message = str(refused.value)
+    assert begins in message
+    assert says in message
+    assert leaves_out not in message
+    if begins != FAST:
+        assert FAST not in message
 
 
 def test_bonds_without_strength_are_no_oscillators():
