@@ -18,8 +18,10 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
+from openmm_sier.system.cut_molecules import refuse_cut_molecules
 
 
 class TrajectoryError(openmm.OpenMMException):
@@ -323,9 +325,17 @@ class Engine(ABC):
 
         Args:
             by_openmm: does it with OpenMM's minimizer, which keeps nothing but constraints.
+
+        Raises:
+            RigidityError: the periodic boundary cuts a molecule, which constraints would pull together.
         """
+        self._refuse_cut_molecules()
         by_openmm()
         self.atoms_moved()
+
+    def _refuse_cut_molecules(self) -> None:
+        now = Snapshot(self._context)
+        refuse_cut_molecules(self._context.getSystem(), now.positions, now.box)
 
     # --- news from outside ---
 
