@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
@@ -126,15 +125,23 @@ def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
         )
 
 
-def tell_of_other_temperatures(system: openmm.System, temperature: float) -> None:
-    """Warn of a barostat or an AndersenThermostat of OpenMM at another temperature in K than that of a heat bath."""
-    for force in [force for force in system.getForces() if isinstance(force, OF_ENSEMBLES)]:
-        theirs = force.getDefaultTemperature().value_in_unit(unit.kelvin)
+def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> bool:
+    """Warn of a barostat or an AndersenThermostat of OpenMM that has another temperature in K than a heat bath now.
+
+    Returns:
+        Whether there is one.
+    """
+    others = False
+    for force in [force for force in context.getSystem().getForces() if isinstance(force, OF_ENSEMBLES)]:
+        theirs = context.getParameter(force.Temperature())
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
+            others = True
             notify(
                 f"The {type(force).__name__} has {theirs:g} K and the heat bath of the integrator {temperature:g} K: "
-                "averages are those of neither temperature. Give both the same"
+                "averages are those of neither temperature. Give both the same, by context.setParameter("
+                f"{type(force).__name__}.Temperature(), {temperature:g}) for the first"
             )
+    return others
 
 
 def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:

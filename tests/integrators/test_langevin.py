@@ -23,6 +23,7 @@ from openmm_sier.ensembles import Langevin
 from tests.support.flexible import chains
 from tests.support.flexible_systems import FAST, system_of
 from tests.support.seeded import seeded
+from tests.support.silence import silence
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
@@ -242,8 +243,19 @@ def test_a_force_at_another_temperature_is_spoken_of(force):
     _, positions, system = periodic_system()
     system = with_forces(system, force)
     name = type(force).__name__
-    with pytest.warns(UserWarning, match=f"The {name} has 350 K and the heat bath of the integrator 300 K"):
-        context_at(system, SIERLangevinIntegrator(300, 1, 0.002, SIER2), (positions, 0 * positions))
+    point = positions, 0 * positions
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=f"The {name}")
-        context_at(system, SIERLangevinIntegrator(350, 1, 0.002, SIER2), (positions, 0 * positions))
+        context_at(system, SIERLangevinIntegrator(350, 1, 0.002, SIER2), point, steps=1)
+        integrator = SIERLangevinIntegrator(300, 1, 0.002, SIER2)
+        context = context_at(system, integrator, point)
+        # No step has been made at two temperatures yet, as where the System's Force gets the right one afterwards.
+        context.setParameter(type(force).Temperature(), 300)
+        integrator.step(1)
+    integrator.setTemperature(280)
+    with pytest.warns(UserWarning, match=f"The {name} has 300 K and the heat bath of the integrator 280 K") as told:
+        integrator.step(1)
+    assert len(told) == 1
+    integrator.setTemperature(270)
+    with silence():
+        integrator.step(1)
