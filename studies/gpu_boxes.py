@@ -1,0 +1,111 @@
+"""Boxes for GPUs: those of OpenMM's own benchmark, where its files are, water, and boxes repeated along their edges."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from studies import boxes
+from studies.command import SYSTEMS
+
+#: Cut-off of PME in nm, OpenMM's default tolerance, and the mass of hydrogens in dalton: those of OpenMM's benchmark.
+CUTOFF, TOLERANCE, HYDROGEN = 0.9, 5e-4, 1.5
+
+#: Force fields of the PDB files of OpenMM's benchmark.
+FORCE_FIELDS = {
+    "dhfr": ("5dfr_solv-cube_equil.pdb", ("amber99sb.xml", "tip3p.xml")),
+    "apoa1": ("apoa1.pdb", ("amber14/protein.ff14SB.xml", "amber14/lipid17.xml", "amber14/tip3p.xml")),
+}
+
+#: Its AMBER files, in the folder that its script downloads.
+AMBER = {"cellulose": "Cellulose", "stmv": "STMV"}
+
+
+class GpuBox(NamedTuple):
+    """A box as OpenMM's benchmark has it.
+
+    Attributes:
+        name: of the box.
+        system: with PME, constrained bonds to hydrogen and a CMMotionRemover.
+        positions: (N, 3), nm.
+        vectors: periodic box vectors, (3, 3), nm; None: those of the System.
+        has_solute: whether there is more than water.
+    """
+
+    name: str
+    system: openmm.System
+    positions: np.ndarray
+    vectors: np.ndarray | None
+    has_solute: bool
+
+
+def named(name: str, benchmarks: Path | None) -> GpuBox:
+    """Make a box by its name.
+
+    Args:
+        name: water-N, of N molecules; dhfr, apoa1, cellulose or stmv; dhfr-N, N copies of it.
+        benchmarks: the folder examples/benchmarks of OpenMM's sources; None: none, and DHFR is that of openmmtools.
+
+    Raises:
+        ValueError: the box is unknown, or its files are not in the folder.
+        ImportError: dhfr is to be made without the folder and without openmmtools.
+    """
+    kind, _, number = name.partition("-")
+    if kind == "water":
+        pdb = app.PDBFile(str(SYSTEMS / "tip3p-512.pdb"))
+        return _of_pdb(name, pdb, ("tip3p.xml",), boxes.copies_for(int(number), pdb.topology.getNumResidues()))
+    if kind in AMBER and not number:
+        return _of_amber(name, _file(benchmarks, Path("Amber20_Benchmark_Suite", "PME"), name))
+    if kind == "dhfr" and benchmarks is None and not number:
+        made = boxes.dhfr(CUTOFF, CUTOFF, TOLERANCE, HYDROGEN)
+        made.system.addForce(openmm.CMMotionRemover())
+        return GpuBox(name, made.system, made.positions.value_in_unit(unit.nanometer), None, True)
+    if kind not in FORCE_FIELDS:
+        raise ValueError(f"unknown box {name!r}; known are water-N, dhfr, dhfr-N, apoa1, {', '.join(AMBER)}")
+    file, fields = FORCE_FIELDS[kind]
+    pdb = app.PDBFile(str(_file(benchmarks, Path(file), name)))
+    return _of_pdb(name, pdb, fields, boxes.copies_for(int(number or 1), 1))
+
+
+def _file(folder: Path | None, name: Path, box: str) -> Path:
+    if folder is None or not (folder / name).exists():
+        raise ValueError(
+            f"the box {box} needs {name} of OpenMM's benchmark: give the folder examples/benchmarks of its sources "
+            "with --benchmarks"
+        )
+    return folder / name
+
+
+def _of_pdb(name: str, pdb: app.PDBFile, fields: tuple[str, ...], copies: tuple[int, int, int]) -> GpuBox:
+    vectors = np.array(pdb.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
+    places = np.array(list(itertools.product(*map(range, copies))))
+    modeller = app.Modeller(pdb.topology, pdb.positions)
+    for _ in places[1:]:
+        modeller.add(pdb.topology, pdb.positions)
+    modeller.topology.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
+    system = app.ForceField(*fields).createSystem(
+        modeller.topology,
+        nonbondedMethod=app.PME,
+        nonbondedCutoff=CUTOFF * unit.nanometer,
+        constraints=app.HBonds,
+        hydrogenMass=HYDROGEN * unit.dalton,
+    )
+    positions = np.array(pdb.positions.value_in_unit(unit.nanometer))
+    moved = ((places @ vectors)[:, None] + positions).reshape(-1, 3)
+    return GpuBox(name, system, moved, None, not name.startswith("water"))
+
+
+def _of_amber(name: str, folder: Path) -> GpuBox:
+    topology = app.AmberPrmtopFile(str(folder / "Topologies" / f"{AMBER[name]}.prmtop"))
+    start = app.AmberInpcrdFile(str(folder / "Coordinates" / f"{AMBER[name]}.inpcrd"))
+    system = topology.createSystem(
+        nonbondedMethod=app.PME, nonbondedCutoff=CUTOFF * unit.nanometer, constraints=app.HBonds
+    )
+    vectors = start.boxVectors
+    box = None if vectors is None else np.array(vectors.value_in_unit(unit.nanometer))
+    return GpuBox(name, system, np.array(start.positions.value_in_unit(unit.nanometer)), box, True)
