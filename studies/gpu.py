@@ -5,9 +5,9 @@
 takes boxes of water and DHFR, or those of OpenMM's own benchmark where its folder is given (apoa1, cellulose and stmv
 need it), in mixed precision. LangevinMiddle at 4 fs is as that benchmark has it: bonds to hydrogen constrained,
 hydrogens of 1.5 dalton, 1/ps. Prepared Systems have hydrogens of 4 dalton, those of solutes 3. Steps are called by
-tens, as `Simulation` calls them, all methods take turns, and times are those of the wall. In the boxes of `--averages` the
-potential energy, the temperatures of water, and the energies of bonds, angles and torsions are averaged over a run, and
-set beside those of LangevinMiddle at 1 fs. Writes gpu.json.
+tens, as `Simulation` calls them, all methods take turns, and times are those of the wall. In the boxes of `--averages`
+the potential energy, the temperatures of water, and the energies of bonds, angles and torsions are averaged over a run,
+and set beside those of LangevinMiddle at 1 fs. Writes gpu.json.
 """
 
 from __future__ import annotations
@@ -231,18 +231,10 @@ class Observed:
     Bonded energies are those of another Context, without the Forces that take time.
     """
 
-    def __init__(self, system: openmm.System, settings: GpuSettings):
+    def __init__(self, system: openmm.System, has_solute: bool, settings: GpuSettings):
         self._masses = tables.masses(system)
         self._waters = _waters(system)
-        bonded = openmm.XmlSerializer.clone(system)
-        for index in reversed(range(bonded.getNumForces())):
-            if not isinstance(bonded.getForce(index), tuple(BONDED.values())):
-                bonded.removeForce(index)
-        for force in bonded.getForces():
-            force.setForceGroup(list(BONDED.values()).index(type(force)))
-        self._bonded = None
-        if bonded.getNumForces():
-            self._bonded = make_context(bonded, openmm.VerletIntegrator(0.001), settings.platform)
+        self._bonded = _bonded_context(system, settings) if has_solute else None
 
     def sample(self, context: openmm.Context) -> dict[str, float]:
         """Return what is averaged, energies in kJ/mol and temperatures in K."""
@@ -269,6 +261,17 @@ class Observed:
         return {"translation": 2 * moving / freedoms, "rotation": 2 * (kinetic - moving) / freedoms}
 
 
+def _bonded_context(system: openmm.System, settings: GpuSettings) -> openmm.Context:
+    """Return a Context of the bonded Forces alone, each in the group of its place in `BONDED`."""
+    bonded = openmm.XmlSerializer.clone(system)
+    for index in reversed(range(bonded.getNumForces())):
+        if not isinstance(bonded.getForce(index), tuple(BONDED.values())):
+            bonded.removeForce(index)
+    for force in bonded.getForces():
+        force.setForceGroup(list(BONDED.values()).index(type(force)))
+    return make_context(bonded, openmm.VerletIntegrator(0.001), settings.platform)
+
+
 def _waters(system: openmm.System) -> np.ndarray:
     """Return the atoms of molecules of three atoms that three constraints hold, (m, 3)."""
     pairs = tables.constraints(system).pairs
@@ -280,7 +283,7 @@ def _waters(system: openmm.System) -> np.ndarray:
 
 def averages(box: GpuBox, context: openmm.Context, method: Method, settings: GpuSettings) -> dict[str, Any]:
     """Return a row of means and their errors over a run of a method."""
-    observed = Observed(context.getSystem(), settings)
+    observed = Observed(context.getSystem(), box.has_solute, settings)
     between = round(1000 * EVERY / method.step / CALL) * CALL or CALL
     run(context, round(1000 * settings.settle / method.step / CALL) * CALL)
     samples = []
